@@ -1,0 +1,1 @@
+"""The identification service: OPC UA in, flow maps out."""

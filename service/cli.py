@@ -1,0 +1,5 @@
+"""The command ``valvemap``."""
+
+
+def main() -> None:
+    """Run the command line."""

@@ -1,0 +1,59 @@
+"""Everything that valvemap raises for a user to read.
+
+::
+
+    ValvemapError                 one line for the user, exit code 1
+    ├── ConfigurationError        a file, field or argument is wrong, exit code 2
+    ├── RecordingError            a recording cannot be read or written
+    ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
+    ├── CertificateError          a certificate or key is missing, expired or not trusted
+    ├── ServerError               our server cannot run (port in use, address not ours)
+    ├── CommandRejected           an operator's command cannot be carried out
+    └── SourceError               the source server
+        ├── SourceLost            worth another try: connection refused, cut, silent
+        └── SourceRejected        another try will not help: certificate, user, node, type
+"""
+
+
+class ValvemapError(Exception):
+    """A sentence for the user: it names file, field, node or value and what is allowed."""
+
+    exit_code = 1
+
+
+class ConfigurationError(ValvemapError):
+    """A configuration file, an environment variable or an argument is wrong."""
+
+    exit_code = 2
+
+
+class RecordingError(ValvemapError):
+    """A recording cannot be read or written."""
+
+
+class StorageError(ValvemapError):
+    """A store cannot be read or written."""
+
+
+class CertificateError(ValvemapError):
+    """A certificate or key is missing, expired or not trusted."""
+
+
+class ServerError(ValvemapError):
+    """Our own server cannot run."""
+
+
+class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke
+    """An operator's command cannot be carried out; the state is as it was."""
+
+
+class SourceError(ValvemapError):
+    """The source server cannot be used."""
+
+
+class SourceLost(SourceError):  # noqa: N818
+    """The connection failed or went silent: the supervisor tries again."""
+
+
+class SourceRejected(SourceError):  # noqa: N818
+    """The source answered, and another try will not change its answer."""

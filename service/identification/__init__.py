@@ -1,0 +1,1 @@
+"""Estimators and maps: pure functions on arrays, no I/O, no clock, no logging."""

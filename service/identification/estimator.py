@@ -1,0 +1,95 @@
+"""What every estimator offers, and how its state becomes bytes and back."""
+
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Protocol, Self, TypeVar
+
+import numpy as np
+
+from service.identification.samples import Floats, Samples, Trace
+
+STATE_VERSION = 1
+
+
+class StateMismatchError(ValueError):
+    """The bytes belong to another estimator, other hyper-parameters or another version."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Base of all estimator states: a frozen dataclass whose fields are arrays.
+
+    Scalars are arrays of shape (): the bytes are one ``.npz``, readable for ever by numpy alone.
+    """
+
+    def to_bytes(self, key: str) -> bytes:
+        """Pack the state; ``key`` names the hyper-parameters it belongs to."""
+        buffer = io.BytesIO()
+        arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+        header = np.array([str(STATE_VERSION), type(self).__name__, key])
+        np.savez(buffer, allow_pickle=False, header_=header, **arrays)
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes, key: str) -> Self:
+        """Unpack a state.
+
+        Raises
+        ------
+        StateMismatchError
+            if version, state type or ``key`` differ, or the bytes are damaged.
+        """
+        names = [f.name for f in fields(cls)]
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                header = tuple(archive["header_"].tolist())
+                arrays = {name: archive[name] for name in names}
+        except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
+        expected = (str(STATE_VERSION), cls.__name__, key)
+        if header != expected:
+            raise StateMismatchError(f"state of {header}, not of {expected}")
+        return cls(**arrays)
+
+
+S = TypeVar("S", bound=State)
+
+
+class Estimator(Protocol[S]):
+    """A frozen dataclass of hyper-parameters with pure methods; the state goes in and comes out.
+
+    Every estimator obeys: no method changes its arguments; a stream cut into other batches gives
+    the same bits; whatever the samples hold (NaN, inf, 1e308, zeros), nothing is raised, no
+    warning is printed, the state stays finite and of constant size; samples whose quality is BAD
+    or that are not finite leave the state untouched.
+    """
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta's elements, as published."""
+
+    def initial_state(self) -> S:
+        """State before the first sample."""
+
+    def update(self, state: S, samples: Samples) -> tuple[S, Trace]:
+        """Take N samples in, one after another."""
+
+    def predict(self, state: S, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min, at N points; NaN if unknown."""
+
+    def parameters(self, state: S) -> tuple[Floats, Floats]:
+        """Theta (n,) in physical units and its standard deviations (n,); NaN if unknown."""
+
+
+def key_of(estimator: object) -> str:
+    """Hash of an estimator's hyper-parameters: states and checkpoints are bound to it."""
+    assert hasattr(estimator, "__dataclass_fields__")  # noqa: S101 - a programmer's mistake
+    text = json.dumps(
+        {"type": type(estimator).__name__, **asdict(estimator)},  # type: ignore[call-overload]
+        sort_keys=True,
+        default=repr,
+    )
+    return hashlib.sha256(text.encode()).hexdigest()

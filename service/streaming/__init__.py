@@ -1,0 +1,1 @@
+"""From data changes to results: alignment, gate, pipeline; only the supervisor waits."""

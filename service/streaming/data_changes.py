@@ -1,0 +1,69 @@
+"""Data changes as they come off the wire, decoded into arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Signal(IntEnum):
+    """The signals of one valve, in the order of an item's number."""
+
+    U = 0
+    P1 = 1
+    P2 = 2
+    Q = 3
+    T = 4
+    SEQUENCE = 5
+
+
+SIGNALS_PER_VALVE = len(Signal)
+
+
+@dataclass(frozen=True)
+class DataChanges:
+    """N data changes in the order of their arrival, all arrays of shape (N,).
+
+    Attributes
+    ----------
+    item : int32
+        ``valve * SIGNALS_PER_VALVE + signal``.
+    value : float64
+        The value, NaN where it is no number.
+    status : uint32
+        OPC UA StatusCode as sent (Good = 0; severity in the top two bits; InfoBits kept).
+    source_time : int64
+        SourceTimestamp, UTC ns.
+    """
+
+    item: NDArray[np.int32]
+    value: NDArray[np.float64]
+    status: NDArray[np.uint32]
+    source_time: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls) -> Self:
+        """No changes."""
+        return cls(
+            item=np.empty(0, np.int32),
+            value=np.empty(0, np.float64),
+            status=np.empty(0, np.uint32),
+            source_time=np.empty(0, np.int64),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """One batch from several, in their order."""
+        if not parts:
+            return cls.empty()
+        columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}
+        return cls(**{name: np.concatenate(column) for name, column in columns.items()})
+
+    def __len__(self) -> int:
+        return len(self.item)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})

@@ -1,0 +1,202 @@
+"""What streaming asks of the world outside; adapters fulfil it, ``app`` hands them in.
+
+No adapter retries and none logs what it raises: it raises one of the typed errors of
+:mod:`service.errors`, and the supervisor decides.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from service.identification.inversion import Inversion
+from service.identification.samples import Floats, Quality, Status
+from service.streaming.data_changes import DataChanges
+
+
+@dataclass(frozen=True)
+class SourceCounters:
+    """What the source adapter saw since it was made, over all connections."""
+
+    notifications: int = 0
+    publish_responses: int = 0
+    missing_messages: int = 0
+    overflows: int = 0
+    undecodable: int = 0
+
+
+class Source(Protocol):
+    """Where data changes come from.
+
+    Order of calls: ``connect``, then ``receive`` and ``write`` in any order, then ``close``;
+    after ``close`` or a :class:`~service.errors.SourceLost`, ``connect`` may be called again.
+    Cancelling ``receive`` loses nothing: what has arrived is handed out by the next call.
+    """
+
+    async def connect(self) -> None:
+        """Connect, check every node, subscribe.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate, user or node: names the node and what is allowed.
+        """
+
+    async def receive(self) -> DataChanges:
+        """Wait for data changes and return all that have arrived, in order.
+
+        Raises
+        ------
+        SourceLost
+            if the connection was cut, or fell silent for longer than its keep-alives allow.
+        """
+
+    async def write_required_U(self, valve: int, U: float) -> None:
+        """Write the feed-forward voltage (%) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice, and after a loss."""
+
+    @property
+    def counters(self) -> SourceCounters:
+        """What was seen so far."""
+
+
+@dataclass(frozen=True)
+class EstimatorDescription:
+    """What a results server must know of one estimator to publish it."""
+
+    name: str
+    description: str
+    parameter_names: tuple[str, ...]
+    has_forgetting_factor: bool
+
+
+@dataclass(frozen=True)
+class ValveDescription:
+    """What a results server must know of one valve; ranges are (low, high)."""
+
+    name: str
+    estimators: tuple[EstimatorDescription, ...]
+    Q_range: tuple[float, float] = (0.0, 200.0)
+    dp_range: tuple[float, float] = (0.0, 200.0)
+    map_Q: tuple[float, ...] = ()
+    map_dp: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class EstimatorResult:
+    """One estimator's state of knowledge after one sample.
+
+    ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
+    severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
+    the sensors are lost.
+    """
+
+    t: int
+    quality: Quality
+    parameter_names: tuple[str, ...]
+    theta: Floats
+    std: Floats
+    predicted: float
+    residual: float
+    residual_rmse: float
+    sample_count: int
+    status: Status
+
+
+@dataclass(frozen=True)
+class InverseResult:
+    """Answer to the standing demand (FlowDemand, PressureDrop), and the map as a table.
+
+    ``map_U`` has shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver.
+    """
+
+    t: int
+    quality: Quality
+    required_U: float
+    status: int
+    map_U: Floats
+
+
+@dataclass(frozen=True)
+class ValveResult:
+    """All that is published of one valve at once."""
+
+    valve: str
+    estimators: Mapping[str, EstimatorResult]
+    inverse: InverseResult
+    counters: Mapping[str, int]
+
+
+class ResultSink(Protocol):
+    """Where results go; ``publish`` never waits for a reader."""
+
+    async def publish(self, results: Sequence[ValveResult]) -> None:
+        """Show results; a later call for the same valve replaces the earlier one."""
+
+
+class Operator(Protocol):
+    """What a results server lets people do; every call answers at once.
+
+    ``valve`` and ``estimator`` are names that the server was built with. A command that cannot be
+    carried out raises :class:`~service.errors.CommandRejected` with a sentence.
+    """
+
+    def reset(self, valve: str, estimator: str) -> None:
+        """Forget all samples."""
+
+    def freeze(self, valve: str, estimator: str) -> None:
+        """Stop adaptation: predict only."""
+
+    def resume(self, valve: str, estimator: str) -> None:
+        """Adapt again."""
+
+    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
+        """Use another forgetting factor, 0 < lam <= 1, from the next sample on."""
+
+    def predict(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Q (l/min), its standard deviation and the estimator's status."""
+
+    def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
+        """U for a demanded flow at a pressure drop; arrays of shape (1,)."""
+
+    def demand(self, valve: str, Q: float, dp: float) -> None:
+        """Set the standing demand; NaN takes it back."""
+
+
+class CheckpointStore(Protocol):
+    """Keeps the newest state of every estimator over restarts."""
+
+    def save(self, checkpoints: Sequence["Checkpoint"]) -> None:
+        """Keep all of them or none.
+
+        Raises
+        ------
+        StorageError
+            naming the file (disk full, read-only, locked).
+        """
+
+    def load(self) -> Sequence["Checkpoint"]:
+        """All that is kept, newest of each (valve, estimator)."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One estimator's state as bytes, and what the operator had changed."""
+
+    valve: str
+    estimator: str
+    key: str
+    t: int
+    state: bytes
+    lam: float | None
+    frozen: bool
