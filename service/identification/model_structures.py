@@ -1,7 +1,7 @@
 """How the flow map depends on its parameters: Q = X(U, dp, T)ᵀ·theta."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,19 @@ class Structure(Protocol):
 
     def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Rows Xᵀ (N, n) at N points; a row depends on its own point alone, bit for bit."""
+
+
+@runtime_checkable
+class StructureWithPrior(Structure, Protocol):
+    """A structure that knows something of its parameters before the first sample.
+
+    An estimator feeds the prior into its initial information as pseudo-samples: row·theta = value,
+    each with the weight (noise variance) of one measured sample. They are no samples: neither the
+    sample count nor the noise variance may know of them.
+    """
+
+    def prior(self) -> tuple[Floats, Floats]:
+        """Rows (R, n) and values (R,), l/min."""
 
 
 @dataclass(frozen=True)
