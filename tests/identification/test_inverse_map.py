@@ -1,0 +1,238 @@
+"""The inverse map: exact where feasible, a status elsewhere, never out of [0, 100] %."""
+
+# ruff: noqa: ARG001, ARG002, ARG005 - stand-ins have the signature that estimators have
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from service.identification.estimator import State
+from service.identification.inverse_map import inverse_table, invert
+from service.identification.inversion import InverseStatus
+from service.identification.model_structures import FiveTerms
+from service.identification.samples import Floats, Samples, Trace
+
+Q_MAX = 200.0
+THETA = np.array([-2.0, 0.03, 0.1, 0.14, -0.02])
+STATE = State()
+ANYTHING = st.floats(width=64)
+
+
+@dataclass(frozen=True)
+class KnownMap:
+    """An estimator that has learnt a function of (U, dp, T)."""
+
+    function: Callable[[Floats, Floats, Floats], Floats]
+    std: float = 0.5
+    parameter_names: tuple[str, ...] = ()
+
+    def initial_state(self) -> State:
+        return STATE
+
+    def update(self, state: State, samples: Samples) -> tuple[State, Trace]:
+        raise NotImplementedError
+
+    def predict(self, state, U, dp, T):
+        with np.errstate(all="ignore"):
+            Q = self.function(U, dp, T)
+        return Q, np.where(np.isnan(Q), np.nan, self.std)
+
+    def parameters(self, state):
+        return np.empty(0), np.empty(0)
+
+
+@dataclass(frozen=True)
+class KnownTheta(KnownMap):
+    """An estimator that has learnt eq. (7), with a noise model's parameter beside it."""
+
+    theta: tuple[float, ...] = tuple(THETA)
+    structure: FiveTerms = field(default_factory=FiveTerms)
+    parameter_names: tuple[str, ...] = ("d1", "a1", "a2", "a3", "a4", "a5")
+
+    def predict(self, state, U, dp, T):
+        Q = np.array([x @ self.theta for x in self.structure.regressors(U, dp, T)])
+        return Q, np.where(np.isnan(Q), np.nan, self.std)
+
+    def parameters(self, state):
+        theta = np.array([0.9, *self.theta])
+        return theta, np.full_like(theta, 0.1)
+
+
+def five_terms(*theta: float, std: float = 0.5) -> KnownTheta:
+    return KnownTheta(np.exp, std, theta=theta or tuple(THETA))
+
+
+def dead_band_and_saturation(U, dp, T):
+    return 2.0 * np.clip(U - 8.0, 0.0, 80.0) * np.sqrt(dp / 200.0)
+
+
+MAPS = {
+    "eq. (7)": five_terms(),
+    "s-shaped": KnownMap(lambda U, dp, T: 100 / (1 + np.exp(-(U - 50) / 9)) * np.sqrt(dp / 100)),
+    "dead band": KnownMap(dead_band_and_saturation),
+    "with temperature": KnownMap(lambda U, dp, T: U * np.sqrt(dp) * (1 - 0.002 * (T - 40)) / 10),
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+@given(
+    U=arrays(float, 20, elements=st.floats(0, 100)),
+    dp=arrays(float, 20, elements=st.floats(1, 200)),
+)
+def test_from_U_to_Q_and_back_delivers_the_demand_exactly(name, U, dp):
+    estimator = MAPS[name]
+    T = np.full_like(U, 45.0)
+    Q = estimator.predict(STATE, U, dp, T)[0]
+    answer = invert(estimator, STATE, Q, dp, T)
+    assert (answer.status == InverseStatus.OK).all()
+    delivered = estimator.predict(STATE, answer.U, dp, T)[0]
+    np.testing.assert_allclose(delivered, Q, rtol=0, atol=1e-9 * Q_MAX)
+
+
+@pytest.mark.parametrize("name", MAPS)
+@given(data=arrays(float, (3, 12), elements=ANYTHING))
+def test_whatever_is_asked_the_answer_is_a_status_and_a_U_within_the_range(name, data):
+    answer = invert(MAPS[name], STATE, *data)
+    given_U = answer.status <= InverseStatus.BELOW_REACH
+    assert np.array_equal(given_U, ~np.isnan(answer.U))
+    assert ((answer.U[given_U] >= 0) & (answer.U[given_U] <= 100)).all()
+    known = ~np.isnan(answer.lower)
+    assert (answer.lower[known] <= answer.U[known]).all()
+    assert (answer.U[known] <= answer.upper[known]).all()
+    assert ((answer.lower[known] >= 0) & (answer.upper[known] <= 100)).all()
+    bad = ~np.isfinite(data[0]) | ~np.isfinite(data[1])
+    assert (answer.status[bad] == InverseStatus.NOT_FINITE).all()
+
+
+@given(theta=arrays(float, 5, elements=ANYTHING), data=arrays(float, (3, 8), elements=ANYTHING))
+def test_whatever_was_identified_eq_7_inverts_without_a_warning(theta, data):
+    answer = invert(five_terms(*theta), STATE, *data)
+    U = answer.U[answer.status <= InverseStatus.BELOW_REACH]
+    assert ((U >= 0) & (U <= 100)).all()
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_demands_out_of_reach_get_the_nearer_end_and_say_so(name):
+    answer = invert(MAPS[name], STATE, [1e4, -1e4], [100.0, 100.0], [40.0, 40.0])
+    assert answer.U.tolist() == [100.0, 0.0]
+    assert answer.status.tolist() == [InverseStatus.ABOVE_REACH, InverseStatus.BELOW_REACH]
+
+
+def test_the_printed_inverse_of_eq_7_blows_up_at_its_singularity_and_ours_says_not_monotone():
+    a1, a2, a3, a4, a5 = theta = (1.0, -1.0, 0.1, 0.1, 0.02)  # slope a2 + a4·s = 0 at 100 bar
+    dp = np.array([100.0 * (1 - 1e-12), 81.0, 100.0, 100.0 * (1 + 1e-9), 144.0])
+    Q, s = 10.0, np.sqrt(dp)
+    with np.errstate(divide="ignore"):
+        printed = (Q - a1 - a3 * s - a5 * s**2) / (a2 + a4 * s)
+    assert np.abs(printed[[0, 2]]).min() > 1e9
+    assert printed[1] < 0
+    answer = invert(five_terms(*theta), STATE, Q, dp, 40.0)
+    assert answer.status.tolist() == [
+        InverseStatus.NOT_MONOTONE,
+        InverseStatus.NOT_MONOTONE,
+        InverseStatus.NOT_MONOTONE,
+        InverseStatus.ABOVE_REACH,
+        InverseStatus.OK,
+    ]
+    assert np.isnan(answer.U[:3]).all()
+    assert answer.U[4] == pytest.approx((10 - 1 - 1.2 - 2.88) / 0.2)
+
+
+def test_without_pressure_drop_nothing_flows_and_zero_needs_no_opening():
+    answer = invert(five_terms(0, 0, 0, 0.14, 0), STATE, [0.0, 5.0, -5.0], 0.0, 40.0)
+    assert answer.U.tolist() == [0, 100, 0]
+    assert answer.status.tolist() == [
+        InverseStatus.OK,
+        InverseStatus.ABOVE_REACH,
+        InverseStatus.BELOW_REACH,
+    ]
+
+
+def test_on_a_plateau_the_smallest_U_is_given():
+    valve = KnownMap(dead_band_and_saturation)
+    answer = invert(valve, STATE, [0.0, 160.0], 200.0, 40.0)
+    assert answer.status.tolist() == [InverseStatus.OK, InverseStatus.OK]
+    np.testing.assert_allclose(answer.U, [0.0, 88.0], atol=1e-9)
+
+
+def test_a_plateau_in_the_middle_is_entered_at_its_left_end():
+    valve = KnownMap(lambda U, dp, T: np.minimum(U, 40.3) + np.maximum(U - 60, 0))
+    answer = invert(valve, STATE, 40.3, 100.0, 40.0)
+    assert answer.U.tolist() == pytest.approx([40.3], abs=1e-9)
+
+
+def test_where_the_map_falls_with_U_no_U_is_given():
+    falling = KnownMap(lambda U, dp, T: 100.0 - U)
+    answer = invert(falling, STATE, [50.0, 120.0, -10.0], 100.0, 40.0)
+    assert answer.status.tolist() == [InverseStatus.NOT_MONOTONE] * 3
+    assert np.isnan([answer.U, answer.lower, answer.upper]).all()
+
+
+def test_a_map_that_overshoots_is_inverted_on_its_rising_branch_alone():
+    hill = KnownMap(lambda U, dp, T: U * (150.0 - U))
+    answer = invert(hill, STATE, [2600.0, 5400.0, 6000.0], 100.0, 40.0)
+    np.testing.assert_allclose(answer.U[:2], [20.0, 60.0], atol=1e-9)
+    assert answer.status[2] == InverseStatus.NOT_MONOTONE
+
+
+def test_an_estimator_that_knows_nothing_yet_is_unidentified():
+    blank = KnownMap(lambda U, dp, T: np.full_like(U, np.nan))
+    vague = KnownMap(lambda U, dp, T: U, std=np.inf)
+    no_theta = five_terms(*[np.nan] * 5)
+    for estimator in (blank, vague, no_theta):
+        assert invert(estimator, STATE, 5.0, 9.0, np.nan).status == InverseStatus.UNIDENTIFIED
+
+
+def test_a_missing_temperature_matters_only_to_a_map_that_depends_on_it():
+    needs = invert(MAPS["with temperature"], STATE, 5.0, 9.0, np.nan)
+    assert needs.status == InverseStatus.NOT_FINITE
+    does_not = invert(MAPS["eq. (7)"], STATE, 5.0, 9.0, np.nan)
+    assert does_not.status == InverseStatus.OK
+
+
+def test_the_interval_is_the_predictions_own_divided_by_the_slope():
+    slope = THETA[1] + THETA[3] * 10.0
+    for estimator in (five_terms(), KnownMap(_eq_7)):
+        answer = invert(estimator, STATE, 50.0, 100.0, 40.0)
+        assert answer.upper - answer.U == pytest.approx(1.959964 * 0.5 / slope, rel=1e-5)
+        assert answer.U - answer.lower == pytest.approx(1.959964 * 0.5 / slope, rel=1e-5)
+
+
+def _eq_7(U, dp, T):
+    return FiveTerms().regressors(U, dp, T) @ THETA
+
+
+def test_out_of_reach_the_interval_still_tells_how_near_the_end_is():
+    reach = five_terms().predict(STATE, np.array([100.0]), np.array([100.0]), np.array([40.0]))[0]
+    for estimator in (five_terms(), KnownMap(_eq_7)):
+        near = invert(estimator, STATE, reach + 0.1, 100.0, 40.0)
+        far = invert(estimator, STATE, reach + 50.0, 100.0, 40.0)
+        assert near.status == far.status == InverseStatus.ABOVE_REACH
+        assert near.lower < 100.0
+        assert far.lower == far.upper == 100.0
+
+
+def test_the_search_and_the_closed_form_of_eq_7_agree():
+    rng = np.random.default_rng(7)
+    Q, dp = rng.uniform(-20, 250, 500), rng.uniform(0, 200, 500)
+    closed = invert(five_terms(), STATE, Q, dp, 40.0)
+    searched = invert(KnownMap(_eq_7), STATE, Q, dp, 40.0)
+    assert np.array_equal(closed.status, searched.status)
+    np.testing.assert_allclose(closed.U, searched.U, atol=1e-9)
+    np.testing.assert_allclose(closed.lower, searched.lower, atol=1e-5)
+
+
+def test_the_table_has_the_axes_shape_and_is_blank_where_the_flow_cannot_be_had():
+    table = inverse_table(five_terms(), STATE, [0.0, 50.0, 1e4], [0.0, 100.0], 40.0)
+    assert table.shape == (3, 2)
+    assert np.isnan(table[2]).all()
+    assert table[1, 1] == invert(five_terms(), STATE, 50.0, 100.0, 40.0).U
+
+
+def test_no_points_are_no_trouble():
+    for estimator in (five_terms(), KnownMap(_eq_7)):
+        assert len(invert(estimator, STATE, [], [], []).U) == 0
