@@ -1,0 +1,1 @@
+"""Loops over data changes and samples, compiled by numba."""

@@ -1,0 +1,90 @@
+"""The loop that judges samples one after another, each signal by its own limits."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+SIGNALS = 5
+T = 4
+WINDOW = 5
+
+NOT_FINITE, OUT_OF_RANGE, FROZEN, TOO_FAST, SPIKE, REASONS = range(6)
+
+
+class Limits(NamedTuple):
+    """Limits of the signals, all (5,); a check is off where it is inf (``frozen_ns``: 0)."""
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    frozen_ns: NDArray[np.int64]
+    max_rate: NDArray[np.float64]
+    spike: NDArray[np.float64]
+
+
+class Memory(NamedTuple):
+    """What is remembered of each signal, (5,); ``window`` (5, 5), ``counters`` (5, REASONS)."""
+
+    last: NDArray[np.float64]
+    last_time: NDArray[np.int64]
+    still_since: NDArray[np.int64]
+    window: NDArray[np.float64]
+    counters: NDArray[np.int64]
+
+
+@njit(cache=True)
+def judge_samples(
+    t: NDArray[np.int64],
+    values: NDArray[np.float64],
+    has_T: bool,  # noqa: FBT001 - numba takes positions only
+    limits: Limits,
+    memory: Memory,
+    quality: NDArray[np.uint8],
+) -> None:
+    """Judge N samples ``values`` (N, 5); set ``quality`` (N,) to 2 where a check fails."""
+    low, high, frozen_ns, max_rate, spike = limits
+    last, last_time, still_since, window, counters = memory
+    for i in range(len(t)):
+        for j in range(SIGNALS):
+            if j == T and not has_T:
+                continue
+            x = values[i, j]
+            if not np.isfinite(x):
+                counters[j, NOT_FINITE] += 1
+                quality[i] = 2
+                continue
+            if x < low[j] or x > high[j]:
+                counters[j, OUT_OF_RANGE] += 1
+                quality[i] = 2
+                continue
+            first = not np.isfinite(last[j])
+            if first or x != last[j]:
+                still_since[j] = t[i]
+            elif frozen_ns[j] > 0 and t[i] - still_since[j] > frozen_ns[j]:
+                counters[j, FROZEN] += 1
+                quality[i] = 2
+            if not first and np.isfinite(max_rate[j]) and t[i] > last_time[j]:
+                if np.abs(x - last[j]) > max_rate[j] * ((t[i] - last_time[j]) * 1e-9):
+                    counters[j, TOO_FAST] += 1
+                    quality[i] = 2
+            if np.isfinite(spike[j]):
+                for k in range(WINDOW - 1):
+                    window[j, k] = window[j, k + 1]
+                window[j, WINDOW - 1] = x
+                if np.abs(x - _median(window[j])) > spike[j]:
+                    counters[j, SPIKE] += 1
+                    quality[i] = 2
+            last[j] = x
+            last_time[j] = t[i]
+
+
+@njit(cache=True)
+def _median(window: NDArray[np.float64]) -> float:
+    """Median of the window; of what it holds while it still fills (NaN sorts last)."""
+    ordered = np.sort(window)
+    n = 0
+    for x in ordered:
+        if not np.isnan(x):
+            n += 1
+    return float(ordered[(n - 1) // 2])

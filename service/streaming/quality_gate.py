@@ -1,0 +1,123 @@
+"""The quality gate: which samples may teach the estimators."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from service.identification.samples import Quality, Samples
+from service.streaming.data_changes import Signal
+from service.streaming.kernels import gate as kernel
+from service.streaming.kernels.gate import Limits, Memory
+
+REASON_NAMES = ("not_finite", "out_of_range", "frozen", "too_fast", "spike")
+SENSORS = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
+
+# Beyond these no valve's sensor can be: what is outside is a broken number, not a measurement.
+PLAUSIBLE: Mapping[Signal, tuple[float, float]] = {
+    Signal.U: (-1_000.0, 1_000.0),
+    Signal.P1: (-10.0, 10_000.0),
+    Signal.P2: (-10.0, 10_000.0),
+    Signal.Q: (-100_000.0, 100_000.0),
+    Signal.T: (-100.0, 500.0),
+}
+
+
+@dataclass(frozen=True)
+class SignalLimits:
+    """Limits of one signal, in its own unit; every check but the range is off unless given.
+
+    Attributes
+    ----------
+    low, high : float
+        Range outside of which a value is no measurement.
+    frozen_s : float
+        A value that stays the same, to the last bit, for longer is a dead sensor; 0 = off.
+    max_rate_per_s : float
+        Steepest change from one sample to the next; inf = off.
+    spike : float
+        Largest distance from the median of the last five values; inf = off.
+    """
+
+    low: float
+    high: float
+    frozen_s: float = 0.0
+    max_rate_per_s: float = np.inf
+    spike: float = np.inf
+
+
+@dataclass(frozen=True)
+class GateState:
+    """What the gate remembers of the last samples; all arrays of constant size."""
+
+    memory: Memory
+    bad_status: int = 0
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Rejections since the start by reason; a sample may count under several."""
+        totals = self.memory.counters.sum(axis=0)
+        reasons = {name: int(n) for name, n in zip(REASON_NAMES, totals, strict=True)}
+        return {"bad_status": self.bad_status, **reasons}
+
+
+@dataclass(frozen=True)
+class QualityGate:
+    """Judges the samples of one valve: status, NaN and inf, range; frozen, rate, spike on demand.
+
+    Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD.
+
+    Examples
+    --------
+    >>> gate = QualityGate()
+    >>> samples = Samples.of(
+    ...     t=[0, 1], U=[50, np.nan], p1=[200, 200], p2=[0, 0], Q=[150, 150], T=[40, 40]
+    ... )
+    >>> state, judged = gate.update(gate.initial_state(), samples)
+    >>> judged.quality.tolist(), state.counters["not_finite"]
+    ([0, 2], 1)
+    """
+
+    limits: Mapping[Signal, SignalLimits] = field(
+        default_factory=lambda: {s: SignalLimits(*PLAUSIBLE[s]) for s in SENSORS}
+    )
+    use_uncertain: bool = False
+    has_T: bool = True
+
+    def initial_state(self) -> GateState:
+        """No sample seen yet."""
+        n = kernel.SIGNALS
+        return GateState(
+            Memory(
+                last=np.full(n, np.nan),
+                last_time=np.zeros(n, np.int64),
+                still_since=np.zeros(n, np.int64),
+                window=np.full((n, kernel.WINDOW), np.nan),
+                counters=np.zeros((n, kernel.REASONS), np.int64),
+            )
+        )
+
+    def update(self, state: GateState, samples: Samples) -> tuple[GateState, Samples]:
+        """Judge N samples; nothing but their quality changes."""
+        memory = Memory._make(array.copy() for array in state.memory)
+        quality = samples.quality.copy()
+        if not self.use_uncertain:
+            quality[quality == Quality.UNCERTAIN] = Quality.BAD
+        bad_status = int((quality == Quality.BAD).sum())
+        limits = [self.limits[signal] for signal in SENSORS]
+        kernel.judge_samples(
+            samples.t,
+            np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1),
+            self.has_T,
+            Limits(
+                low=np.array([limit.low for limit in limits], np.float64),
+                high=np.array([limit.high for limit in limits], np.float64),
+                frozen_ns=np.array([limit.frozen_s * 1e9 for limit in limits]).astype(np.int64),
+                max_rate=np.array([limit.max_rate_per_s for limit in limits], np.float64),
+                spike=np.array([limit.spike for limit in limits], np.float64),
+            ),
+            memory,
+            quality,
+        )
+        judged = replace(samples, quality=quality)
+        return GateState(memory, state.bad_status + bad_status), judged
