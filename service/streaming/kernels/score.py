@@ -1,0 +1,33 @@
+"""The loop that sums up how well one step ahead was predicted."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+N, SQUARES, MEAN_Q, SCATTER_Q, LOWEST_Q, HIGHEST_Q, RECENT, WEIGHT, FIELDS = range(9)
+
+KEEP = 1.0 - 1.0 / 1000.0
+
+
+@njit(cache=True)
+def accumulate(
+    residual: NDArray[np.float64], Q: NDArray[np.float64], score: NDArray[np.float64]
+) -> None:
+    """Add N residuals to ``score`` (FIELDS,) in place; a residual that is NaN counts nowhere.
+
+    MEAN_Q and SCATTER_Q follow Welford (1962); RECENT is the mean square over about the last
+    1,000 residuals, WEIGHT what their weights sum up to.
+    """
+    for i in range(len(residual)):
+        e = residual[i]
+        if not np.isfinite(e):
+            continue
+        score[N] += 1
+        score[SQUARES] += e * e
+        step = Q[i] - score[MEAN_Q]
+        score[MEAN_Q] += step / score[N]
+        score[SCATTER_Q] += step * (Q[i] - score[MEAN_Q])
+        score[LOWEST_Q] = min(score[LOWEST_Q], Q[i])
+        score[HIGHEST_Q] = max(score[HIGHEST_Q], Q[i])
+        score[RECENT] = KEEP * score[RECENT] + (1.0 - KEEP) * e * e
+        score[WEIGHT] = KEEP * score[WEIGHT] + (1.0 - KEEP)

@@ -1,0 +1,143 @@
+"""The live service: data changes in, results, feed-forward and checkpoints out."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+
+from service.clock import Clock
+from service.errors import SourceError, SourceRejected, StorageError
+from service.identification.samples import Samples
+from service.streaming.data_changes import DataChanges
+from service.streaming.identification import Identification
+from service.streaming.ports import CheckpointStore, ResultSink, Source
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Times in s.
+
+    Attributes
+    ----------
+    stale_after_s : float
+        Without a sample for this long a valve's sensors count as lost and its results as bad.
+    checkpoint_interval_s, map_interval_s : float
+        How often states are kept, and how often the inverse tables are computed anew.
+    feed_forward : tuple of int
+        Valves (by number) whose required U is written to the source.
+    """
+
+    stale_after_s: float = 2.0
+    checkpoint_interval_s: float = 10.0
+    map_interval_s: float = 1.0
+    feed_forward: tuple[int, ...] = ()
+
+
+class LiveService:
+    """Fulfils :class:`service.streaming.supervisor.Consumer`."""
+
+    def __init__(
+        self,
+        identification: Identification,
+        source: Source,
+        sink: ResultSink,
+        store: CheckpointStore,
+        clock: Clock,
+        settings: LiveSettings,
+        on_samples: Callable[[str, Samples], None] = lambda _valve, _samples: None,
+    ) -> None:
+        self.identification = identification
+        self._source = source
+        self._sink = sink
+        self._store = store
+        self._clock = clock
+        self._settings = settings
+        self._on_samples = on_samples
+        now = clock.monotonic()
+        self._last_sample = [now] * len(identification.plans)
+        self._lost = [False] * len(identification.plans)
+        self._checkpoint_due = now + settings.checkpoint_interval_s
+        self._map_due = now + settings.map_interval_s
+        self._written = np.full(len(identification.plans), np.nan)
+
+    async def start(self) -> None:
+        """Take up what was kept before, and show that nothing is known of the present yet."""
+        restored, refused = self.identification.restore(self._store.load())
+        if restored:
+            log.info("states restored", estimators=restored)
+        if refused:
+            log.warning("states of another configuration left aside", estimators=refused)
+        await self._publish(range(len(self._lost)))
+
+    async def take(self, changes: DataChanges) -> None:
+        """Identify, publish, feed forward."""
+        samples = self.identification.take(changes)
+        for valve, batch in samples.items():
+            self._last_sample[valve] = self._clock.monotonic()
+            self._lost[valve] = False
+            self._on_samples(self.identification.plans[valve].name, batch)
+        await self._publish(samples)
+        await self._feed_forward(samples)
+
+    async def tick(self) -> None:
+        """Look after what is due by the clock."""
+        now = self._clock.monotonic()
+        stale = [
+            valve
+            for valve, last in enumerate(self._last_sample)
+            if not self._lost[valve] and now - last > self._settings.stale_after_s
+        ]
+        await self._lose(stale)
+        if now >= self._map_due:
+            self._map_due = now + self._settings.map_interval_s
+            self.identification.refresh_maps()
+        if now >= self._checkpoint_due:
+            self._checkpoint_due = now + self._settings.checkpoint_interval_s
+            try:
+                self.keep()
+            except StorageError as error:
+                log.warning("checkpoint not kept", reason=str(error))
+
+    async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
+        """Call every result bad: there is no connection."""
+        self._written[:] = np.nan
+        await self._lose([valve for valve, lost in enumerate(self._lost) if not lost])
+
+    def keep(self) -> None:
+        """Keep all states now.
+
+        Raises
+        ------
+        StorageError
+            naming the file; the states go on in memory.
+        """
+        self._store.save(self.identification.checkpoints())
+
+    async def _lose(self, valves: list[int]) -> None:
+        for valve in valves:
+            self._lost[valve] = True
+            log.warning("sensors lost", valve=self.identification.plans[valve].name)
+        await self._publish(valves)
+
+    async def _publish(self, valves: Iterable[int]) -> None:
+        results = [self.identification.result(v, lost=self._lost[v]) for v in valves]
+        if results:
+            await self._sink.publish(results)
+
+    async def _feed_forward(self, valves: Iterable[int]) -> None:
+        chosen = [valve for valve in valves if valve in self._settings.feed_forward]
+        if not chosen:
+            return
+        required = self.identification.required_U()
+        for valve in chosen:
+            U = float(required[valve])
+            if np.isnan(U) or self._written[valve] == U:
+                continue
+            try:
+                await self._source.write_required_U(valve, U)
+            except SourceRejected as error:
+                log.warning("required U not written", reason=str(error))
+            self._written[valve] = U

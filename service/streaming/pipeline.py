@@ -1,0 +1,237 @@
+"""The pipeline of one valve: gate, estimators side by side, results. Pure: state in, state out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from service.identification.estimator import Estimator, State, key_of
+from service.identification.inverse_map import inverse_table, invert
+from service.identification.inversion import Inversion
+from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.streaming.ports import EstimatorResult, InverseResult
+from service.streaming.quality_gate import GateState, QualityGate
+from service.streaming.score import Score
+
+AnyEstimator = Estimator[Any]
+
+
+@runtime_checkable
+class Forgetful(Protocol):
+    """An estimator with a forgetting factor."""
+
+    @property
+    def lam(self) -> float:
+        """The forgetting factor, 0 < lam <= 1."""
+
+    def with_forgetting(self, lam: float) -> Self:
+        """The same estimator with another forgetting factor; its states fit."""
+
+
+@dataclass(frozen=True)
+class ValvePlan:
+    """What is done with one valve's samples.
+
+    ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
+    are the axes of the published table.
+    """
+
+    name: str
+    gate: QualityGate
+    estimators: Mapping[str, AnyEstimator]
+    inverse: str
+    map_Q: tuple[float, ...] = tuple(float(q) for q in range(0, 201, 10))
+    map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One estimator on one valve, with its state and what the operator changed."""
+
+    estimator: AnyEstimator
+    state: State
+    score: Score
+    frozen: bool = False
+    lam: float | None = None
+    count: int = 0
+    t: int = 0
+    predicted: float = np.nan
+    residual: float = np.nan
+    status: Status | None = None
+
+
+@dataclass(frozen=True)
+class ValveState:
+    """All that one valve's pipeline remembers."""
+
+    gate: GateState
+    lanes: Mapping[str, Lane]
+    t: int = 0
+    T: float = np.nan
+    demand_Q: float = np.nan
+    demand_dp: float = np.nan
+
+
+def start(plan: ValvePlan) -> ValveState:
+    """State before the first sample."""
+    return ValveState(
+        gate=plan.gate.initial_state(),
+        lanes={name: fresh_lane(estimator) for name, estimator in plan.estimators.items()},
+    )
+
+
+def fresh_lane(estimator: AnyEstimator) -> Lane:
+    """An estimator that has seen nothing."""
+    return Lane(estimator, estimator.initial_state(), Score.none())
+
+
+def advance(
+    plan: ValvePlan, state: ValveState, samples: Samples
+) -> tuple[ValveState, Mapping[str, Trace]]:
+    """Take N samples in; the traces tell what every estimator said of them."""
+    if len(samples) == 0:
+        return state, {}
+    gate, judged = plan.gate.update(state.gate, samples)
+    lanes, traces = {}, {}
+    for name, lane in state.lanes.items():
+        lanes[name], traces[name] = _learn(lane, judged)
+    warm = judged.T[np.isfinite(judged.T) & (judged.quality != Quality.BAD)]
+    T = float(warm[-1]) if len(warm) else state.T
+    return replace(state, gate=gate, lanes=lanes, t=int(samples.t[-1]), T=T), traces
+
+
+def estimator_result(lane: Lane) -> EstimatorResult:
+    """What is published of one estimator; before its first sample its status is WARMING_UP."""
+    theta, std = lane.estimator.parameters(lane.state)
+    status = Status.WARMING_UP if lane.status is None else lane.status
+    return EstimatorResult(
+        t=lane.t,
+        quality=_QUALITY[status],
+        parameter_names=lane.estimator.parameter_names,
+        theta=theta,
+        std=std,
+        predicted=lane.predicted,
+        residual=lane.residual,
+        residual_rmse=lane.score.recent_rmse,
+        sample_count=lane.count,
+        status=status,
+    )
+
+
+def inverse_result(plan: ValvePlan, state: ValveState, table: Floats) -> InverseResult:
+    """Answer to the standing demand; ``table`` is what :func:`inverse_map` gave."""
+    lane = state.lanes[plan.inverse]
+    answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
+    status = Status.WARMING_UP if lane.status is None else lane.status
+    return InverseResult(
+        t=lane.t,
+        quality=_QUALITY[status],
+        required_U=float(answer.U[0]),
+        status=int(answer.status[0]),
+        map_U=table,
+    )
+
+
+def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
+    """The inverse as a table (len(map_Q), len(map_dp)), %, at the last temperature."""
+    lane = state.lanes[plan.inverse]
+    axes = np.array(plan.map_Q), np.array(plan.map_dp)
+    return inverse_table(lane.estimator, lane.state, *axes, state.T)
+
+
+def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) -> Inversion:
+    """U for one demand; where T is NaN the last measured temperature serves."""
+    lane = state.lanes[plan.inverse]
+    T = state.T if np.isnan(T) else T
+    point = (np.array([x], np.float64) for x in (Q, dp, T))
+    return invert(lane.estimator, lane.state, *point)
+
+
+def predicted(lane: Lane, U: float, dp: float, T: float) -> tuple[float, float, Status]:
+    """Q and its standard deviation at one point, and how far the estimator can be trusted."""
+    point = (np.array([x], np.float64) for x in (U, dp, T))
+    Q, std = lane.estimator.predict(lane.state, *point)
+    return float(Q[0]), float(std[0]), Status.WARMING_UP if lane.status is None else lane.status
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    """A lane as it goes into a checkpoint."""
+
+    estimator: Any
+    score: Any
+    count: Any
+
+
+def lane_to_bytes(lane: Lane, configured: AnyEstimator) -> bytes:
+    """Pack a lane; it is bound to the estimator as configured, whatever the operator changed."""
+    key = key_of(configured)
+    packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
+    return _Kept(packed, lane.score.sums, np.array(lane.count)).to_bytes(key)
+
+
+def lane_from_bytes(
+    data: bytes, configured: AnyEstimator, lam: float | None, *, frozen: bool, t: int
+) -> Lane:
+    """Unpack a lane.
+
+    Raises
+    ------
+    StateMismatchError
+        if the bytes belong to another estimator or other hyper-parameters.
+    """
+    key = key_of(configured)
+    kept = _Kept.from_bytes(data, key)
+    state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
+    lane = Lane(configured, state, Score(kept.score), frozen=frozen, count=int(kept.count), t=t)
+    return lane if lam is None else with_forgetting(lane, lam)
+
+
+def with_forgetting(lane: Lane, lam: float) -> Lane:
+    """The lane with another forgetting factor; the estimator must be Forgetful."""
+    assert isinstance(lane.estimator, Forgetful)  # noqa: S101 - callers check
+    return replace(lane, estimator=lane.estimator.with_forgetting(lam), lam=lam)
+
+
+_QUALITY = {
+    Status.OK: Quality.GOOD,
+    Status.FROZEN: Quality.GOOD,
+    Status.WARMING_UP: Quality.UNCERTAIN,
+    Status.UNEXCITED: Quality.UNCERTAIN,
+    Status.HELD: Quality.UNCERTAIN,
+    Status.REJECTED: Quality.BAD,
+}
+
+_LEARNT = (Status.OK, Status.WARMING_UP, Status.UNEXCITED)
+
+
+def _learn(lane: Lane, samples: Samples) -> tuple[Lane, Trace]:
+    if lane.frozen:
+        state, trace = lane.state, _prediction_only(lane, samples)
+    else:
+        state, trace = lane.estimator.update(lane.state, samples)
+    return (
+        replace(
+            lane,
+            state=state,
+            score=lane.score.add(samples, trace),
+            count=lane.count + int(np.isin(trace.status, _LEARNT).sum()),
+            t=int(samples.t[-1]),
+            predicted=float(trace.predicted[-1]),
+            residual=float(trace.residual[-1]),
+            status=Status(int(trace.status[-1])),
+        ),
+        trace,
+    )
+
+
+def _prediction_only(lane: Lane, samples: Samples) -> Trace:
+    Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
+    usable = samples.quality != Quality.BAD
+    Q_hat = np.where(usable, Q_hat, np.nan)
+    return Trace(
+        predicted=Q_hat,
+        residual=samples.Q - Q_hat,
+        status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
+    )

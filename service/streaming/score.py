@@ -1,0 +1,64 @@
+"""How well an estimator predicted each sample before it learnt from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.identification.samples import Floats, Samples, Trace
+from service.streaming.kernels import score as kernel
+
+
+@dataclass(frozen=True)
+class Score:
+    """One-step-ahead figures over all samples so far; ``sums`` is an array of constant size.
+
+    Examples
+    --------
+    >>> samples = Samples.of(t=[0, 1], U=[1, 1], p1=[1, 1], p2=[0, 0], Q=[10, 20])
+    >>> trace = Trace(np.array([9.0, 19.0]), np.array([1.0, 1.0]), np.zeros(2, np.uint8))
+    >>> Score.none().add(samples, trace).rmse
+    1.0
+    """
+
+    sums: Floats
+
+    @classmethod
+    def none(cls) -> "Score":
+        """Nothing predicted yet."""
+        sums = np.zeros(kernel.FIELDS)
+        sums[kernel.LOWEST_Q], sums[kernel.HIGHEST_Q] = np.inf, -np.inf
+        return cls(sums)
+
+    def add(self, samples: Samples, trace: Trace) -> "Score":
+        """Take in what was predicted of N samples; NaN residuals count nowhere."""
+        sums = self.sums.copy()
+        kernel.accumulate(trace.residual, samples.Q, sums)
+        return Score(sums)
+
+    @property
+    def n(self) -> int:
+        """Samples that were predicted."""
+        return int(self.sums[kernel.N])
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of all residuals, l/min; NaN before the first."""
+        return float(np.sqrt(self.sums[kernel.SQUARES] / self.n)) if self.n else np.nan
+
+    @property
+    def recent_rmse(self) -> float:
+        """Root mean square over about the last 1,000 residuals, l/min; NaN before the first."""
+        weight = self.sums[kernel.WEIGHT]
+        return float(np.sqrt(self.sums[kernel.RECENT] / weight)) if weight > 0 else np.nan
+
+    @property
+    def nrmse(self) -> float:
+        """``rmse`` over the range of Q; NaN where Q did not move."""
+        span = self.sums[kernel.HIGHEST_Q] - self.sums[kernel.LOWEST_Q]
+        return float(self.rmse / span) if span > 0 else np.nan
+
+    @property
+    def r2(self) -> float:
+        """Share of the scatter of Q that was predicted; NaN where Q did not move."""
+        scatter = self.sums[kernel.SCATTER_Q]
+        return float(1.0 - self.sums[kernel.SQUARES] / scatter) if scatter > 0 else np.nan

@@ -1,0 +1,114 @@
+"""The life of one connection to a source: connect, receive, lose, try again."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import structlog
+
+from service.clock import Clock
+from service.errors import SourceError, SourceLost, SourceRejected
+from service.streaming.backoff import backoff
+from service.streaming.data_changes import DataChanges
+from service.streaming.ports import Source
+
+log = structlog.get_logger(__name__)
+
+
+class Consumer(Protocol):
+    """Who uses the data changes; called by the supervisor, one call at a time."""
+
+    async def take(self, changes: DataChanges) -> None:
+        """Data changes have arrived."""
+
+    async def tick(self) -> None:
+        """Time has passed; called about every ``tick_s``, connected or not."""
+
+    async def lost(self, reason: SourceError) -> None:
+        """The connection is gone, or could not be made."""
+
+
+@dataclass(frozen=True)
+class SupervisorSettings:
+    """Times in s; ``startup_timeout_s`` = 0 waits for the source for ever.
+
+    Until the first connection a source that cannot be reached within ``startup_timeout_s``, or
+    that rejects us, ends the run with its error: it is a mistake of the set-up. Afterwards it is
+    trouble of the plant: everything is tried again, for ever.
+    """
+
+    startup_timeout_s: float = 10.0
+    tick_s: float = 0.25
+    pauses: Callable[[], Iterator[float]] = backoff
+
+
+async def supervise(
+    source: Source,
+    consumer: Consumer,
+    clock: Clock,
+    stop: asyncio.Event,
+    settings: SupervisorSettings,
+) -> None:
+    """Keep ``source`` connected and hand its changes to ``consumer`` until ``stop`` is set.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+        only before the first connection, see :class:`SupervisorSettings`.
+    """
+    started = clock.monotonic()
+    ever_connected = False
+    pauses = settings.pauses()
+    try:
+        while not stop.is_set():
+            try:
+                await source.connect()
+                log.info("source connected")
+                ever_connected, pauses = True, settings.pauses()
+                await _receive(source, consumer, stop, settings.tick_s)
+            except (SourceLost, SourceRejected) as error:
+                waited = clock.monotonic() - started
+                hopeless = isinstance(error, SourceRejected) or (
+                    0 < settings.startup_timeout_s <= waited
+                )
+                if hopeless and not ever_connected:
+                    raise
+                await source.close()
+                await consumer.lost(error)
+                pause = next(pauses)
+                log.warning("source lost", reason=str(error), next_try_in_s=pause)
+                await _wait(stop, pause, consumer, settings.tick_s)
+    finally:
+        await source.close()
+
+
+async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick_s: float) -> None:
+    """Receive until ``stop``; a tick never cuts a receive short, so nothing can be lost by it."""
+    stopped = asyncio.ensure_future(stop.wait())
+    receiving: asyncio.Future[DataChanges] | None = None
+    try:
+        while not stop.is_set():
+            receiving = receiving or asyncio.ensure_future(source.receive())
+            waited_for: set[asyncio.Future[Any]] = {receiving, stopped}
+            await asyncio.wait(waited_for, timeout=tick_s, return_when=asyncio.FIRST_COMPLETED)
+            if receiving.done():
+                changes, receiving = receiving.result(), None
+                await consumer.take(changes)
+            await consumer.tick()
+    finally:
+        for task in (stopped, receiving):
+            if task is not None:
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+
+
+async def _wait(stop: asyncio.Event, pause_s: float, consumer: Consumer, tick_s: float) -> None:
+    left = pause_s
+    while left > 0 and not stop.is_set():
+        step = min(tick_s, left)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), step)
+        await consumer.tick()
+        left -= step
