@@ -1,0 +1,147 @@
+"""The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
+
+from collections.abc import Sequence
+
+from asyncua import ua
+
+from service.clock import Clock, SystemClock
+from service.errors import SourceLost, SourceRejected
+from service.opcua.connection import (
+    Connection,
+    Security,
+    SourceSettings,
+    open_connection,
+    status_name,
+)
+from service.opcua.source_nodes import ValveNodes, WritableNode, check_nodes
+from service.opcua.subscription import Revised, Subscription, Tally, subscribe
+from service.streaming.data_changes import DataChanges
+from service.streaming.ports import SourceCounters
+
+__all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
+
+
+class OpcUaSource:
+    """Data changes of some valves from one OPC UA server.
+
+    Fulfils :class:`~service.streaming.ports.Source`.
+    Every sample is asked for, constant signals included (trigger StatusValueTimestamp), in queues
+    long enough that nothing is lost between two publishings. A change's time is its
+    SourceTimestamp, exact to the nanosecond; where the server sends none, its ServerTimestamp.
+
+    Parameters
+    ----------
+    settings
+        Server, security, intervals.
+    valves
+        The nodes of each valve; the order gives the valves their numbers in
+        :class:`~service.streaming.data_changes.DataChanges`.
+    clock
+        For the watchdog.
+    """
+
+    def __init__(
+        self,
+        settings: SourceSettings,
+        valves: Sequence[ValveNodes],
+        clock: Clock | None = None,
+    ) -> None:
+        self._settings = settings
+        self._valves = tuple(valves)
+        self._clock = clock or SystemClock()
+        self._tally = Tally()
+        self._connection: Connection | None = None
+        self._subscription: Subscription | None = None
+        self._writable: dict[int, WritableNode] = {}
+
+    @property
+    def counters(self) -> SourceCounters:
+        """What was seen so far, over all connections."""
+        return SourceCounters(**vars(self._tally))
+
+    @property
+    def revised(self) -> Revised | None:
+        """Intervals and queue sizes as the server granted them; None before ``connect``."""
+        return None if self._subscription is None else self._subscription.revised
+
+    async def connect(self) -> None:
+        """Connect, check every node, subscribe.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate, user or node: names the node and what is allowed.
+        CertificateError
+            if our own certificate or key cannot be used.
+        """
+        await self.close()
+        connection = await open_connection(self._settings)
+        try:
+            nodes = await check_nodes(connection, self._valves)
+            subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
+        except BaseException:
+            await connection.close()
+            raise
+        subscription.start()
+        self._connection, self._subscription = connection, subscription
+        self._writable = nodes.writable
+
+    async def receive(self) -> DataChanges:
+        """Wait for data changes and return all that have arrived, in order.
+
+        Raises
+        ------
+        SourceLost
+            if the connection was cut, or fell silent for longer than its keep-alives allow.
+        """
+        if self._subscription is None:
+            raise SourceLost(f"{self._settings.url}: not connected")
+        return await self._subscription.receive()
+
+    async def write_required_U(self, valve: int, U: float) -> None:
+        """Write the feed-forward voltage (%) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost
+            if the connection is gone.
+        SourceRejected
+            if the valve has no such node, or the server refuses the value.
+        """
+        if self._connection is None:
+            raise SourceLost(f"{self._settings.url}: not connected")
+        if valve not in self._writable:
+            raise SourceRejected(f"valve {self._valves[valve].valve} has no node required_U")
+        target = self._writable[valve]
+        value = round(U) if target.type not in _FLOATS else float(U)
+        with self._connection.errors(f"writing {target.label}"):
+            (status,) = await self._connection.session.write(
+                ua.WriteParameters(
+                    NodesToWrite=[
+                        ua.WriteValue(
+                            NodeId=target.node,
+                            AttributeId=ua.AttributeIds.Value,
+                            Value=ua.DataValue(ua.Variant(value, target.type), StatusCode=None),
+                        )
+                    ]
+                )
+            )
+        if not status.is_good():
+            raise SourceRejected(
+                f"{target.label} does not take {U:g} at {self._settings.url}: "
+                f"{status_name(status.value)}"
+            )
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice, and after a loss."""
+        subscription, self._subscription = self._subscription, None
+        connection, self._connection = self._connection, None
+        if subscription is not None:
+            await subscription.stop()
+        if connection is not None:
+            await connection.close()
+
+
+_FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

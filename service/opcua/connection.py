@@ -1,0 +1,361 @@
+"""A connection to an OPC UA server: channel, session, security; every failure a typed error."""
+
+import asyncio
+import contextlib
+import ipaddress
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from urllib.parse import urlsplit
+
+from asyncua import Client, ua
+from asyncua.client.ua_session import UaSession
+from asyncua.crypto import security_policies, uacrypto
+from cryptography import x509
+
+from service.errors import CertificateError, ConfigurationError, SourceLost, SourceRejected
+from service.opcua.hardened.certificates import (
+    OwnCertificate,
+    Pki,
+    certificate_files,
+    load_certificate,
+    reject,
+    thumbprint,
+)
+
+_SESSION_TIMEOUT_MS = 120_000
+_CHANNEL_LIFETIME_MS = 3_600_000
+_FAREWELL_S = 2.0
+
+
+class Security(StrEnum):
+    """How a connection is protected; all but NONE sign and encrypt."""
+
+    NONE = "None"
+    BASIC256_SHA256 = "Basic256Sha256"
+    AES256_SHA256_RSA_PSS = "Aes256Sha256RsaPss"
+
+
+_POLICIES: dict[Security, type[security_policies.SecurityPolicy]] = {
+    Security.BASIC256_SHA256: security_policies.SecurityPolicyBasic256Sha256,
+    Security.AES256_SHA256_RSA_PSS: security_policies.SecurityPolicyAes256Sha256RsaPss,
+}
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """Where the data come from, and how they are asked for.
+
+    Attributes
+    ----------
+    url
+        E.g. ``opc.tcp://127.0.0.1:4840/valvemap/rig/``.
+    security
+        Protection of the connection.
+    pki, own
+        Whom we trust and our certificate; needed unless ``security`` is NONE.
+    user, password
+        Credentials; anonymous if ``user`` is None. The password shows in no representation and
+        never travels in the clear, except to this very host.
+    application_uri
+        Ours; None takes it from the certificate.
+    publishing_interval_ms
+        How often the server shall send what it has.
+    sampling_interval_ms
+        How often the server shall look at a node; 0 = whenever it changes.
+    queue_size
+        Values of one node that the server shall keep between two publishings.
+    keep_alive_s
+        After so long a silence the server shall say that it is there; after three of them
+        unheard it is lost.
+    timeout_s
+        For connecting, and for every answer.
+    publish_requests
+        Publish requests in flight.
+    buffer_limit
+        Changes kept until ``receive`` takes them. Overflow policy: *back-pressure*. From there on
+        no further publish request goes out, so the server's own queues fill, and what they drop
+        shows in ``counters.overflows``.
+    """
+
+    url: str
+    security: Security = Security.NONE
+    pki: Pki | None = None
+    own: OwnCertificate | None = None
+    user: str | None = None
+    password: str | None = field(default=None, repr=False)
+    application_uri: str | None = None
+    publishing_interval_ms: float = 100.0
+    sampling_interval_ms: float = 0.0
+    queue_size: int = 1_000
+    keep_alive_s: float = 2.0
+    timeout_s: float = 5.0
+    publish_requests: int = 3
+    buffer_limit: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        """Check what goes together.
+
+        Raises
+        ------
+        ConfigurationError
+            naming the field.
+        """
+        parts = urlsplit(self.url)
+        if parts.scheme != "opc.tcp" or not parts.hostname or _port(self.url) is None:
+            raise ConfigurationError(
+                f"url '{self.url}': opc.tcp://<host>:<port>[/<path>] is expected"
+            )
+        if parts.username is not None:
+            raise ConfigurationError(
+                f"url of {parts.hostname}: credentials belong to user and password"
+            )
+        if self.security is not Security.NONE and (self.pki is None or self.own is None):
+            raise ConfigurationError(
+                f"security {self.security}: pki and own certificate are needed"
+            )
+
+
+class BatchSession(UaSession):
+    """A session whose publish responses are taken as bytes; see :mod:`service.opcua.subscription`.
+
+    Private seam of asyncua: ``UaSession._send_request`` and ``ensure_publish_loop``.
+    """
+
+    def ensure_publish_loop(self) -> None:
+        """Do nothing: the subscription publishes by itself."""
+
+    async def request(self, request: object, *, timeout: float | None = None) -> bytes:  # noqa: ASYNC109 - asyncua's way
+        """Send a request and return the response's body from its TypeId on."""
+        return bytes(await self._send_request(request, timeout=timeout))
+
+
+class Connection:
+    """An open channel and session; made by :func:`open_connection`, used once."""
+
+    def __init__(self, settings: SourceSettings, client: Client, session: BatchSession) -> None:
+        self.settings = settings
+        self.session = session
+        self._client = client
+        self._renewal = asyncio.create_task(self._renew_for_ever())
+
+    @contextlib.contextmanager
+    def errors(self, doing: str) -> Iterator[None]:
+        """Turn whatever goes wrong into SourceLost or SourceRejected."""
+        with source_errors(self.settings.url, doing):
+            yield
+
+    async def close(self) -> None:
+        """Say good-bye if the server still listens, and hang up."""
+        self._renewal.cancel()
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            await self._renewal
+        client = self._client.uaclient
+        client.request_disconnect()
+        client.pre_request_hook = None
+        with contextlib.suppress(OSError, TimeoutError, ua.UaError, asyncio.InvalidStateError):
+            async with asyncio.timeout(_FAREWELL_S):
+                if client.protocol is not None and not client.protocol.is_closed:
+                    await self.session.close_session(delete_subscriptions=True)
+                    await client.close_secure_channel()
+        self._client.disconnect_socket()
+
+    async def _renew_for_ever(self) -> None:
+        """Renew the channel's keys after three quarters of their life (Part 4, 5.6.2)."""
+        while True:
+            await asyncio.sleep(0.75e-3 * self._client.secure_channel_timeout)
+            await self._client.open_secure_channel(renew=True)
+            self._client.uaclient.revolve_security_token()
+
+
+async def open_connection(settings: SourceSettings) -> Connection:
+    """Connect, prove who we are, check who answers.
+
+    Raises
+    ------
+    SourceLost, SourceRejected, CertificateError
+    """
+    client = Client(settings.url, timeout=settings.timeout_s)
+    client.name = client.description = "valvemap service"
+    client.product_uri = "urn:valvemap"
+    client.session_timeout = _SESSION_TIMEOUT_MS
+    client.secure_channel_timeout = _CHANNEL_LIFETIME_MS
+    session = BatchSession(client.uaclient)
+    client.uaclient.session = session
+    if settings.user is not None:
+        client.set_user(settings.user)
+        client.set_password(settings.password or "")
+    with source_errors(settings.url, "connecting"):
+        try:
+            async with asyncio.timeout(4 * settings.timeout_s):
+                await _secure(client, settings)
+                await client.connect_socket()
+                await client.send_hello()
+                await client.open_secure_channel()
+                await client.create_session()
+                _check_password_travels_safely(client, settings)
+                await client.activate_session(settings.user, settings.password)
+        except BaseException:
+            client.disconnect_socket()
+            raise
+    return Connection(settings, client, session)
+
+
+@contextlib.contextmanager
+def source_errors(url: str, doing: str) -> Iterator[None]:
+    """Turn what asyncua raises into SourceLost or SourceRejected."""
+    try:
+        yield
+    except TimeoutError as error:
+        raise SourceLost(f"{url}: no answer while {doing}") from error
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        raise SourceLost(f"{url}: {reason} while {doing}") from error
+    except ua.UaStatusCodeError as error:
+        name = status_name(error.code)
+        if error.code in _FINAL:
+            raise SourceRejected(f"{url}: {name} while {doing}: {_FINAL[error.code]}") from error
+        raise SourceLost(f"{url}: {name} while {doing}") from error
+    except ua.UaError as error:
+        raise SourceLost(f"{url}: {error} while {doing}") from error
+    except (ValueError, TypeError, LookupError, AttributeError, struct.error) as error:
+        raise SourceLost(f"{url}: an answer that makes no sense while {doing}: {error}") from error
+
+
+def status_name(code: int) -> str:
+    """Name of a StatusCode; its number if it has none.
+
+    >>> status_name(0x80340000)
+    'BadNodeIdUnknown'
+    """
+    name, explanation = ua.status_codes.get_name_and_doc(code & 0xFFFF_0000)
+    return f"{name} ({code:#010x})" if explanation.startswith("Unknown StatusCode") else str(name)
+
+
+def _port(url: str) -> int | None:
+    try:
+        return urlsplit(url).port
+    except ValueError:
+        return None
+
+
+async def _secure(client: Client, settings: SourceSettings) -> None:
+    """Find the server's certificate, check that we trust it, set up keys."""
+    if settings.security is Security.NONE:
+        if settings.application_uri is not None:
+            client.application_uri = settings.application_uri
+        return
+    assert settings.pki is not None  # noqa: S101 - settings checked it
+    assert settings.own is not None  # noqa: S101 - settings checked it
+    client.application_uri = settings.application_uri or _uri_of(settings.own)
+    policy = _POLICIES[settings.security]
+    endpoints = await client.connect_and_get_server_endpoints()
+    offered = sorted({f"{_fragment(e.SecurityPolicyUri)}/{e.SecurityMode.name}" for e in endpoints})
+    for endpoint in endpoints:
+        if (
+            endpoint.SecurityPolicyUri == policy.URI
+            and endpoint.SecurityMode == ua.MessageSecurityMode.SignAndEncrypt
+            and endpoint.ServerCertificate
+        ):
+            break
+    else:
+        raise SourceRejected(
+            f"{settings.url}: does not offer {settings.security}/SignAndEncrypt; "
+            f"it offers {', '.join(offered)}"
+        )
+    certificate = _first_certificate(endpoint.ServerCertificate)
+    _check_trust(settings, settings.pki, certificate, endpoint.Server.ApplicationUri)
+    await client.set_security(
+        policy,
+        certificate=settings.own.certificate,
+        private_key=settings.own.key,
+        server_certificate=uacrypto.CertProperties(certificate, "der"),
+        mode=ua.MessageSecurityMode.SignAndEncrypt,
+    )
+
+
+def _check_trust(
+    settings: SourceSettings, pki: Pki, der: bytes, application_uri: str | None
+) -> None:
+    certificate = x509.load_der_x509_certificate(der)
+    if not any(load_certificate(file) == certificate for file in certificate_files(pki.trusted)):
+        reject(pki, der)
+        raise SourceRejected(
+            f"{settings.url}: its certificate {thumbprint(der)} is not trusted; it lies in "
+            f"{pki.rejected} now: compare the thumbprint, then `valvemap trust {thumbprint(der)}`"
+        )
+    if application_uri not in _uris(certificate):
+        raise SourceRejected(
+            f"{settings.url}: its certificate {thumbprint(der)} belongs to another application "
+            f"than {application_uri}"
+        )
+
+
+def _check_password_travels_safely(client: Client, settings: SourceSettings) -> None:
+    if settings.user is None or settings.security is not Security.NONE:
+        return
+    policy = client.server_policy(ua.UserTokenType.UserName).SecurityPolicyUri
+    in_the_clear = not policy or policy == security_policies.SecurityPolicyNone.URI
+    if in_the_clear and not _is_this_host(urlsplit(settings.url).hostname or ""):
+        raise SourceRejected(
+            f"{settings.url}: the password of {settings.user} would travel in the clear; "
+            f"choose security {Security.BASIC256_SHA256} or {Security.AES256_SHA256_RSA_PSS}"
+        )
+
+
+def _is_this_host(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _uri_of(own: OwnCertificate) -> str:
+    uris = _uris(load_certificate(own.certificate))
+    if not uris:
+        raise CertificateError(f"{own.certificate}: names no application (URI in its SAN)")
+    return uris[0]
+
+
+def _uris(certificate: x509.Certificate) -> list[str]:
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    return names.get_values_for_type(x509.UniformResourceIdentifier)
+
+
+def _first_certificate(chain: bytes) -> bytes:
+    """Return the leading certificate of a chain: its DER length is in bytes 2 and 3."""
+    return chain[: int.from_bytes(chain[2:4], "big") + 4]
+
+
+def _fragment(uri: str | None) -> str:
+    return (uri or "").rpartition("#")[2]
+
+
+_REFUSED_CERTIFICATE = "our certificate is refused; the server must trust it"
+_FINAL: dict[int, str] = {
+    ua.StatusCodes.BadUserAccessDenied: "user or password are wrong, or lack the right",
+    ua.StatusCodes.BadIdentityTokenRejected: "user or password are refused",
+    ua.StatusCodes.BadIdentityTokenInvalid: "this kind of user is not accepted",
+    ua.StatusCodes.BadSecurityChecksFailed: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadSecurityPolicyRejected: "the server does not offer this security",
+    ua.StatusCodes.BadSecurityModeRejected: "the server does not offer this security",
+    ua.StatusCodes.BadSecurityModeInsufficient: "the server wants more security",
+    ua.StatusCodes.BadApplicationSignatureInvalid: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadUserSignatureInvalid: "the user's certificate is refused",
+    ua.StatusCodes.BadCertificateInvalid: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadCertificateUntrusted: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadCertificateTimeInvalid: "our certificate has expired",
+    ua.StatusCodes.BadCertificateUriInvalid: "our certificate names another application",
+    ua.StatusCodes.BadCertificateUseNotAllowed: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadCertificateRevoked: "our certificate is revoked",
+    ua.StatusCodes.BadCertificateChainIncomplete: _REFUSED_CERTIFICATE,
+    ua.StatusCodes.BadTcpEndpointUrlInvalid: "the server does not know this URL",
+    ua.StatusCodes.BadServiceUnsupported: "the server does not do this",
+    ua.StatusCodes.BadMonitoredItemFilterUnsupported: (
+        "the server cannot report every sample (trigger StatusValueTimestamp)"
+    ),
+}

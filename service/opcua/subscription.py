@@ -1,0 +1,340 @@
+"""One subscription, its publish requests, and the buffer of what they brought.
+
+Several publish requests are in flight; responses are taken in the order of their arrival.
+A gap in the sequence numbers is asked for again (Republish) before what comes after it is
+handed on. Every response is acknowledged with the next request.
+"""
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from asyncua import ua
+
+from service.clock import Clock
+from service.errors import SourceError, SourceLost, SourceRejected
+from service.opcua.connection import Connection, status_name
+from service.opcua.decoding import (
+    DecodeError,
+    Message,
+    PublishResponse,
+    decode_publish_response,
+    decode_republish_response,
+)
+from service.opcua.source_nodes import MonitoredNode, operation_limits
+from service.streaming.data_changes import DataChanges
+
+_log = logging.getLogger(__name__)
+
+_LOST_KEEP_ALIVES = 3
+_LIFETIME_KEEP_ALIVES = 10
+_MAX_REPUBLISH = 100
+_NOTIFICATIONS_PER_PUBLISH = 100_000
+_GOOD_TRANSFERRED = 0x002D0000
+
+
+@dataclass
+class Tally:
+    """What was seen so far; grows over all connections."""
+
+    notifications: int = 0
+    publish_responses: int = 0
+    missing_messages: int = 0
+    overflows: int = 0
+    undecodable: int = 0
+
+
+@dataclass(frozen=True)
+class Revised:
+    """What the server made of our wishes."""
+
+    publishing_interval_ms: float
+    keep_alive_count: int
+    lifetime_count: int
+    smallest_queue: int
+    slowest_sampling_ms: float
+
+    @property
+    def silence_s(self) -> float:
+        """After so long without any publish response the server is lost."""
+        return _LOST_KEEP_ALIVES * self.keep_alive_count * self.publishing_interval_ms * 1e-3
+
+
+class Subscription:
+    """A running subscription; made by :func:`subscribe`."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        subscription_id: int,
+        revised: Revised,
+        tally: Tally,
+        clock: Clock,
+    ) -> None:
+        self.revised = revised
+        self._connection = connection
+        self._session = connection.session
+        self._settings = connection.settings
+        self._id = subscription_id
+        self._tally = tally
+        self._clock = clock
+        self._silence = revised.silence_s + connection.settings.timeout_s
+        self._heard = clock.monotonic()
+        self._next: int | None = None
+        self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
+        self._in_turn = asyncio.Lock()
+        self._buffer: list[DataChanges] = []
+        self._buffered = 0
+        self._arrived = asyncio.Event()
+        self._room = asyncio.Event()
+        self._room.set()
+        self._failure: SourceError | None = None
+        self._publishers: set[asyncio.Task[None]] = set()
+
+    def start(self) -> None:
+        """Send the first publish requests."""
+        for _ in range(self._settings.publish_requests):
+            self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
+
+    async def receive(self) -> DataChanges:
+        """Wait for changes and take all there are; a failure comes after them."""
+        while not self._buffer:
+            if self._failure is not None:
+                raise self._failure
+            patience = self._heard + self._silence - self._clock.monotonic()
+            if patience <= 0.0:
+                raise SourceLost(
+                    f"{self._settings.url}: silent for {self._silence:.1f} s, "
+                    f"{_LOST_KEEP_ALIVES} keep-alives are missing"
+                )
+            try:
+                async with asyncio.timeout(patience):
+                    await self._arrived.wait()
+            except TimeoutError:
+                continue
+            self._arrived.clear()
+        changes = DataChanges.concatenate(self._buffer)
+        self._buffer.clear()
+        self._buffered = 0
+        if not self._room.is_set():
+            self._heard = self._clock.monotonic()  # it was we who were silent
+            self._room.set()
+        return changes
+
+    async def stop(self) -> None:
+        """Send no more publish requests; the session's end deletes the subscription."""
+        for publisher in self._publishers:
+            publisher.cancel()
+        await asyncio.gather(*self._publishers, return_exceptions=True)
+
+    async def _publish_until_it_fails(self) -> None:
+        try:
+            with self._connection.errors("publishing"):
+                await self._publish_for_ever()
+        except SourceError as error:
+            self._fail(error)
+
+    async def _publish_for_ever(self) -> None:
+        while True:
+            await self._room.wait()
+            acknowledgements, self._acknowledgements = self._acknowledgements, []
+            request = ua.PublishRequest()
+            request.Parameters.SubscriptionAcknowledgements = acknowledgements
+            try:
+                data = await self._session.request(request, timeout=0)
+            except ua.uaerrors.BadTooManyPublishRequests:
+                self._acknowledgements = acknowledgements + self._acknowledgements
+                if len(self._publishers) > 1:
+                    self._publishers = {
+                        p for p in self._publishers if p is not asyncio.current_task()
+                    }
+                    return
+                await asyncio.sleep(self.revised.publishing_interval_ms * 1e-3)
+                continue
+            except ua.uaerrors.BadTimeout:
+                await asyncio.sleep(self.revised.publishing_interval_ms * 1e-3)
+                continue
+            async with self._in_turn:
+                await self._take_response(data)
+
+    async def _take_response(self, data: bytes) -> None:
+        self._heard = self._clock.monotonic()
+        self._tally.publish_responses += 1
+        try:
+            response = decode_publish_response(data)
+        except DecodeError as error:
+            self._tally.undecodable += 1
+            _log.warning("%s: a publish response is not understood: %s", self._settings.url, error)
+            return
+        if response.service_result >> 31:
+            raise ua.UaStatusCodeError(response.service_result)
+        if response.subscription_id != self._id:
+            return
+        await self._fill_gap(response)
+        message = response.message
+        if message.keep_alive:
+            return
+        self._acknowledge(message.sequence_number)
+        self._keep(message)
+        if message.status_change is not None and (
+            message.status_change >> 30 or message.status_change == _GOOD_TRANSFERRED
+        ):
+            name = status_name(message.status_change)
+            self._fail(SourceLost(f"{self._settings.url}: the subscription ended: {name}"))
+
+    async def _fill_gap(self, response: PublishResponse) -> None:
+        """Ask again for what lies between the last message and this one."""
+        number = response.message.sequence_number
+        expected = number if self._next is None else self._next
+        self._next = number if response.message.keep_alive else _after(number)
+        gap = (number - expected) % 2**32
+        if gap >= 2**31:
+            _log.warning("%s: message %d came twice", self._settings.url, number)
+            return
+        missing = [_ahead(expected, i) for i in range(min(gap, _MAX_REPUBLISH))]
+        self._tally.missing_messages += gap - len(missing)
+        for lost in missing:
+            message = await self._republish(lost)
+            if message is None or message.sequence_number != lost:
+                self._tally.missing_messages += 1
+            else:
+                self._acknowledge(lost)
+                self._keep(message)
+
+    async def _republish(self, number: int) -> Message | None:
+        request = ua.RepublishRequest()
+        request.Parameters.SubscriptionId = self._id
+        request.Parameters.RetransmitSequenceNumber = number
+        try:
+            return decode_republish_response(await self._session.request(request))
+        except (DecodeError, ua.uaerrors.BadMessageNotAvailable, TimeoutError):
+            return None
+
+    def _acknowledge(self, number: int) -> None:
+        self._acknowledgements.append(
+            ua.SubscriptionAcknowledgement(SubscriptionId=self._id, SequenceNumber=number)
+        )
+
+    def _keep(self, message: Message) -> None:
+        changes = message.changes
+        if not len(changes):
+            return
+        self._tally.notifications += len(changes)
+        self._tally.overflows += message.overflows
+        self._tally.undecodable += message.not_numeric
+        self._buffer.append(changes)
+        self._buffered += len(changes)
+        if self._buffered >= self._settings.buffer_limit:
+            self._room.clear()
+        self._arrived.set()
+
+    def _fail(self, error: SourceError) -> None:
+        self._failure = self._failure or error
+        self._arrived.set()
+
+
+async def subscribe(
+    connection: Connection, nodes: Sequence[MonitoredNode], tally: Tally, clock: Clock
+) -> Subscription:
+    """Subscribe to every sample of every node.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    settings = connection.settings
+    with connection.errors("subscribing"):
+        interval = settings.publishing_interval_ms
+        keep_alive = max(round(settings.keep_alive_s * 1e3 / interval), 1)
+        result = await connection.session.create_subscription(
+            ua.CreateSubscriptionParameters(
+                RequestedPublishingInterval=interval,
+                RequestedLifetimeCount=_LIFETIME_KEEP_ALIVES * keep_alive,
+                RequestedMaxKeepAliveCount=keep_alive,
+                MaxNotificationsPerPublish=_NOTIFICATIONS_PER_PUBLISH,
+                PublishingEnabled=True,
+            ),
+            _unused,
+        )
+        created: list[ua.MonitoredItemCreateResult] = []
+        step = (await operation_limits(connection)).items_per_call
+        for start in range(0, len(nodes), step):
+            created += await connection.session.create_monitored_items(
+                ua.CreateMonitoredItemsParameters(
+                    SubscriptionId=result.SubscriptionId,
+                    TimestampsToReturn=ua.TimestampsToReturn.Both,
+                    ItemsToCreate=[
+                        _request(node, settings.sampling_interval_ms, settings.queue_size)
+                        for node in nodes[start : start + step]
+                    ],
+                )
+            )
+    for node, item in zip(nodes, created, strict=True):
+        if item.StatusCode.value >> 30:
+            raise SourceRejected(
+                f"{node.label} cannot be subscribed to at {settings.url}: "
+                f"{status_name(item.StatusCode.value)}"
+            )
+    revised = Revised(
+        publishing_interval_ms=result.RevisedPublishingInterval,
+        keep_alive_count=result.RevisedMaxKeepAliveCount,
+        lifetime_count=result.RevisedLifetimeCount,
+        smallest_queue=min(item.RevisedQueueSize for item in created),
+        slowest_sampling_ms=max(item.RevisedSamplingInterval for item in created),
+    )
+    _warn_of_what_may_be_lost(connection, revised)
+    return Subscription(connection, result.SubscriptionId, revised, tally, clock)
+
+
+def _request(
+    node: MonitoredNode, sampling_interval_ms: float, queue_size: int
+) -> ua.MonitoredItemCreateRequest:
+    """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
+    return ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node.node, AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(
+            ClientHandle=node.item,
+            SamplingInterval=sampling_interval_ms,
+            Filter=ua.DataChangeFilter(
+                Trigger=ua.DataChangeTrigger.StatusValueTimestamp,
+                DeadbandType=ua.DeadbandType.None_,
+            ),
+            QueueSize=queue_size,
+            DiscardOldest=True,
+        ),
+    )
+
+
+def _warn_of_what_may_be_lost(connection: Connection, revised: Revised) -> None:
+    settings = connection.settings
+    if revised.smallest_queue < settings.queue_size:
+        _log.warning(
+            "%s: keeps %d values of a node instead of %d between two publishings",
+            settings.url,
+            revised.smallest_queue,
+            settings.queue_size,
+        )
+    if revised.slowest_sampling_ms > max(settings.sampling_interval_ms, 0.0):
+        _log.warning(
+            "%s: samples a node every %g ms instead of %g ms",
+            settings.url,
+            revised.slowest_sampling_ms,
+            settings.sampling_interval_ms,
+        )
+
+
+def _after(number: int) -> int:
+    """Sequence numbers run from 1 to 2**32 - 1 and begin anew (Part 4, 7.8)."""
+    return number + 1 if number < 2**32 - 1 else 1
+
+
+def _ahead(number: int, steps: int) -> int:
+    for _ in range(steps):
+        number = _after(number)
+    return number
+
+
+def _unused(_: object) -> None:
+    """Stand in for asyncua's callback: our publish requests bypass it."""
