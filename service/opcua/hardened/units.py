@@ -1,0 +1,39 @@
+"""Engineering units by their UNECE codes, as OPC UA Part 8, 5.6.3 numbers them."""
+
+from enum import Enum
+
+from asyncua import ua
+
+_NAMESPACE = "http://www.opcfoundation.org/UA/units/un/cefact"
+
+
+class Unit(Enum):
+    """A unit: UNECE number, symbol, name.
+
+    >>> Unit.BAR.information.UnitId
+    4342098
+    """
+
+    BAR = (4342098, "bar", "bar")
+    LITRE_PER_MINUTE = (19506, "l/min", "litre per minute")
+    DEGREE_CELSIUS = (4408652, "°C", "degree Celsius")
+    PERCENT = (20529, "%", "percent")
+    VOLT = (5655636, "V", "volt")
+    SQUARE_MILLIMETRE_PER_SECOND = (4403511, "mm²/s", "square millimetre per second")
+    KILOGRAM_PER_CUBIC_METRE = (4934993, "kg/m³", "kilogram per cubic metre")
+    SECOND = (5457219, "s", "second")
+    MILLISECOND = (4403766, "ms", "millisecond")
+    HERTZ = (4740186, "Hz", "hertz")
+    MILLIMETRE = (5066068, "mm", "millimetre")
+    ONE = (4404786, "1", "one")
+
+    @property
+    def information(self) -> ua.EUInformation:
+        """The unit as OPC UA publishes it."""
+        number, symbol, name = self.value
+        return ua.EUInformation(
+            NamespaceUri=_NAMESPACE,
+            UnitId=number,
+            DisplayName=ua.LocalizedText(symbol),
+            Description=ua.LocalizedText(name),
+        )
