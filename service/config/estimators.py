@@ -1,0 +1,79 @@
+"""Configuration of the estimators: a class per kind, and the one place where they are built."""
+
+from typing import Annotated, Any, Literal, assert_never
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.identification.estimator import Estimator
+from service.identification.forgetting import Directional, Exponential
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
+Range = tuple[float, float]
+
+
+class _EstimatorSection(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RlsConfig(_EstimatorSection):
+    """Recursive least squares on eq. (7)."""
+
+    kind: Literal["RLS"] = "RLS"
+    name: Name = "RLS"
+    forgetting: Literal["exponential", "directional"] = "directional"
+    lam: Lam = 0.999
+
+
+class RmlConfig(_EstimatorSection):
+    """Recursive maximum likelihood on eq. (7), noise coloured by a moving average."""
+
+    kind: Literal["RML"] = "RML"
+    name: Name = "RML"
+    lam: Lam = 0.999
+    nd: int = Field(1, ge=1, le=8, description="order of the moving average of the noise")
+
+
+class RbfConfig(_EstimatorSection):
+    """The paper's radial basis function network, trained by gradient descent."""
+
+    kind: Literal["RBF"] = "RBF"
+    name: Name = "RBF"
+    neurons_U: int = Field(5, ge=2, le=30)
+    neurons_dp: int = Field(5, ge=2, le=30)
+    eta: float = Field(0.3, gt=0.0, le=1.0, description="learning rate")
+    alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
+
+
+EstimatorConfig = Annotated[RlsConfig | RmlConfig | RbfConfig, Field(discriminator="kind")]
+
+
+def default_estimators() -> tuple[RlsConfig | RmlConfig | RbfConfig, ...]:
+    """The paper's three methods."""
+    return RlsConfig(), RmlConfig(), RbfConfig()
+
+
+def build_estimator(
+    config: RlsConfig | RmlConfig | RbfConfig, U_range: Range, dp_range: Range, Q_range: Range
+) -> Estimator[Any]:
+    """The estimator that a section describes, for a valve of these ranges."""
+    match config:
+        case RlsConfig():
+            rule = Exponential if config.forgetting == "exponential" else Directional
+            return RecursiveLeastSquares(forgetting=rule(config.lam))
+        case RmlConfig():
+            return MaximumLikelihood(nd=config.nd, lam=config.lam)
+        case RbfConfig():
+            return RbfNetwork(
+                grid=(config.neurons_U, config.neurons_dp),
+                eta=config.eta,
+                alpha=config.alpha,
+                U_range=U_range,
+                dp_range=dp_range,
+                Q_scale=max(abs(Q_range[0]), abs(Q_range[1])),
+            )
+        case _:
+            assert_never(config)

@@ -1,0 +1,253 @@
+"""The configuration: what may be written, with units in the names, bounds and defaults."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from service.config.estimators import EstimatorConfig, default_estimators
+from service.streaming.data_changes import Signal
+from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
+
+RIG_NAMESPACE = "urn:valvemap:rig"
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
+Range = tuple[float, float]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class SourceConfig(_Section):
+    """The OPC UA server that publishes the signals."""
+
+    url: str = Field(
+        "opc.tcp://127.0.0.1:4840/valvemap/rig/",
+        pattern=r"^opc\.tcp://[^\s/]+(:\d+)?(/\S*)?$",
+        description="opc.tcp://HOST:PORT/PATH",
+    )
+    security: SecurityPolicy = Field(
+        "Basic256Sha256", description="policy of the connection, SignAndEncrypt unless None"
+    )
+    user: str | None = Field(None, description="user name; none = anonymous")
+    password: SecretStr | None = Field(None, description="set it by the environment")
+    publishing_interval_ms: float = Field(100.0, ge=1.0, le=60_000.0)
+    queue_size: int = Field(
+        1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
+    )
+    timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    startup_timeout_s: float = Field(
+        10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
+    )
+
+
+class ServerConfig(_Section):
+    """Our own OPC UA server, which publishes the results."""
+
+    url: str = Field(
+        "opc.tcp://127.0.0.1:4841/valvemap/service/",
+        pattern=r"^opc\.tcp://[^\s/]+:\d+(/\S*)?$",
+        description="opc.tcp://ADDRESS:PORT/PATH to listen on",
+    )
+    host_names: tuple[str, ...] = Field(
+        (), description="names by which clients reach the server, for its certificate"
+    )
+    min_publishing_interval_ms: float = Field(50.0, ge=1.0, le=60_000.0)
+
+
+class SecurityConfig(_Section):
+    """Certificates and users."""
+
+    pki: Path = Field(Path("data/pki/service"), description="folder of certificates and keys")
+    users: Path = Field(Path("data/users.json"), description="users and hashed passwords")
+
+
+class StateConfig(_Section):
+    """What survives a restart."""
+
+    file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
+    checkpoint_interval_s: float = Field(10.0, ge=0.1, le=86_400.0)
+
+
+class AlignmentConfig(_Section):
+    """How the signals of one sample find together."""
+
+    tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
+    max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    max_pending: int = Field(4_096, ge=16, le=1_000_000)
+    hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
+        default_factory=dict, description="signals whose last value serves for this long"
+    )
+    stale_after_s: float = Field(2.0, gt=0.0, le=3_600.0)
+
+
+class LimitsConfig(_Section):
+    """Limits of one signal in its own unit; what is left out is not checked."""
+
+    low: float | None = None
+    high: float | None = None
+    frozen_s: float | None = Field(None, gt=0.0)
+    max_rate_per_s: float | None = Field(None, gt=0.0)
+    spike: float | None = Field(None, gt=0.0)
+
+    @model_validator(mode="after")
+    def _low_below_high(self) -> Self:
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+        return self
+
+    def limits(self, signal: Signal) -> SignalLimits:
+        """The gate's limits; the range is at most what any sensor could say."""
+        low, high = PLAUSIBLE[signal]
+        return SignalLimits(
+            low=low if self.low is None else self.low,
+            high=high if self.high is None else self.high,
+            frozen_s=self.frozen_s or 0.0,
+            max_rate_per_s=self.max_rate_per_s or np.inf,
+            spike=self.spike or np.inf,
+        )
+
+
+class GateConfig(_Section):
+    """Which samples may teach the estimators."""
+
+    use_uncertain: bool = Field(
+        default=False, description="learn from values whose status is Uncertain"
+    )
+    U: LimitsConfig = LimitsConfig()
+    p1: LimitsConfig = LimitsConfig()
+    p2: LimitsConfig = LimitsConfig()
+    Q: LimitsConfig = LimitsConfig()
+    T: LimitsConfig = LimitsConfig()
+
+
+class NodesConfig(_Section):
+    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
+
+    U: str
+    p1: str
+    p2: str
+    Q: str
+    T: str | None = Field(None, description="oil temperature, where there is a sensor")
+    sequence: str | None = Field(None, description="running number of the sample")
+    required_U: str | None = Field(
+        None, description="where to write the feed-forward voltage, if at all"
+    )
+
+    @field_validator("*")
+    @classmethod
+    def _is_node_id(cls, text: str | None) -> str | None:
+        if text is not None and not any(
+            kind in f";{text}" for kind in (";s=", ";i=", ";g=", ";b=")
+        ):
+            raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
+        return text
+
+    @classmethod
+    def of_rig(cls, valve: str) -> Self:
+        """The virtual rig's nodes."""
+        head = f"nsu={RIG_NAMESPACE};s={valve}."
+        return cls(
+            U=head + "U",
+            p1=head + "p1",
+            p2=head + "p2",
+            Q=head + "Q",
+            T=head + "Temperature",
+            sequence=head + "Sequence",
+        )
+
+
+class ValveConfig(_Section):
+    """One valve."""
+
+    name: Name = "Valvistor"
+    nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    gate: GateConfig = GateConfig()
+    U_range_percent: Range = (0.0, 100.0)
+    dp_range_bar: Range = (0.0, 200.0)
+    Q_range_l_min: Range = (0.0, 200.0)
+    estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
+    inverse: str | None = Field(
+        None, description="name of the estimator whose map is inverted; none = the last one"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nodes_of_the_rig_by_default(cls, given: Any) -> Any:  # noqa: ANN401 - pydantic's raw input
+        if isinstance(given, dict) and "nodes" not in given and isinstance(given.get("name"), str):
+            return {**given, "nodes": NodesConfig.of_rig(given["name"])}
+        return given
+
+    @field_validator("U_range_percent", "dp_range_bar", "Q_range_l_min")
+    @classmethod
+    def _low_below_high(cls, bounds: Range) -> Range:
+        if not bounds[0] < bounds[1]:
+            raise ValueError(f"the first number must be below the second, not {list(bounds)}")
+        return bounds
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [estimator.name for estimator in self.estimators]
+        if not names:
+            raise ValueError("estimators: at least one is needed")
+        _unique("estimator", [*names, "Inverse", "Diagnostics"])
+        if self.inverse is not None and self.inverse not in names:
+            raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
+        return self
+
+
+class LogConfig(_Section):
+    """What is told while the service runs."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
+    format: Literal["console", "json"] = "console"
+
+
+class Config(BaseSettings):
+    """The whole configuration: a TOML file, overridden by ``VALVEMAP_<SECTION>__<FIELD>``."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="VALVEMAP_",
+        env_nested_delimiter="__",
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+    )
+
+    source: SourceConfig = SourceConfig()
+    server: ServerConfig = ServerConfig()
+    security: SecurityConfig = SecurityConfig()
+    state: StateConfig = StateConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
+    log: LogConfig = LogConfig()
+    valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
+
+    @field_validator("valves")
+    @classmethod
+    def _valve_names_differ(cls, valves: tuple[ValveConfig, ...]) -> tuple[ValveConfig, ...]:
+        if not valves:
+            raise ValueError("at least one valve is needed")
+        _unique("valve", [valve.name for valve in valves])
+        return valves
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],  # noqa: ARG003 - pydantic's signature
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """The environment first, then the file (handed in as arguments)."""
+        return env_settings, init_settings
+
+
+def _unique(what: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"{what} name {twice[0]!r} is taken twice")

@@ -1,0 +1,76 @@
+import pytest
+
+from service.config.loading import load_config
+from service.errors import ConfigurationError
+
+
+def write(tmp_path, text):
+    file = tmp_path / "service.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def complaint(tmp_path, text):
+    with pytest.raises(ConfigurationError) as caught:
+        load_config(write(tmp_path, text))
+    return str(caught.value)
+
+
+def test_without_a_file_the_defaults_fit_the_virtual_rig():
+    (valve,) = load_config().valves
+    assert valve.name == "Valvistor"
+    assert valve.nodes.T == "nsu=urn:valvemap:rig;s=Valvistor.Temperature"
+    assert [e.name for e in valve.estimators][:3] == ["RLS", "RML", "RBF"]
+
+
+def test_a_named_valve_without_nodes_is_looked_for_under_its_name(tmp_path):
+    config = load_config(write(tmp_path, '[[valves]]\nname = "Boom"\n'))
+    assert config.valves[0].nodes.U == "nsu=urn:valvemap:rig;s=Boom.U"
+
+
+def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("VALVEMAP_SOURCE__URL", "opc.tcp://plc:4840")
+    monkeypatch.setenv("VALVEMAP_SOURCE__PASSWORD", "geheim")
+    config = load_config(write(tmp_path, '[source]\nurl = "opc.tcp://other:1"\nuser = "u"\n'))
+    assert config.source.url == "opc.tcp://plc:4840"
+    assert config.source.user == "u"
+    assert "geheim" not in repr(config)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[source]\nspeed = 1\n", "source.speed: there is no such field"),
+        ("[source]\nurl = 'http://x'\n", "source.url = 'http://x': "),
+        ("[source]\nqueue_size = 0\n", "source.queue_size = 0: input should be greater than"),
+        ("[[valves]]\nname = 'a b'\n", "valves[0].name = 'a b': "),
+        ("[[valves]]\n[[valves]]\n", "valves: valve name 'Valvistor' is taken twice"),
+        ("[[valves]]\ninverse = 'X'\n", "valves[0]: inverse = 'X': allowed is one of RLS, "),
+        (
+            "[[valves]]\n[[valves.estimators]]\nkind = 'RLS'\nlam = 1.5\n",
+            "valves[0].estimators[0].lam = 1.5: input should be less than or equal to 1",
+        ),
+        ("[[valves]]\n[[valves.estimators]]\nkind = 'XYZ'\n", "XYZ"),
+        ("[[valves]]\nestimators = []\n", "at least one is needed"),
+        ("[[valves]]\n[valves.nodes]\nU = 'x'\n", "valves[0].nodes.U = 'x': a node id looks like"),
+        ("[[valves]]\n[valves.gate.Q]\nlow = 5\nhigh = 1\n", "low 5 must be below high 1"),
+        ("[source\n", "not valid TOML"),
+        ("[source]\ntimeout_s = nan\n", "source.timeout_s"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_file_field_and_value(tmp_path, text, said):
+    message = complaint(tmp_path, text)
+    assert message.startswith(str(tmp_path / "service.toml"))
+    assert said in message
+    assert "\n" not in message or "nodes" in text
+
+
+def test_a_mistake_in_the_environment_names_the_variable(monkeypatch):
+    monkeypatch.setenv("VALVEMAP_SOURCE__QUEUE_SIZE", "many")
+    with pytest.raises(ConfigurationError, match="VALVEMAP_SOURCE__QUEUE_SIZE"):
+        load_config()
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"none\.toml: no such file"):
+        load_config(tmp_path / "none.toml")
