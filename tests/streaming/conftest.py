@@ -1,0 +1,111 @@
+"""A small plant and a service around it, without network or clock."""
+
+from dataclasses import dataclass, field
+
+import pytest
+from support.plant import START
+
+from service.clock import ManualClock
+from service.errors import SourceLost
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.identification import Identification
+from service.streaming.pipeline import ValvePlan
+from service.streaming.ports import SourceCounters
+from service.streaming.quality_gate import QualityGate
+
+
+@pytest.fixture
+def plan():
+    return ValvePlan(
+        name="Valvistor",
+        gate=QualityGate(),
+        estimators={
+            "RLS": RecursiveLeastSquares(),
+            "RML": MaximumLikelihood(),
+            "RBF": RbfNetwork(),
+        },
+        inverse="RLS",
+    )
+
+
+@pytest.fixture
+def fresh(plan):
+    return lambda: Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+
+
+@pytest.fixture
+def identification(fresh):
+    return fresh()
+
+
+@dataclass
+class FakeSource:
+    """Hands out what it was given; an exception in the list is raised instead."""
+
+    script: list = field(default_factory=list)
+    connects: list = field(default_factory=list)
+    written: list = field(default_factory=list)
+    closed: int = 0
+    counters: SourceCounters = field(default_factory=SourceCounters)
+
+    async def connect(self):
+        if self.connects:
+            error = self.connects.pop(0)
+            if error is not None:
+                raise error
+
+    async def receive(self):
+        if not self.script:
+            raise SourceLost("the script is at its end")
+        step = self.script.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+    async def write_required_U(self, valve, U):
+        self.written.append((valve, U))
+
+    async def close(self):
+        self.closed += 1
+
+
+@dataclass
+class FakeSink:
+    published: list = field(default_factory=list)
+
+    async def publish(self, results):
+        self.published += results
+
+
+@dataclass
+class FakeStore:
+    kept: list = field(default_factory=list)
+
+    def save(self, checkpoints):
+        self.kept = list(checkpoints)
+
+    def load(self):
+        return self.kept
+
+
+@pytest.fixture
+def clock():
+    return ManualClock(START)
+
+
+@pytest.fixture
+def sink():
+    return FakeSink()
+
+
+@pytest.fixture
+def store():
+    return FakeStore()
+
+
+@pytest.fixture
+def source():
+    return FakeSource()

@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+from support.plant import as_changes, plant
+
+from service.errors import CommandRejected
+from service.identification.inversion import InverseStatus
+from service.identification.samples import Quality, Status
+
+
+def thetas(identification):
+    result = identification.result(0)
+    return {name: r.theta.tobytes() for name, r in result.estimators.items()}
+
+
+def test_data_changes_and_samples_teach_the_same_bits(identification, fresh):
+    samples = plant(500)
+    identification.take(as_changes(samples))
+    replayed = fresh()
+    for part in (samples[:123], samples[123:130], samples[130:]):
+        replayed.take_samples(0, part)
+    assert thetas(identification) == thetas(replayed)
+
+
+def test_results_carry_the_time_of_their_sample(identification):
+    samples = plant(300)
+    identification.take_samples(0, samples)
+    for result in identification.result(0).estimators.values():
+        assert result.t == samples.t[-1]
+        assert result.sample_count == 300
+        assert result.residual == samples.Q[-1] - result.predicted
+
+
+def test_before_the_first_sample_nothing_is_good(identification):
+    for result in identification.result(0).estimators.values():
+        assert result.status is Status.WARMING_UP
+        assert result.quality is not Quality.GOOD
+        assert np.isnan(result.predicted)
+
+
+def test_lost_sensors_make_every_result_bad(identification):
+    identification.take_samples(0, plant(300))
+    result = identification.result(0, lost=True)
+    assert {r.quality for r in result.estimators.values()} == {Quality.BAD}
+    assert result.inverse.quality is Quality.BAD
+
+
+def test_freeze_stops_learning_and_resume_goes_on(identification):
+    identification.take_samples(0, plant(300))
+    identification.freeze("Valvistor", "RLS")
+    before = thetas(identification)
+    identification.take_samples(0, plant(50, seed=2, first=300))
+    after = thetas(identification)
+    assert after["RLS"] == before["RLS"]
+    assert after["RML"] != before["RML"]
+    result = identification.result(0).estimators["RLS"]
+    assert (result.status, result.sample_count) == (Status.FROZEN, 300)
+    assert np.isfinite(result.residual)
+    identification.resume("Valvistor", "RLS")
+    identification.take_samples(0, plant(50, seed=3, first=350))
+    assert thetas(identification)["RLS"] != before["RLS"]
+
+
+def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
+    identification.set_forgetting_factor("Valvistor", "RLS", 0.97)
+    identification.take_samples(0, plant(300))
+    identification.reset("Valvistor", "RLS")
+    assert identification.result(0).estimators["RLS"].sample_count == 0
+    assert identification.lane("Valvistor", "RLS").estimator.lam == 0.97
+
+
+@pytest.mark.parametrize("lam", [0.0, -1.0, 1.01, np.nan, np.inf])
+def test_a_forgetting_factor_out_of_range_is_refused(identification, lam):
+    with pytest.raises(CommandRejected, match="0 < lam <= 1"):
+        identification.set_forgetting_factor("Valvistor", "RLS", lam)
+
+
+def test_a_network_has_no_forgetting_factor(identification):
+    with pytest.raises(CommandRejected, match=r"Valvistor\.RBF has no forgetting factor"):
+        identification.set_forgetting_factor("Valvistor", "RBF", 0.99)
+
+
+def test_the_standing_demand_is_answered_and_predicted_back(identification):
+    identification.take_samples(0, plant(2000))
+    identification.demand("Valvistor", 60.0, 100.0)
+    inverse = identification.result(0).inverse
+    assert inverse.status == InverseStatus.OK
+    Q, std, status = identification.predict("Valvistor", "RLS", inverse.required_U, 100.0, 40.0)
+    assert pytest.approx(60.0, abs=1e-6) == Q
+    assert 0 < std < 1
+    assert status is Status.OK
+    identification.demand("Valvistor", np.nan, np.nan)
+    assert np.isnan(identification.result(0).inverse.required_U)
+
+
+def test_a_restart_goes_on_as_if_there_had_been_none(identification, fresh):
+    samples = plant(600)
+    identification.set_forgetting_factor("Valvistor", "RLS", 0.98)
+    identification.take_samples(0, samples[:300])
+    restarted = fresh()
+    restored, refused = restarted.restore(identification.checkpoints())
+    assert (len(restored), refused) == (3, [])
+    identification.take_samples(0, samples[300:])
+    restarted.take_samples(0, samples[300:])
+    assert thetas(restarted) == thetas(identification)
+    assert restarted.result(0).estimators["RLS"].sample_count == 600
+
+
+def test_states_of_another_configuration_are_left_aside(identification, fresh):
+    identification.take_samples(0, plant(100))
+    kept = identification.checkpoints()
+    other = [type(c)(**{**vars(c), "key": "x", "state": b"damaged"}) for c in kept]
+    restarted = fresh()
+    assert restarted.restore(other) == ([], ["Valvistor.RLS", "Valvistor.RML", "Valvistor.RBF"])
+    assert restarted.result(0).estimators["RLS"].sample_count == 0
+
+
+def test_bad_samples_are_counted_and_teach_nothing(identification):
+    samples = plant(300)
+    identification.take_samples(0, samples)
+    before = thetas(identification)
+    broken = plant(10, seed=5, first=300)
+    broken.Q[:] = np.nan
+    identification.take_samples(0, broken)
+    assert thetas(identification) == before
+    assert identification.counters(0)["not_finite"] == 10
+    assert {r.quality for r in identification.result(0).estimators.values()} == {Quality.BAD}

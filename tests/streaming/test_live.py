@@ -1,0 +1,135 @@
+import asyncio
+from itertools import repeat
+
+import numpy as np
+import pytest
+from support.plant import as_changes, plant
+
+from service.errors import SourceLost, SourceRejected, StorageError
+from service.identification.samples import Quality
+from service.streaming.live import LiveService, LiveSettings
+from service.streaming.supervisor import SupervisorSettings, supervise
+
+QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))
+
+
+@pytest.fixture
+def live(identification, source, sink, store, clock):
+    settings = LiveSettings(feed_forward=(0,))
+    return LiveService(identification, source, sink, store, clock, settings)
+
+
+async def run_until_the_script_ends(source, live, clock, settings=QUICK):
+    stop = asyncio.Event()
+    ended = live.lost
+
+    async def lost(reason):
+        await ended(reason)
+        if not source.script:
+            stop.set()
+
+    live.lost = lost
+    await supervise(source, live, clock, stop, settings)
+
+
+async def test_a_cut_connection_turns_results_bad_and_then_good_again(live, source, sink, clock):
+    samples = plant(600)
+    source.script = [as_changes(samples[:300]), SourceLost("cut"), as_changes(samples[300:])]
+    await run_until_the_script_ends(source, live, clock)
+    qualities = [r.estimators["RLS"].quality for r in sink.published]
+    assert qualities == [Quality.GOOD, Quality.BAD, Quality.GOOD, Quality.BAD]
+    assert sink.published[2].estimators["RLS"].sample_count == 600
+
+
+async def test_a_source_that_never_answers_ends_the_start_with_its_error(live, source, clock):
+    source.connects = [SourceLost("opc.tcp://plc refused")] * 3
+    settings = SupervisorSettings(startup_timeout_s=1e-9, tick_s=0.001, pauses=lambda: repeat(0.0))
+    clock.advance(1.0)
+    with pytest.raises(SourceLost, match="refused"):
+        await supervise(source, live, _Running(clock), asyncio.Event(), settings)
+    assert source.closed
+
+
+class _Running:
+    """A clock that moves on at every look."""
+
+    def __init__(self, clock):
+        self._clock = clock
+
+    def now(self):
+        return self._clock.now()
+
+    def monotonic(self):
+        self._clock.advance(0.1)
+        return self._clock.monotonic()
+
+
+async def test_a_rejection_at_start_is_not_tried_again(live, source, clock):
+    source.connects = [SourceRejected("node 'ns=2;s=X' does not exist")]
+    with pytest.raises(SourceRejected, match="does not exist"):
+        await supervise(source, live, clock, asyncio.Event(), QUICK)
+
+
+async def test_a_rejection_later_is_waited_out(live, source, sink, clock):
+    source.connects = [None, SourceRejected("certificate expired"), None]
+    source.script = [as_changes(plant(100)), SourceLost("cut"), as_changes(plant(9, first=100))]
+    await run_until_the_script_ends(source, live, clock)
+    assert sink.published[-2].estimators["RLS"].sample_count == 109
+
+
+async def test_silence_makes_results_bad_once(live, sink, clock):
+    await live.take(as_changes(plant(300)))
+    clock.advance(1.9)
+    await live.tick()
+    assert sink.published[-1].estimators["RLS"].quality is Quality.GOOD
+    clock.advance(0.2)
+    await live.tick()
+    await live.tick()
+    assert [r.estimators["RLS"].quality for r in sink.published] == [Quality.GOOD, Quality.BAD]
+
+
+async def test_a_demand_is_fed_forward_once_per_answer(live, source):
+    await live.take(as_changes(plant(1000)))
+    assert source.written == []
+    live.identification.demand("Valvistor", 50.0, 100.0)
+    await live.take(as_changes(plant(1, seed=2, first=1000)))
+    ((valve, U),) = source.written
+    assert valve == 0
+    assert 0 < U < 100
+    live.identification.freeze("Valvistor", "RLS")
+    await live.take(as_changes(plant(1, seed=3, first=1001)))
+    await live.take(as_changes(plant(1, seed=4, first=1002)))
+    assert len(source.written) <= 2
+
+
+async def test_states_are_kept_at_their_interval(live, store, clock):
+    await live.take(as_changes(plant(100)))
+    await live.tick()
+    assert store.kept == []
+    clock.advance(10.0)
+    await live.tick()
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF"]
+
+
+async def test_a_full_disk_stops_nothing(live, store, clock, sink):
+    def full(_):
+        raise StorageError("state.sqlite: disk full")
+
+    store.save = full
+    clock.advance(10.0)
+    await live.tick()
+    await live.take(as_changes(plant(100)))
+    assert sink.published[-1].estimators["RLS"].sample_count == 100
+    with pytest.raises(StorageError, match="disk full"):
+        live.keep()
+
+
+async def test_at_start_old_states_are_taken_up_and_nothing_is_good_yet(live, store, sink, fresh):
+    before = fresh()
+    before.take_samples(0, plant(300))
+    store.kept = before.checkpoints()
+    await live.start()
+    result = sink.published[-1].estimators["RLS"]
+    assert result.sample_count == 300
+    assert result.quality is not Quality.GOOD
+    assert np.isfinite(result.theta).all()
