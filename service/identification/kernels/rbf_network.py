@@ -1,0 +1,103 @@
+"""Loops of the gradient radial basis network, eqs. (30)-(38), one sample after another."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from service.identification.samples import Codes, Floats
+
+# Elements of ``monitor``.
+COUNT, POWER = range(2)
+MONITORS = 2
+
+# Statuses, as in service.identification.samples.Status.
+OK, WARMING_UP, HELD = 0, 1, 5
+
+LARGEST = 1e3  # beyond it, in units of the ranges, a sample is held off
+WEIGHT_BOUND = 1e3
+CENTRE_BOUND = 1.0  # how far outside the ranges a centre may wander, in ranges
+LOG_WIDTH_BOUNDS = (-3.9, 1.1)  # b from 0.02 to 3 ranges
+FADING = 1e-3
+
+
+@njit(cache=True)
+def update(
+    y: Floats,
+    x: Floats,
+    eta: float,
+    alpha: float,
+    w: Floats,
+    c: Floats,
+    log_b: Floats,
+    dw: Floats,
+    dc: Floats,
+    dlog_b: Floats,
+    monitor: Floats,
+    predicted: Floats,
+    status: Codes,
+) -> None:
+    """Take N samples in; state and output arrays are changed in place.
+
+    The step is eta/(1 + eta·S/(1 - alpha)), S the squared gradient: to first order the error of
+    this very sample then never changes its sign, whatever eta, alpha and the weights are.
+    """
+    m = len(w)
+    low, high = LOG_WIDTH_BOUNDS
+    H = np.empty(m)
+    distance = np.empty(m)
+    for t in range(len(y)):
+        if not (abs(y[t]) < LARGEST and abs(x[t, 0]) < LARGEST and abs(x[t, 1]) < LARGEST):
+            predicted[t] = np.nan
+            status[t] = HELD
+            continue
+        guess = 0.0
+        S = 0.0
+        for j in range(m):
+            r0 = x[t, 0] - c[j, 0]
+            r1 = x[t, 1] - c[j, 1]
+            z = (r0 * r0 + r1 * r1) * math.exp(-2.0 * log_b[j])  # ‖x - c‖²/b²
+            H[j] = math.exp(-0.5 * z)  # eq. (30)
+            distance[j] = z
+            guess += w[j] * H[j]  # eq. (31)
+            g = w[j] * H[j]
+            S += H[j] * H[j] + g * g * z * (z + math.exp(-2.0 * log_b[j]))
+        error = y[t] - guess
+        predicted[t] = guess
+        step = eta * error / (1.0 + eta * S / (1.0 - alpha))
+        for j in range(m):
+            g = w[j] * H[j]  # before the update, as is every gradient here
+            narrow = math.exp(-2.0 * log_b[j])
+            for i in range(2):  # eqs. (37) with H_j, (38) with eta once
+                old = c[j, i]
+                new = old + step * g * (x[t, i] - old) * narrow + alpha * dc[j, i]
+                c[j, i] = min(max(new, -CENTRE_BOUND), 1.0 + CENTRE_BOUND)
+                dc[j, i] = c[j, i] - old
+            old = log_b[j]  # eqs. (35), (36) for log b: b stays positive
+            new = old + step * g * distance[j] + alpha * dlog_b[j]
+            log_b[j] = min(max(new, low), high)
+            dlog_b[j] = log_b[j] - old
+            old = w[j]  # eqs. (33), (34)
+            new = old + step * H[j] + alpha * dw[j]
+            w[j] = min(max(new, -WEIGHT_BOUND), WEIGHT_BOUND)
+            dw[j] = w[j] - old
+        monitor[COUNT] += 1.0
+        monitor[POWER] += max(FADING, 1.0 / monitor[COUNT]) * (error * error - monitor[POWER])
+        status[t] = WARMING_UP if monitor[COUNT] < 4 * m else OK
+
+
+@njit(cache=True)
+def evaluate(
+    x: Floats,
+    w: Floats,
+    c: Floats,
+    log_b: Floats,
+) -> Floats:
+    """Output of the network at N points, eqs. (30), (31)."""
+    mean = np.zeros(len(x))
+    for t in range(len(x)):
+        for j in range(len(w)):
+            r0 = x[t, 0] - c[j, 0]
+            r1 = x[t, 1] - c[j, 1]
+            mean[t] += w[j] * math.exp(-0.5 * (r0 * r0 + r1 * r1) * math.exp(-2.0 * log_b[j]))
+    return mean

@@ -1,0 +1,436 @@
+"""Recursive maximum likelihood, eq. (29): parameters beside a model of coloured noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from service.identification.estimator import State
+from service.identification.kernels import maximum_likelihood as kernel
+from service.identification.model_structures import FiveTerms, Structure
+from service.identification.samples import Codes, Floats, Quality, Samples, Status, Trace
+
+
+@dataclass(frozen=True)
+class MaximumLikelihoodState(State):
+    """Everything that eq. (29) remembers; parameters and P for scaled regressors.
+
+    Attributes
+    ----------
+    theta, D, ceiling : (n,)
+        Parameters; diagonal of P = U·diag(D)·Uᵀ; bounds of P's diagonal.
+    U : (n, n)
+        Unit upper triangular factor of P.
+    rls_theta, rls_D : (s,)
+        Plain RLS on the same regressors without the noise columns, for comparison.
+    rls_U : (s, s)
+        Its factor.
+    raw, filtered : (channels, lags)
+        The last values of output, inputs and residual; the same through 1/D(q).
+    monitor : (11,)
+        Counts, weights and powers, see the kernel.
+    """
+
+    theta: Floats
+    U: Floats
+    D: Floats
+    ceiling: Floats
+    rls_theta: Floats
+    rls_U: Floats
+    rls_D: Floats
+    raw: Floats
+    filtered: Floats
+    monitor: Floats
+
+
+@dataclass(frozen=True)
+class MaximumLikelihood:
+    """Recursive maximum likelihood for a static map whose noise is a moving average.
+
+    Q(t) = Xᵀ(t)·a + v(t) + d1·v(t-1) + … + d_nd·v(t-nd), v white. With
+    h = [X(t), v̂(t-1) … v̂(t-nd)] and h_f = h/D̂(q), the constant column included, eq. (29) reads
+
+        L = P·h_f / (λ + h_fᵀ·P·h_f),  ε = Q - hᵀθ̂(t-1),  θ̂ += L·ε,  P = (P - L·h_fᵀ·P)/λ
+
+    and the noise fed back is the residual *after* the update, v̂ = Q - hᵀθ̂(t) (the printed
+    equation feeds back ε and fails). A step that would make D̂(q) unstable is halved until it does
+    not; λ starts at 0.95 and rises to ``lam``; the prior variance of d is small; forgetting never
+    takes P above where it started. Plain RLS runs beside it, and where RML is worse for long, it
+    starts again from there.
+
+    Attributes
+    ----------
+    structure : Structure
+        The map, linear in its parameters.
+    nd : int
+        Order of the noise model, 0 to 8.
+    lam : float
+        Forgetting factor in (0, 1].
+    p0 : float
+        Prior variance of a parameter in units of the noise variance, for regressors scaled to
+        magnitude 1 over U = 0 … 100 %, dp = 0 … 200 bar.
+    radius : float
+        The roots of D̂(q) stay inside it, in (0, 1).
+
+    References
+    ----------
+    Ljung, Söderström: Theory and Practice of Recursive Identification, 1983. Bierman:
+    Factorization Methods for Discrete Sequential Estimation, 1977.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> U, dp, e = rng.uniform(0, 100, 3000), rng.uniform(0, 200, 3000), rng.normal(size=3001)
+    >>> Q = 0.2 * U * np.sqrt(dp) + e[1:] + 0.8 * e[:-1]
+    >>> samples = Samples.of(t=np.arange(3000), U=U, p1=dp, p2=0 * dp, Q=Q)
+    >>> rml = MaximumLikelihood()
+    >>> state, trace = rml.update(rml.initial_state(), samples)
+    >>> theta, std = rml.parameters(state)
+    >>> dict(zip(rml.parameter_names, theta.round(1).tolist()))["d1"]
+    0.8
+    """
+
+    structure: Structure = field(default_factory=FiveTerms)
+    nd: int = 1
+    lam: float = 1.0
+    p0: float = 1e6
+    radius: float = 0.995
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        _check_settings(self.nd, self.lam, self.p0, self.radius)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The structure's names, then d1 … d_nd."""
+        return self.structure.parameter_names + tuple(f"d{i + 1}" for i in range(self.nd))
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Return the same estimator with another λ; a state fits both."""
+        return replace(self, lam=lam)
+
+    def initial_state(self) -> MaximumLikelihoodState:
+        """Nothing known: theta = 0, P = p0·I for scaled regressors."""
+        return _initial_state(self._orders(), self.p0, self.lam)
+
+    def update(
+        self, state: MaximumLikelihoodState, samples: Samples
+    ) -> tuple[MaximumLikelihoodState, Trace]:
+        """Take N samples in; bad and non-finite ones leave the state untouched."""
+        X, finite = self._scaled_regressors(samples.U, samples.dp, samples.T)
+        good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q) & finite
+        run = _run(samples.Q[good], X[good], None, self._orders(), self.lam, self.radius, state)
+        count = len(samples)
+        predicted = np.full(count, np.nan)
+        residual = np.full(count, np.nan)
+        status = np.full(count, Status.REJECTED, np.uint8)
+        # Far outside what the samples determine, nothing can be said.
+        with np.errstate(invalid="ignore"):
+            predicted[good] = np.where(run.leverage <= kernel.UNDETERMINED, run.predicted, np.nan)
+        residual[good] = samples.Q[good] - predicted[good]
+        status[good] = run.status
+        return run.state, Trace(predicted=predicted, residual=residual, status=status)
+
+    def predict(
+        self, state: MaximumLikelihoodState, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow and its standard deviation, l/min; NaN where the samples do not determine it."""
+        X, finite = self._scaled_regressors(
+            np.ascontiguousarray(U, np.float64),
+            np.ascontiguousarray(dp, np.float64),
+            np.ascontiguousarray(T, np.float64),
+        )
+        X = np.where(finite[:, None], X, 0.0)
+        mean, variance, share = kernel.evaluate(X, state.theta, state.U, state.D, state.ceiling)
+        known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
+        std = np.sqrt(variance) * _noise_std(state)
+        return np.where(known, mean, np.nan), np.where(known, std, np.nan)
+
+    def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations: the structure's in its units, d without unit."""
+        scale = np.append(_scale_of(self.structure), np.ones(self.nd))
+        variance = np.diag(_covariance(state.U, state.D))
+        std = np.sqrt(variance) * _noise_std(state)
+        known = (variance > 0) & (variance <= kernel.UNDETERMINED * state.ceiling)
+        known[len(known) - self.nd :] = variance[len(known) - self.nd :] > 0
+        return state.theta / scale, np.where(known, std / scale, np.nan)
+
+    def root_margin(self, state: MaximumLikelihoodState) -> float:
+        """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""
+        n = len(state.theta)
+        return float(kernel.root_margins(state.theta[None, n - self.nd :])[0])
+
+    def _orders(self) -> NDArray[np.int64]:
+        columns = len(self.structure.parameter_names)
+        return np.array([0] + [1] * columns + [self.nd], dtype=np.int64)
+
+    def _scaled_regressors(
+        self, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Rows over their scale, and which of them are finite."""
+        with np.errstate(all="ignore"):
+            X = self.structure.regressors(U, dp, T) / _scale_of(self.structure)
+        return X, np.isfinite(U) & np.isfinite(dp) & np.isfinite(X).all(axis=1)
+
+
+@dataclass(frozen=True)
+class MaximumLikelihoodResult:
+    """What `recursive_maximum_likelihood` found from N samples.
+
+    Attributes
+    ----------
+    theta : (n,)
+        Final parameters a1 … , b1 … of each input, d1 …
+    theta_history : (N, n)
+        Parameters after each sample.
+    innovations, residuals : (N,)
+        ε = y - hᵀθ̂ before, v̂ = y - hᵀθ̂ after the update; NaN where y is missing.
+    covariance : (n, n)
+        Covariance of theta: the noise variance times P.
+    root_margin : (N,)
+        1 - max|root of D̂(q)| after each sample.
+    status : (N,)
+        :class:`~service.identification.samples.Status`.
+    restarts : int
+        How often the estimate was judged lost, and begun again from plain RLS.
+    """
+
+    theta: Floats
+    theta_history: Floats
+    innovations: Floats
+    residuals: Floats
+    covariance: Floats
+    root_margin: Floats
+    status: Codes
+    restarts: int
+
+
+def recursive_maximum_likelihood(
+    y: ArrayLike,
+    u: ArrayLike,
+    na: int,
+    nb: int | Sequence[int],
+    nd: int,
+    *,
+    lam: float = 1.0,
+    p0: float = 1e4,
+    theta0: ArrayLike | None = None,
+    radius: float = 0.995,
+) -> MaximumLikelihoodResult:
+    """Identify A(q)·y = Σ B_k(q)·u_k + D(q)·v recursively by maximum likelihood, eq. (29).
+
+    A = 1 + a1·q⁻¹ + …, B_k = b1·q⁻¹ + … + b_nb·q⁻ⁿᵇ, D = 1 + d1·q⁻¹ + …; the algorithm is that of
+    :class:`MaximumLikelihood`.
+
+    Parameters
+    ----------
+    y : (N,)
+        Output; a NaN is a missing sample: its prediction takes its place among the lags.
+    u : (N,) or (N, m)
+        Inputs; where one is missing theta is held until it has left the lags.
+    na, nb, nd : int
+        Orders; ``nb`` may be a sequence, one order per input.
+    lam : float
+        Forgetting factor in (0, 1] that the schedule rises to.
+    p0 : float
+        P(0) = p0·I for a and b; for d it is 0.1 over the noise variance.
+    theta0 : (n,), optional
+        Initial parameters; an unstable D is contracted.
+    radius : float
+        The roots of D̂(q) stay inside it, in (0, 1).
+
+    Raises
+    ------
+    ValueError
+        if shapes or orders do not fit.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> u, v, y = rng.choice([-1.0, 1.0], 2000), rng.normal(size=2000), np.zeros(2000)
+    >>> for t in range(1, 2000):
+    ...     y[t] = 0.8 * y[t - 1] + u[t - 1] + v[t] + 0.5 * v[t - 1]
+    >>> recursive_maximum_likelihood(y, u, na=1, nb=1, nd=1).theta.round(1)
+    array([-0.8,  1. ,  0.5])
+    """
+    output = np.ascontiguousarray(y, np.float64)
+    inputs = np.ascontiguousarray(u, np.float64)
+    if inputs.ndim == 1:
+        inputs = inputs[:, None]
+    if output.ndim != 1 or inputs.ndim != 2 or len(inputs) != len(output):
+        raise ValueError(f"y must be (N,) and u (N,) or (N, m), not {output.shape}, {np.shape(u)}")
+    m = inputs.shape[1]
+    lags = [nb] * m if isinstance(nb, int) else list(nb)
+    if len(lags) != m:
+        raise ValueError(f"nb has {len(lags)} orders for {m} inputs")
+    orders = np.array([na, *lags, nd], dtype=np.int64)
+    if (orders < 0).any() or orders.sum() == 0:
+        raise ValueError(f"orders must be >= 0, and one > 0, not na={na}, nb={nb}, nd={nd}")
+    _check_settings(nd, lam, p0, radius)
+
+    state = _initial_state(orders, p0, lam)
+    n = len(state.theta)
+    if theta0 is not None:
+        start = np.array(theta0, np.float64)
+        if start.shape != (n,) or not np.isfinite(start).all():
+            raise ValueError(f"theta0 must be {n} finite numbers, not {start.shape}")
+        start[n - nd :] = _contracted(start[n - nd :], radius)
+        state = replace(state, theta=start, rls_theta=start[: n - nd])
+
+    X, use = _delayed(inputs, max(lags, default=0))
+    use &= np.isfinite(output)
+    history = np.empty((len(output), n))
+    run = _run(output, X, use, orders, lam, radius, state, history)
+    final = run.state
+    variance = _noise_variance(final)
+    return MaximumLikelihoodResult(
+        theta=final.theta,
+        theta_history=history,
+        innovations=output - run.predicted,
+        residuals=run.posterior,
+        covariance=variance * _covariance(final.U, final.D),
+        root_margin=kernel.root_margins(np.ascontiguousarray(history[:, n - nd :])),
+        status=run.status,
+        restarts=int(final.monitor[kernel.RESTARTS]),
+    )
+
+
+@dataclass(frozen=True)
+class _Run:
+    state: MaximumLikelihoodState
+    predicted: Floats
+    posterior: Floats
+    leverage: Floats
+    status: Codes
+
+
+def _run(
+    y: Floats,
+    X: Floats,
+    use: NDArray[np.bool_] | None,
+    orders: NDArray[np.int64],
+    lam: float,
+    radius: float,
+    state: MaximumLikelihoodState,
+    history: Floats | None = None,
+) -> _Run:
+    """Run the kernel on copies of the state's arrays."""
+    after = MaximumLikelihoodState(
+        **{name: np.array(getattr(state, name)) for name in state.__dataclass_fields__}
+    )
+    count = len(y)
+    run = _Run(after, np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.uint8))
+    kernel.update(
+        np.ascontiguousarray(y),
+        np.ascontiguousarray(X),
+        np.ones(count, np.bool_) if use is None else use,
+        orders,
+        float(lam),
+        float(radius),
+        after.ceiling,
+        after.theta,
+        after.U,
+        after.D,
+        after.rls_theta,
+        after.rls_U,
+        after.rls_D,
+        after.raw,
+        after.filtered,
+        after.monitor,
+        run.predicted,
+        run.posterior,
+        run.leverage,
+        run.status,
+        np.empty((0, len(after.theta))) if history is None else history,
+    )
+    return run
+
+
+def _initial_state(orders: NDArray[np.int64], p0: float, lam: float) -> MaximumLikelihoodState:
+    n = int(orders.sum())
+    nd = int(orders[-1])
+    prior = np.append(np.full(n - nd, float(p0)), np.zeros(nd))
+    memory = np.zeros((len(orders), max(1, int(orders.max()), nd)))
+    monitor = np.zeros(kernel.MONITORS)
+    monitor[kernel.LAM] = min(kernel.RAMP_START, lam) if nd > 0 else lam
+    return MaximumLikelihoodState(
+        theta=np.zeros(n),
+        U=np.eye(n),
+        D=prior,
+        ceiling=prior,
+        rls_theta=np.zeros(n - nd),
+        rls_U=np.eye(n - nd),
+        rls_D=prior[: n - nd],
+        raw=memory,
+        filtered=memory,
+        monitor=monitor,
+    )
+
+
+def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Rows u(t-1), gaps filled with the value before; and where no gap is among the lags."""
+    finite = np.isfinite(inputs)
+    rows = np.where(finite, np.arange(len(inputs))[:, None], -1)
+    rows = np.maximum.accumulate(rows, axis=0) if len(rows) else rows
+    filled = np.where(rows >= 0, np.take_along_axis(inputs, np.maximum(rows, 0), axis=0), 0.0)
+    delayed = np.zeros_like(inputs)
+    delayed[1:] = filled[:-1]
+    gaps = np.concatenate([np.zeros(1), np.cumsum(~finite.all(axis=1))])
+    t = np.arange(len(inputs))
+    return delayed, gaps[t] == gaps[np.maximum(t - lags, 0)]
+
+
+def _contracted(d: Floats, radius: float) -> Floats:
+    """D with its roots drawn towards 0 until the largest lies well inside ``radius``."""
+    if kernel.is_stable(d, radius):
+        return d
+    largest = 1.0 - kernel.root_margins(d[None, :])[0]
+    result: Floats = d * (0.9 * radius / largest) ** np.arange(1, len(d) + 1)
+    return result
+
+
+def _scale_of(structure: Structure) -> Floats:
+    """Magnitude of each regressor over the nominal range, as powers of two: exact to divide by."""
+    U, dp, T = (
+        a.ravel()
+        for a in np.meshgrid(
+            np.linspace(0, 100, 6), np.linspace(0, 200, 6), np.array([20.0, 40.0, 60.0])
+        )
+    )
+    rms = np.sqrt(np.mean(structure.regressors(U, dp, T) ** 2, axis=0))
+    scale: Floats = np.exp2(np.round(np.log2(np.where(rms > 0, rms, 1.0))))
+    return scale
+
+
+def _covariance(U: Floats, D: Floats) -> Floats:
+    return (U * D) @ U.T
+
+
+def _noise_variance(state: MaximumLikelihoodState) -> float:
+    """Weighted residual sum of squares over its degrees of freedom; NaN before there are any."""
+    weight, squared = state.monitor[kernel.WEIGHT], state.monitor[kernel.WEIGHT_SQUARED]
+    if weight <= 0:
+        return float("nan")
+    freedom = weight - len(state.theta) * squared / weight
+    return float(state.monitor[kernel.RSS] / freedom) if freedom > 0 else float("nan")
+
+
+def _noise_std(state: MaximumLikelihoodState) -> float:
+    """What sqrt(P) is to be multiplied by; forgetting makes P larger than the covariance."""
+    weight, squared = state.monitor[kernel.WEIGHT], state.monitor[kernel.WEIGHT_SQUARED]
+    if weight <= 0:
+        return float("nan")
+    return float(np.sqrt(_noise_variance(state) * squared / weight))
+
+
+def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:
+    if not 0 <= nd <= 8:
+        raise ValueError(f"nd is {nd}; 0 to 8 is allowed")
+    if not 0 < lam <= 1:
+        raise ValueError(f"lam is {lam}; 0 < lam <= 1 is allowed")
+    if not 0 < p0 <= 1e20:
+        raise ValueError(f"p0 is {p0}; 0 < p0 <= 1e20 is allowed")
+    if not 0 < radius < 1:
+        raise ValueError(f"radius is {radius}; 0 < radius < 1 is allowed")
