@@ -1,11 +1,22 @@
 """How the flow map depends on its parameters: Q = X(U, dp, T)ᵀ·theta."""
 
+import math
+import re
+from collections import Counter
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from functools import cached_property
+from itertools import product
+from typing import Final, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from service.errors import ConfigurationError
+from service.identification.kernels import polynomial, spline
 from service.identification.samples import Floats
+
+WALTHER_SHIFT: Final = 0.7
+KELVIN: Final = 273.15
 
 
 class Structure(Protocol):
@@ -33,7 +44,96 @@ class StructureWithPrior(Structure, Protocol):
 
 
 @dataclass(frozen=True)
-class FiveTerms:
+class Polynomial:
+    """Any sum of products of powers: Q = Σ theta_j · term_j (eqs. (7), (9)).
+
+    Attributes
+    ----------
+    terms
+        Each a product like ``"1"``, ``"U"``, ``"U^2*s"``, ``"dp*nu^-1"`` of the factors U (%),
+        s = sign(dp)·√|dp| (√bar), ``|s|``, dp (bar), ``|dp|``, T (°C) and nu, the oil's kinematic
+        viscosity at T (mm²/s, Walther's equation, ASTM D341).
+    names
+        Names of the parameters; the terms themselves where none are given.
+    viscosity_40, viscosity_100
+        The oil's viscosity at 40 °C and 100 °C, mm²/s; VG 46 if not told otherwise.
+
+    Raises
+    ------
+    ConfigurationError
+        if a term cannot be read or stands there twice.
+
+    Examples
+    --------
+    >>> laminar_too = Polynomial(terms=("s", "U*s", "dp*nu^-1"))
+    >>> laminar_too.regressors(np.array([50.0]), np.array([100.0]), np.array([40.0])).round(3)
+    array([[ 10.   , 500.   ,   2.174]])
+    """
+
+    terms: tuple[str, ...]
+    names: tuple[str, ...] = ()
+    viscosity_40: float = 46.0
+    viscosity_100: float = 6.8
+
+    def __post_init__(self) -> None:
+        if not self.terms:
+            raise ConfigurationError("polynomial: no terms; give one at least, e.g. U*s")
+        twice = [key for key, count in Counter(map(_exponents, self.terms)).items() if count > 1]
+        if twice:
+            same = ", ".join(term for term in self.terms if _exponents(term) == twice[0])
+            raise ConfigurationError(f"polynomial: terms {same} are the same")
+        if self.names and len(self.names) != len(self.terms):
+            raise ConfigurationError(
+                f"polynomial: {len(self.names)} names for {len(self.terms)} terms"
+            )
+        if not self.viscosity_40 > self.viscosity_100 > WALTHER_SHIFT:
+            raise ConfigurationError(
+                f"polynomial: viscosity_40 = {self.viscosity_40} and viscosity_100 = "
+                f"{self.viscosity_100}; viscosity_40 > viscosity_100 > 0.7 mm²/s is allowed"
+            )
+
+    @classmethod
+    def of_order(cls, order: int) -> Self:
+        """All products U^i·s^j with i + j <= order.
+
+        >>> Polynomial.of_order(2).terms
+        ('1', 's', 's^2', 'U', 'U*s', 'U^2')
+        """
+        powers = [(i, j) for i, j in product(range(order + 1), repeat=2) if i + j <= order]
+        return cls(terms=tuple(_spell({"U": i, "s": j}) for i, j in powers))
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names, or else the terms."""
+        return self.names or self.terms
+
+    @property
+    def order_in_U(self) -> int:
+        """Highest power of U."""
+        return int(self._table[:, 0].max())
+
+    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Rows (N, n): the terms at N points."""
+        return np.asarray(polynomial.products(U, dp, T, self._table, self._walther))
+
+    @cached_property
+    def _table(self) -> NDArray[np.int64]:
+        return np.array([_exponents(term) for term in self.terms], np.int64)
+
+    @cached_property
+    def _walther(self) -> tuple[float, float]:
+        """Make a and b of lg lg(nu + 0.7) = a - b·lg(T in K) from the two viscosities."""
+        at_40, at_100 = (
+            math.log10(math.log10(nu + WALTHER_SHIFT))
+            for nu in (self.viscosity_40, self.viscosity_100)
+        )
+        lg_40, lg_100 = math.log10(40.0 + KELVIN), math.log10(100.0 + KELVIN)
+        b = (at_40 - at_100) / (lg_100 - lg_40)
+        return at_40 + b * lg_40, b
+
+
+@dataclass(frozen=True)
+class FiveTerms(Polynomial):
     """The paper's structure, eq. (7): Q = a1 + a2·U + a3·s + a4·U·s + a5·s·|s|, s = √dp.
 
     With s = sign(dp)·√|dp| (√bar) the flow may change its direction; a5·s·|s| is a5·dp.
@@ -44,13 +144,169 @@ class FiveTerms:
     array([[  1.,  50.,  10., 500., 100.]])
     """
 
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The paper's names."""
-        return ("a1", "a2", "a3", "a4", "a5")
+    terms: tuple[str, ...] = ("1", "U", "s", "U*s", "dp")
+    names: tuple[str, ...] = ("a1", "a2", "a3", "a4", "a5")
 
-    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:  # noqa: ARG002
-        """Rows [1, U, s, U·s, s·|s|] of shape (N, 5)."""
-        with np.errstate(all="ignore"):
-            s = np.copysign(np.sqrt(np.abs(dp)), dp)
-            return np.stack([np.ones_like(U), U, s, U * s, dp], axis=1)
+
+@dataclass(frozen=True)
+class TensorSpline:
+    """Tensor product of cubic B-splines over (U, s[, T]): the paper's "partition for local area".
+
+    Q = Σ theta_ij · B_i(U) · B_j(s), s = sign(dp)·√|dp|; at most 16 of the products are not zero
+    at a point, so a sample teaches its own neighbourhood alone. With nodes in T every theta_ij is
+    interpolated linearly between them. Outside the breaks the map runs on along its tangent.
+
+    theta_ij is close to Q at its own site (the Greville point), which gives it its name. The
+    prior draws it to the straight line between its neighbours, with the weight of ``smoothness²``
+    samples: nothing where there are data, a sane continuation where there are none.
+
+    Attributes
+    ----------
+    U, s
+        Breaks between the cells, in % and √bar, ascending; one that stands there twice or three
+        times lets the curvature or the slope jump.
+    T
+        Nodes in °C; none: the map does not depend on T.
+    smoothness
+        Root of the prior's weight, in samples.
+    at_rest
+        ``"zero"`` holds Q at the first break of s at nought (Q(dp = 0) = 0): these theta are left
+        out.
+
+    Raises
+    ------
+    ConfigurationError
+        if breaks or nodes do not ascend, or are too few.
+
+    References
+    ----------
+    C. de Boor, A Practical Guide to Splines, 2001. P. Eilers, B. Marx, Flexible smoothing with
+    B-splines and penalties, Statistical Science 11 (1996) 89-121.
+
+    Examples
+    --------
+    >>> structure = TensorSpline.uniform(6, 4)
+    >>> len(structure.parameter_names), structure.parameter_names[0]
+    (63, 'Q(0%,0bar)')
+    >>> rows = structure.regressors(np.array([50.0]), np.array([100.0]), np.array([40.0]))
+    >>> rows.shape, int(np.count_nonzero(rows)), round(float(rows.sum()), 12)
+    ((1, 63), 12, 1.0)
+    """
+
+    U: tuple[float, ...]
+    s: tuple[float, ...]
+    T: tuple[float, ...] = ()
+    smoothness: float = 0.03
+    at_rest: Literal["free", "zero"] = "free"
+
+    def __post_init__(self) -> None:
+        _check_breaks("U", self.U)
+        _check_breaks("s", self.s)
+        if list(self.T) != sorted(set(self.T)) or len(self.T) == 1:
+            raise ConfigurationError(f"spline: T = {self.T}; two or more ascending nodes, or none")
+
+    @classmethod
+    def uniform(
+        cls, cells_U: int = 6, cells_s: int = 4, dp_max: float = 200.0, T: tuple[float, ...] = ()
+    ) -> Self:
+        """Equal cells over U in [0, 100] % and s in [0, √dp_max]: (cells + 3) functions each."""
+        U, s = np.linspace(0, 100, cells_U + 1), np.linspace(0, math.sqrt(dp_max), cells_s + 1)
+        return cls(tuple(U.tolist()), tuple(s.tolist()), T)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Each parameter's own site."""
+        at_T = [f",{node:.4g}°C" for node in self.T] or [""]
+        return tuple(
+            f"Q({U:.4g}%,{s * abs(s):.4g}bar{T})" for U, s, T in product(*self.sites, at_T)
+        )
+
+    @cached_property
+    def knots(self) -> tuple[Floats, Floats]:
+        """Clamped knots in U and s: the ends four times."""
+        U, s = (np.array([*[x[0]] * 3, *x, *[x[-1]] * 3], np.float64) for x in (self.U, self.s))
+        return U, s
+
+    @cached_property
+    def sites(self) -> tuple[Floats, Floats]:
+        """Greville points of the functions in U and s: the means of three inner knots."""
+        U, s = ((k[1:-3] + k[2:-2] + k[3:-1]) / 3.0 for k in self.knots)
+        return U, s[self._without :]
+
+    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Rows (N, n) with at most 16 (with T: 32) elements that are not zero."""
+        knots_U, knots_s = self.knots
+        nodes = np.array(self.T, np.float64)
+        return np.asarray(spline.tensor_rows(U, dp, T, knots_U, knots_s, nodes, self._without))
+
+    def prior(self) -> tuple[Floats, Floats]:
+        """Rows that ask each theta to lie on the line between its neighbours; values 0."""
+        sites_U, sites_s = self.sites
+        n_T = max(1, len(self.T))
+        one_U, one_s, one_T = np.eye(len(sites_U)), np.eye(len(sites_s)), np.eye(n_T)
+        anchor = sites_s if self.at_rest == "free" else np.concatenate([[self.s[0]], sites_s])
+        bend_s = _bends(anchor, self.s)[:, self._without :]
+        rows = np.concatenate(
+            [
+                np.kron(np.kron(_bends(sites_U, self.U), one_s), one_T),
+                np.kron(np.kron(one_U, bend_s), one_T),
+                np.kron(np.kron(one_U, one_s), np.diff(one_T, axis=0)),
+            ]
+        )
+        return self.smoothness * rows, np.zeros(len(rows))
+
+    @property
+    def _without(self) -> int:
+        return int(self.at_rest == "zero")
+
+
+_FACTOR = re.compile(r"(U|s|\|s\||dp|\|dp\||T|nu)(?:\^(-?\d{1,2}))?")
+
+
+def _exponents(term: str) -> tuple[int, ...]:
+    """Read a term: the exponents of U, s, |s|, dp, |dp|, T, nu."""
+    exponents = dict.fromkeys(polynomial.FACTORS, 0)
+    for factor in [] if term == "1" else term.replace(" ", "").split("*"):
+        match = _FACTOR.fullmatch(factor)
+        if match is None:
+            allowed = ", ".join(polynomial.FACTORS)
+            raise ConfigurationError(
+                f"polynomial: term {term!r}: {factor!r} is none of 1, {allowed} or a power like U^2"
+            )
+        exponents[match[1]] += int(match[2] or 1)
+    return tuple(exponents.values())
+
+
+def _spell(powers: dict[str, int]) -> str:
+    spelt = [name if k == 1 else f"{name}^{k}" for name, k in powers.items() if k]
+    return "*".join(spelt) or "1"
+
+
+def _check_breaks(name: str, breaks: tuple[float, ...]) -> None:
+    inner = Counter(breaks[1:-1])
+    if (
+        len(breaks) < 2
+        or not all(map(math.isfinite, breaks))
+        or list(breaks) != sorted(breaks)
+        or {breaks[0], breaks[-1]} & set(inner)
+        or max(inner.values(), default=0) > 3
+    ):
+        raise ConfigurationError(
+            f"spline: {name} = {breaks}; two or more ascending breaks are allowed, an inner one up "
+            "to three times"
+        )
+
+
+def _bends(sites: Floats, breaks: tuple[float, ...]) -> Floats:
+    """Rows (n - 2, n): how far each value lies off the line between its neighbours.
+
+    A site on a threefold break is free to be a kink: its row is nought.
+    """
+    left, right = np.diff(sites)[:-1], np.diff(sites)[1:]
+    rows = np.zeros((len(sites) - 2, len(sites)))
+    every = np.arange(len(sites) - 2)
+    rows[every, every] = -right / (left + right)
+    rows[every, every + 1] = 1.0
+    rows[every, every + 2] = -left / (left + right)
+    rows[[breaks.count(site) == 3 for site in sites[1:-1]]] = 0.0
+    return rows

@@ -1,0 +1,45 @@
+"""Products of powers, point by point in fixed order."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from service.identification.samples import Floats
+
+FACTORS = ("U", "s", "|s|", "dp", "|dp|", "T", "nu")
+
+
+@njit(cache=True, error_model="numpy")
+def products(
+    U: Floats, dp: Floats, T: Floats, exponents: np.ndarray, walther: tuple[float, float]
+) -> Floats:
+    """Rows (N, n): for each term the product of its :data:`FACTORS` to its ``exponents`` (n, 7)."""
+    rows = np.ones((len(U), len(exponents)))
+    factor = np.empty(7)
+    for i in range(len(U)):
+        factor[0] = U[i]
+        factor[2] = math.sqrt(abs(dp[i]))
+        factor[1] = math.copysign(factor[2], dp[i])
+        factor[3] = dp[i]
+        factor[4] = abs(dp[i])
+        factor[5] = T[i]
+        factor[6] = _viscosity(T[i], walther)
+        for j in range(len(exponents)):
+            product = 1.0
+            for k in range(7):
+                exponent = exponents[j, k]
+                for _ in range(abs(exponent)):
+                    product = product * factor[k] if exponent > 0 else product / factor[k]
+            rows[i, j] = product
+    return rows
+
+
+@njit(cache=True, error_model="numpy")
+def _viscosity(T: float, walther: tuple[float, float]) -> float:
+    """Kinematic viscosity in mm²/s, ASTM D341: lg lg(nu + 0.7) = a - b·lg(T in K)."""
+    a, b = walther
+    if not -200.0 < T < 1000.0:
+        return math.nan
+    nu: float = 10.0 ** (10.0 ** (a - b * math.log10(T + 273.15))) - 0.7
+    return nu
