@@ -38,10 +38,10 @@ class ArrowReader:
     def __init__(
         self,
         path: Path,
-        file: Any,
         schema: pa.Schema,
         batches: Iterable[pa.RecordBatch],
         total: int,
+        close: Callable[[], None],
     ) -> None:
         _check(schema, path)
         self.ignored = tuple(name for name in schema.names if name not in columns.COLUMNS)
