@@ -1,1 +1,5 @@
 """Estimators and maps: pure functions on arrays, no I/O, no clock, no logging."""
+
+from service.identification.recursive_least_squares import recursive_least_squares
+
+__all__ = ["recursive_least_squares"]

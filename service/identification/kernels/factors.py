@@ -1,0 +1,199 @@
+"""Rank-one steps on triangular factors: information R (QR) and covariance U·D·Uᵀ.
+
+Both forms are invariant to the units of the regressors (a power of two in a column of X changes no
+digit of the others), so they hold physical units and need no scaled copy. Neither can become
+asymmetric or indefinite. All loops run in a fixed order: the same samples give the same bits.
+"""
+
+import numpy as np
+from numba import njit
+
+from service.identification.samples import Floats
+
+EPSILON = 2.0**-52
+ESTIMABLE = 1e-8  # part of a column's scale that may lie outside the known directions
+
+
+@njit(cache=True, error_model="numpy")
+def rotate_in(
+    R: Floats, z: Floats, x: Floats, y: float, lam: float, scale: Floats, count: int
+) -> float:
+    """One row into the triangle by Givens rotations: RᵀR ← lam·RᵀR + x·xᵀ, Rᵀz ← lam·Rᵀz + x·y.
+
+    Exact from R = 0 on: that is P₀ = ∞. An empty row is a direction that no sample has shown; it
+    stays empty if only rounding is left of x there, which after ``count`` samples is up to about
+    count·eps of the column's ``scale``.
+
+    x is destroyed. Returns what R and z leave of y, whose square adds to the sum of squares.
+    """
+    n = len(x)
+    root = np.sqrt(lam)
+    tolerance = 8.0 * EPSILON * (count + n)
+    for i in range(n):
+        if R[i, i] == 0.0 and abs(x[i]) <= tolerance * scale[i]:
+            continue
+        a = root * R[i, i]
+        h = np.hypot(a, x[i])
+        c, s = a / h, x[i] / h
+        R[i, i] = h
+        for j in range(i + 1, n):
+            a = root * R[i, j]
+            R[i, j] = c * a + s * x[j]
+            x[j] = c * x[j] - s * a
+        a = root * z[i]
+        z[i] = c * a + s * y
+        y = c * y - s * a
+    return y
+
+
+@njit(cache=True, error_model="numpy")
+def is_regular(R: Floats) -> bool:
+    """Whether the samples in R determine theta."""
+    regular = True
+    for i in range(len(R)):
+        regular = regular and R[i, i] != 0.0
+    return regular
+
+
+@njit(cache=True, error_model="numpy")
+def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
+    """Theta of R·theta = z; a direction without samples gets 0."""
+    for i in range(len(z) - 1, -1, -1):
+        total = z[i]
+        for j in range(i + 1, len(z)):
+            total -= R[i, j] * theta[j]
+        theta[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def is_estimable(R: Floats, x: Floats, scale: Floats) -> bool:
+    """Whether the samples in R fix xᵀtheta; x is destroyed."""
+    n = len(x)
+    for i in range(n):
+        if R[i, i] != 0.0:
+            w = x[i] / R[i, i]
+            for j in range(i + 1, n):
+                x[j] -= w * R[i, j]
+        elif abs(x[i]) > ESTIMABLE * scale[i]:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def invert_triangle(R: Floats, ut: Floats) -> None:
+    """U and D of P = (RᵀR)⁻¹ = U·D·Uᵀ, written over ``ut`` as below."""
+    n = len(R)
+    for j in range(n):
+        ut[j, j] = 1.0
+        for i in range(j - 1, -1, -1):
+            total = 0.0
+            for k in range(i + 1, j + 1):
+                total -= R[i, k] * ut[j, k]
+            ut[j, i] = total / R[i, i]
+    for j in range(n):
+        ut[j, j] = 1.0 / (R[j, j] * R[j, j])
+        for i in range(j + 1, n):
+            ut[j, i] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def project(ut: Floats, x: Floats, f: Floats, Px: Floats) -> float:
+    """F = Uᵀx and P·x, and xᵀ·P·x.
+
+    ``ut`` holds the transposed factor: ut[j, i] = U[i, j] for i < j, and D on the diagonal.
+    """
+    n = len(x)
+    r = 0.0
+    for j in range(n):
+        total = x[j]
+        for i in range(j):
+            total += ut[j, i] * x[i]
+        f[j] = total
+        v = ut[j, j] * total
+        r += total * v
+        Px[j] = v
+        for i in range(j):
+            Px[i] += ut[j, i] * v
+    return r
+
+
+@njit(cache=True, error_model="numpy")
+def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, growth: float) -> None:
+    """P ← growth·(P - weight·P·x·xᵀ·P / (alpha + weight·xᵀ·P·x)), Bierman's recursion.
+
+    ``f`` = Uᵀx. A negative weight takes information away; D stays positive as long as
+    alpha + weight·xᵀPx > 0. ``k`` is scratch.
+    """
+    n = len(f)
+    inverse = 1.0 / alpha
+    for j in range(n):
+        v = ut[j, j] * f[j]
+        step = -weight * f[j] * inverse
+        alpha_next = alpha + weight * f[j] * v
+        inverse = 1.0 / alpha_next
+        ut[j, j] *= growth * alpha * inverse
+        alpha = alpha_next
+        for i in range(j):
+            u = ut[j, i]
+            ut[j, i] = u + step * k[i]
+            k[i] += u * v
+        k[j] = v
+
+
+@njit(cache=True, error_model="numpy")
+def add_rank_one(ut: Floats, x: Floats, weight: float) -> None:
+    """P ← P + weight·x·xᵀ for weight ≥ 0, Agee and Turner's recursion; x is destroyed."""
+    for j in range(len(x) - 1, -1, -1):
+        d = ut[j, j]
+        d_next = d + weight * x[j] * x[j]
+        ut[j, j] = d_next
+        step = weight * x[j] / d_next
+        for i in range(j):
+            x[i] -= x[j] * ut[j, i]
+            ut[j, i] += step * x[i]
+        weight *= d / d_next
+
+
+@njit(cache=True, error_model="numpy")
+def information_along(ut: Floats, x: Floats, w: Floats) -> float:
+    """Xᵀ·P⁻¹·x; ``w`` is scratch."""
+    n = len(x)
+    for i in range(n):
+        w[i] = x[i]
+    total = 0.0
+    for j in range(n - 1, -1, -1):
+        for i in range(j):
+            w[i] -= ut[j, i] * w[j]
+        total += w[j] * w[j] / ut[j, j]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def scaled_trace(ut: Floats, scale: Floats) -> float:
+    """Trace of P in units of the columns' scales."""
+    n = len(scale)
+    total = 0.0
+    for j in range(n):
+        squares = scale[j] * scale[j]
+        for i in range(j):
+            u = ut[j, i] * scale[i]
+            squares += u * u
+        total += ut[j, j] * squares
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def covariance(ut: Floats) -> Floats:
+    """P itself, one triangle computed and mirrored."""
+    n = len(ut)
+    P = np.empty((n, n))
+    for i in range(n):
+        for k in range(i, n):
+            total = 0.0
+            for j in range(k, n):
+                left = ut[j, i] if i < j else 1.0
+                right = ut[j, k] if k < j else 1.0
+                total += left * ut[j, j] * right
+            P[i, k] = total
+            P[k, i] = total
+    return P

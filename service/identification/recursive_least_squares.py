@@ -1,0 +1,302 @@
+"""Recursive least squares with forgetting, eqs. (17)-(28), in exact and bounded arithmetic."""
+
+from dataclasses import dataclass, replace
+from typing import Self, assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from service.identification.estimator import State
+from service.identification.forgetting import Directional, Exponential, Forgetting, with_lam
+from service.identification.kernels import recursion
+from service.identification.kernels.factors import covariance, rotate_in
+from service.identification.kernels.recursion import Counts, Memory, Rule
+from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
+from service.identification.samples import Codes, Floats, Quality, Samples, Trace
+
+
+@dataclass(frozen=True)
+class RlsState(State):
+    """What recursive least squares knows.
+
+    Attributes
+    ----------
+    theta : (n,)
+        Parameters; where the samples leave a direction open, its parameter is 0.
+    factor : (n, n)
+        Until theta is determined the triangle R with RᵀR = P⁻¹; from then on Uᵀ with D on its
+        diagonal, P = U·D·Uᵀ.
+    rhs : (n,)
+        z of R·theta = z; unused once theta is determined.
+    spread : (n, n)
+        Lower triangle of the covariance of theta over σ²; unused with λ = 1, where it is P.
+    scale : (n,)
+        Largest |Xⱼ| so far: thresholds are in its units.
+    noise : (3,)
+        Weight and value of the estimate of σ², trace of P in units of the scales.
+    counters : (2,)
+        Samples used; 1 once theta is determined.
+    """
+
+    theta: Floats
+    factor: Floats
+    rhs: Floats
+    spread: Floats
+    scale: Floats
+    noise: Floats
+    counters: Counts
+
+
+@dataclass(frozen=True)
+class RecursiveLeastSquares:
+    """Recursive least squares for any structure that is linear in its parameters.
+
+    ::
+
+        e(t)     = Q(t) - Xᵀ(t)·theta(t-1)                  innovation, l/min
+        L(t)     = P(t-1)·X(t) / (λ + Xᵀ(t)·P(t-1)·X(t))    eq. (28)
+        theta(t) = theta(t-1) + L(t)·e(t)
+        P(t)     = as `forgetting` says; exponential: (P(t-1) - L(t)·Xᵀ(t)·P(t-1))/λ
+
+    With ``p0`` = ∞ the start is exact: at λ = 1 theta equals batch least squares, eq. (16), as soon
+    as the samples determine it. Until then the status is WARMING_UP, and a sample is predicted if
+    the earlier ones fix Xᵀ·theta (NaN if not). P is kept as a triangular factor, so it is never
+    asymmetric or indefinite.
+
+    Parameters
+    ----------
+    structure
+        Which regressors X(U, dp, T) the flow is linear in.
+    forgetting
+        A rule of :mod:`service.identification.forgetting`.
+    p0
+        P(0) = p0·I in physical units, > 0; a finite one is ridge regression, not eq. (16).
+
+    Examples
+    --------
+    >>> from service.identification.samples import Samples
+    >>> U, dp = np.meshgrid([10.0, 50.0, 90.0], [25.0, 100.0, 196.0])
+    >>> theta = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
+    >>> X = FiveTerms().regressors(U.ravel(), dp.ravel(), dp.ravel())
+    >>> samples = Samples.of(range(9), U.ravel(), dp.ravel(), np.zeros(9), X @ theta)
+    >>> rls = RecursiveLeastSquares()
+    >>> state, trace = rls.update(rls.initial_state(), samples)
+    >>> rls.parameters(state)[0].round(6)
+    array([ 1.  ,  0.02,  0.3 ,  0.12, -0.01])
+    """
+
+    structure: Structure = FiveTerms()  # noqa: RUF009 - frozen
+    forgetting: Forgetting = Exponential(lam=1.0)  # noqa: RUF009 - frozen
+    p0: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.p0 > 0.0:
+            raise ValueError(f"p0 = {self.p0!r} is not positive")
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta's elements."""
+        return self.structure.parameter_names
+
+    @property
+    def lam(self) -> float:
+        """Forgetting factor λ."""
+        return self.forgetting.lam
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Use another λ in the same rule; states may be carried over.
+
+        Raises
+        ------
+        ValueError
+            if λ is not in (0, 1].
+        """
+        return replace(self, forgetting=with_lam(self.forgetting, lam))
+
+    def initial_state(self) -> RlsState:
+        """State before the first sample."""
+        prior = self.structure.prior() if isinstance(self.structure, StructureWithPrior) else None
+        return initial_state(len(self.parameter_names), self.p0, prior)
+
+    def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
+        """Take N samples in, one after another."""
+        X = self.structure.regressors(samples.U, samples.dp, samples.T)
+        usable = (samples.quality != Quality.BAD).astype(np.uint8)
+        state, trace, _ = _update(state, X, samples.Q, usable, self.forgetting, keep_history=False)
+        return state, trace
+
+    def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min; NaN if unknown."""
+        return predict(state, self.structure.regressors(U, dp, T), self.forgetting)
+
+    def parameters(self, state: RlsState) -> tuple[Floats, Floats]:
+        """Theta (n,) and its standard deviations (n,), NaN while not determined."""
+        theta = state.theta.copy()
+        if not state.counters[recursion.DETERMINED]:
+            values, _ = predict(state, np.eye(len(theta)), self.forgetting)
+            theta[np.isnan(values)] = np.nan
+        return theta, np.sqrt(np.diag(parameter_covariance(state, self.forgetting)))
+
+
+@dataclass(frozen=True)
+class RlsResult:
+    """Result of :func:`recursive_least_squares` over N samples with n regressors.
+
+    Attributes
+    ----------
+    theta : (n,)
+        Parameters after the last sample.
+    theta_history : (N, n)
+        Parameters after each sample; open directions are 0.
+    innovations : (N,)
+        y - Xᵀtheta before each sample; NaN where the samples before do not fix Xᵀtheta.
+    covariance : (n, n)
+        Covariance of theta (σ² estimated from the innovations); NaN while not determined.
+    status : (N,)
+        :class:`~service.identification.samples.Status`.
+    """
+
+    theta: Floats
+    theta_history: Floats
+    innovations: Floats
+    covariance: Floats
+    status: Codes
+
+
+def recursive_least_squares(
+    X: ArrayLike, y: ArrayLike, forgetting: float | Forgetting = 1.0, p0: float = np.inf
+) -> RlsResult:
+    """Recursive least squares over arrays, one sample after another.
+
+    Parameters
+    ----------
+    X : (N, n)
+        Regressors.
+    y : (N,)
+        Output.
+    forgetting
+        λ of exponential forgetting, or a rule of :mod:`service.identification.forgetting`.
+    p0
+        P(0) = p0·I; infinite: exact least squares from the first samples on.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit, or λ or p0 is out of range.
+
+    Examples
+    --------
+    >>> recursive_least_squares([[1, 0], [1, 1], [1, 2], [1, 3]], [1, 3, 5, 7]).theta.round(9)
+    array([1., 2.])
+    """
+    regressors = np.ascontiguousarray(X, dtype=np.float64)
+    output = np.ascontiguousarray(y, dtype=np.float64)
+    if regressors.ndim != 2 or output.shape != regressors.shape[:1]:
+        raise ValueError(
+            f"X {regressors.shape} and y {output.shape} do not fit: (N, n) and (N,) are wanted"
+        )
+    rule = Exponential(float(forgetting)) if isinstance(forgetting, int | float) else forgetting
+    if not p0 > 0.0:
+        raise ValueError(f"p0 = {p0!r} is not positive")
+    usable = np.ones(len(output), np.uint8)
+    state = initial_state(regressors.shape[1], p0)
+    state, trace, history = _update(state, regressors, output, usable, rule, keep_history=True)
+    return RlsResult(
+        theta=state.theta,
+        theta_history=history,
+        innovations=trace.residual,
+        covariance=parameter_covariance(state, rule),
+        status=trace.status,
+    )
+
+
+def initial_state(
+    n: int, p0: float = np.inf, prior: tuple[Floats, Floats] | None = None
+) -> RlsState:
+    """State of n parameters before the first sample; ``prior``: rows (R, n) and values (R,)."""
+    memory = Memory(
+        theta=np.zeros(n),
+        factor=np.eye(n) / np.sqrt(p0),
+        rhs=np.zeros(n),
+        spread=np.zeros((n, n)),
+        scale=np.zeros(n),
+        noise=np.zeros(recursion.PLACES_OF_NOISE),
+        counters=np.zeros(recursion.PLACES_OF_COUNTERS, np.int64),
+    )
+    if prior is not None:
+        rows, values = prior
+        np.max(np.abs(rows), axis=0, initial=0.0, out=memory.scale)
+        for i, (row, value) in enumerate(zip(rows, values, strict=True)):
+            rotate_in(memory.factor, memory.rhs, row.copy(), value, 1.0, memory.scale, i)
+    recursion.determine(memory)
+    return RlsState(**memory._asdict())
+
+
+def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats, Floats]:
+    """Xᵀ·theta (N,) at N rows of X and its standard deviation (N,); NaN if unknown."""
+    values, variances = np.empty(len(X)), np.empty(len(X))
+    memory = _memory(replace(state, spread=np.tril(_spread(state, forgetting))))
+    recursion.evaluate(memory, np.ascontiguousarray(X, np.float64), values, variances)
+    return values, np.sqrt(variances * _noise_variance(state))
+
+
+def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
+    """Covariance of theta (n, n): σ² from the innovations; NaN while not determined."""
+    spread = _spread(state, forgetting)
+    if not state.counters[recursion.DETERMINED]:
+        spread = np.full_like(spread, np.nan)
+    return spread * _noise_variance(state)
+
+
+def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
+    """Covariance of theta over σ²."""
+    if state.counters[recursion.DETERMINED] and forgetting == Exponential(1.0):
+        return np.asarray(covariance(state.factor))
+    return np.asarray(state.spread + np.tril(state.spread, -1).T)
+
+
+def _noise_variance(state: RlsState) -> float:
+    """σ² (NaN before the first innovation)."""
+    return float(state.noise[recursion.VARIANCE]) if state.noise[recursion.WEIGHT] else np.nan
+
+
+def _update(
+    state: RlsState,
+    X: Floats,
+    y: Floats,
+    usable: Codes,
+    forgetting: Forgetting,
+    *,
+    keep_history: bool,
+) -> tuple[RlsState, Trace, Floats]:
+    N, n = X.shape
+    memory = _memory(state)
+    trace = Trace(predicted=np.empty(N), residual=np.empty(N), status=np.empty(N, np.uint8))
+    history = np.empty((N if keep_history else 0, n))
+    recursion.run(
+        memory,
+        _rule(forgetting),
+        np.ascontiguousarray(X),
+        y,
+        usable,
+        trace.predicted,
+        trace.residual,
+        trace.status,
+        history,
+    )
+    return RlsState(**memory._asdict()), trace, history
+
+
+def _memory(state: RlsState) -> Memory:
+    """Copies that a kernel may write into."""
+    return Memory(*(np.array(getattr(state, name)) for name in Memory._fields))
+
+
+def _rule(forgetting: Forgetting) -> Rule:
+    match forgetting:
+        case Exponential(lam):
+            return Rule(recursion.EXPONENTIAL, lam)
+        case Directional(lam):
+            return Rule(recursion.DIRECTIONAL, lam)
+        case _:
+            assert_never(forgetting)
