@@ -1,0 +1,241 @@
+"""What the results server shows: every node with its name, type, unit, range and meaning.
+
+The identifiers and paths are a contract with every client and never change::
+
+    Objects/Identification/<Valve>/<Estimator>/…     s=<Valve>.<Estimator>.<Variable>
+    Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
+    Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from asyncua import ua
+
+from service.errors import ConfigurationError
+from service.identification.inversion import InverseStatus
+from service.identification.samples import Status
+from service.opcua.hardened import Unit
+from service.streaming.ports import EstimatorDescription, ValveDescription
+
+NAMESPACE = "urn:valvemap:service"
+ROOT = "Identification"
+INVERSE = "Inverse"
+DIAGNOSTICS = "Diagnostics"
+
+U_RANGE = (0.0, 100.0)
+
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
+_Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class VariableNode:
+    """One variable.
+
+    ``id`` is the string identifier; ``dimensions`` is None for a scalar, else the length of each
+    dimension (0 = any); ``statuses`` is the enumeration that an Int32 stands for.
+    """
+
+    id: str
+    description: str
+    kind: ua.VariantType = ua.VariantType.Double
+    unit: Unit | None = None
+    range: _Range | None = None
+    dimensions: tuple[int, ...] | None = None
+    statuses: type[Status] | type[InverseStatus] | None = None
+    writable: bool = False
+
+    @property
+    def enum_strings(self) -> tuple[str, ...] | None:
+        """Names of the values 0, 1, …."""
+        return None if self.statuses is None else tuple(member.name for member in self.statuses)
+
+
+def check_names(valves: Sequence[ValveDescription]) -> None:
+    """See to it that every NodeId is unique and every path is what the contract says.
+
+    Raises
+    ------
+    ConfigurationError
+        naming valve or estimator.
+    """
+    _check_unique("valve", [valve.name for valve in valves], {ROOT})
+    for valve in valves:
+        names = [estimator.name for estimator in valve.estimators]
+        _check_unique(f"valve {valve.name}: estimator", names, {INVERSE, DIAGNOSTICS})
+
+
+def estimator_variables(
+    valve: ValveDescription, estimator: EstimatorDescription
+) -> tuple[VariableNode, ...]:
+    """What is shown of one estimator on one valve."""
+    prefix = f"{valve.name}.{estimator.name}"
+    _, Q_max = valve.Q_range
+    litres, doubles = Unit.LITRE_PER_MINUTE, ua.VariantType.Double
+    return (
+        VariableNode(
+            f"{prefix}.ParameterVector",
+            "The parameters θ of the flow map after the newest sample, in physical units "
+            "(U in %, pressures in bar, Q in l/min); ParameterNames names them.",
+            doubles,
+            dimensions=(0,),
+        ),
+        VariableNode(
+            f"{prefix}.ParameterStd",
+            "Standard deviation of each parameter; NaN while it is not determined.",
+            doubles,
+            dimensions=(0,),
+        ),
+        VariableNode(
+            f"{prefix}.ParameterNames",
+            "Names of the elements of ParameterVector and ParameterStd.",
+            ua.VariantType.String,
+            dimensions=(0,),
+        ),
+        VariableNode(
+            f"{prefix}.PredictedFlow",
+            "Flow that the parameters before the newest sample predicted for it.",
+            unit=litres,
+            range=valve.Q_range,
+        ),
+        VariableNode(
+            f"{prefix}.Residual",
+            "Measured minus predicted flow of the newest sample, before the update.",
+            unit=litres,
+            range=(-Q_max, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.ResidualRmse",
+            "Root mean square of the newest residuals.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.SampleCount",
+            "Samples taken in since the start or the last Reset.",
+            ua.VariantType.UInt64,
+        ),
+        VariableNode(
+            f"{prefix}.Status",
+            f"What the estimator did with the newest sample. {_sentences(Status)}",
+            ua.VariantType.Int32,
+            statuses=Status,
+        ),
+    )
+
+
+def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """What is shown and taken in of one valve's inverse map, but for the map itself."""
+    prefix = f"{valve.name}.{INVERSE}"
+    return (
+        VariableNode(
+            f"{prefix}.FlowDemand",
+            "Flow that the valve shall pass; answered by RequiredU.",
+            unit=Unit.LITRE_PER_MINUTE,
+            range=valve.Q_range,
+            writable=True,
+        ),
+        VariableNode(
+            f"{prefix}.PressureDrop",
+            "Pressure drop p1 - p2 at which it shall pass it.",
+            unit=Unit.BAR,
+            range=valve.dp_range,
+            writable=True,
+        ),
+        VariableNode(
+            f"{prefix}.RequiredU",
+            "Control voltage that passes FlowDemand at PressureDrop, in % of its range.",
+            unit=Unit.PERCENT,
+            range=U_RANGE,
+        ),
+        VariableNode(
+            f"{prefix}.RequiredUStatus",
+            f"How far RequiredU can be used. {_sentences(InverseStatus)}",
+            ua.VariantType.Int32,
+            statuses=InverseStatus,
+        ),
+        VariableNode(
+            f"{prefix}.MapQ",
+            "Flows of the map's rows, l/min.",
+            dimensions=(len(valve.map_Q),),
+        ),
+        VariableNode(
+            f"{prefix}.MapDp",
+            "Pressure drops of the map's columns, bar.",
+            dimensions=(len(valve.map_dp),),
+        ),
+    )
+
+
+def map_variable(valve: ValveDescription) -> VariableNode:
+    """The inverse map as a matrix, an ImageItemType (Part 8, 5.3.4.4)."""
+    return VariableNode(
+        f"{valve.name}.{INVERSE}.Map",
+        "Control voltage U over flow (rows, YAxisDefinition, MapQ) and pressure drop (columns, "
+        "XAxisDefinition, MapDp); NaN where the valve cannot deliver.",
+        unit=Unit.PERCENT,
+        range=U_RANGE,
+        dimensions=(len(valve.map_Q), len(valve.map_dp)),
+    )
+
+
+def counter_variable(valve: str, counter: str) -> VariableNode:
+    """One counter of a valve, from its name in snake case.
+
+    >>> counter_variable("V1", "bad_status").id
+    'V1.Diagnostics.BadStatus'
+    """
+    meaning = _COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
+    return VariableNode(
+        f"{valve}.{DIAGNOSTICS}.{_camel_case(counter)}",
+        f"{meaning} Counted since the service started.",
+        ua.VariantType.UInt64,
+    )
+
+
+def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
+    """Describe one axis of the map (Part 8, 5.6.6)."""
+    return ua.AxisInformation(
+        EngineeringUnits=unit.information,
+        EURange=ua.Range(Low=min(steps, default=0.0), High=max(steps, default=0.0)),
+        Title=ua.LocalizedText(title),
+        AxisScaleType=ua.AxisScaleEnumeration.Linear,
+        AxisSteps=list(steps),
+    )
+
+
+def _sentences(statuses: type[IntEnum]) -> str:
+    return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
+
+
+def _camel_case(name: str) -> str:
+    return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+
+
+def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
+    for number, name in enumerate(names):
+        if not _NAME.fullmatch(name):
+            raise ConfigurationError(
+                f"{what} '{name}': a name of letters, digits, '_' and '-' is needed"
+            )
+        if name in taken or name in names[:number]:
+            raise ConfigurationError(f"{what} '{name}': the name is taken")
+
+
+_COUNTERS = {
+    "aligned": "Samples whose signals found together.",
+    "late": "Signals that came after their sample had been given up.",
+    "missing": "Samples given up because a signal did not come.",
+    "duplicates": "Signals that came twice for one sample.",
+    "clock_steps": "Jumps of the source's clock.",
+    "gaps": "Samples that the source's Sequence shows as lost.",
+    "bad_status": "Samples rejected for their OPC UA status.",
+    "not_finite": "Samples rejected for a value that is no finite number.",
+    "out_of_range": "Samples rejected for a value that no such sensor can give.",
+    "frozen": "Samples rejected because a signal stood still for too long.",
+    "too_fast": "Samples rejected because a signal changed faster than it can.",
+    "spike": "Samples rejected because a signal had a spike.",
+}
