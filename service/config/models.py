@@ -34,7 +34,8 @@ class SourceConfig(_Section):
         "Basic256Sha256", description="policy of the connection, SignAndEncrypt unless None"
     )
     user: str | None = Field(None, description="user name; none = anonymous")
-    password: SecretStr | None = Field(None, description="set it by the environment")
+    password: SecretStr | None = Field(None, description="better by the environment or a file")
+    password_file: Path | None = Field(None, description="file whose first line is the password")
     publishing_interval_ms: float = Field(100.0, ge=1.0, le=60_000.0)
     queue_size: int = Field(
         1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
@@ -55,6 +56,9 @@ class ServerConfig(_Section):
     )
     host_names: tuple[str, ...] = Field(
         (), description="names by which clients reach the server, for its certificate"
+    )
+    anonymous_observer: bool = Field(
+        default=False, description="let anonymous users read on the secured endpoints"
     )
     min_publishing_interval_ms: float = Field(50.0, ge=1.0, le=60_000.0)
 
@@ -172,7 +176,7 @@ class ValveConfig(_Section):
     Q_range_l_min: Range = (0.0, 200.0)
     estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     inverse: str | None = Field(
-        None, description="name of the estimator whose map is inverted; none = the last one"
+        None, description="name of the estimator whose map is inverted; none = Auto or the first"
     )
 
     @model_validator(mode="before")

@@ -45,7 +45,7 @@ class Identification:
 
     def take_samples(self, valve: int, samples: Samples) -> Mapping[str, Trace]:
         """Take samples of one valve in; return what every estimator said of them."""
-        self._states[valve], traces = pipeline.advance(
+        self._states[valve], _, traces = pipeline.advance(
             self.plans[valve], self._states[valve], samples
         )
         return traces

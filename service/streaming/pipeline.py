@@ -88,17 +88,17 @@ def fresh_lane(estimator: AnyEstimator) -> Lane:
 
 def advance(
     plan: ValvePlan, state: ValveState, samples: Samples
-) -> tuple[ValveState, Mapping[str, Trace]]:
-    """Take N samples in; the traces tell what every estimator said of them."""
+) -> tuple[ValveState, Samples, Mapping[str, Trace]]:
+    """Take N samples in; return them as the gate judged them, and what every estimator said."""
     if len(samples) == 0:
-        return state, {}
+        return state, samples, {}
     gate, judged = plan.gate.update(state.gate, samples)
     lanes, traces = {}, {}
     for name, lane in state.lanes.items():
         lanes[name], traces[name] = _learn(lane, judged)
     warm = judged.T[np.isfinite(judged.T) & (judged.quality != Quality.BAD)]
     T = float(warm[-1]) if len(warm) else state.T
-    return replace(state, gate=gate, lanes=lanes, t=int(samples.t[-1]), T=T), traces
+    return replace(state, gate=gate, lanes=lanes, t=int(samples.t[-1]), T=T), judged, traces
 
 
 def estimator_result(lane: Lane) -> EstimatorResult:

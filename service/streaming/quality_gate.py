@@ -65,7 +65,8 @@ class GateState:
 class QualityGate:
     """Judges the samples of one valve: status, NaN and inf, range; frozen, rate, spike on demand.
 
-    Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD.
+    Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD. A
+    temperature that is NaN is no reading rather than a wrong one: maps without T do not mind.
 
     Examples
     --------
@@ -82,7 +83,6 @@ class QualityGate:
         default_factory=lambda: {s: SignalLimits(*PLAUSIBLE[s]) for s in SENSORS}
     )
     use_uncertain: bool = False
-    has_T: bool = True
 
     def initial_state(self) -> GateState:
         """No sample seen yet."""
@@ -108,7 +108,6 @@ class QualityGate:
         kernel.judge_samples(
             samples.t,
             np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1),
-            self.has_T,
             Limits(
                 low=np.array([limit.low for limit in limits], np.float64),
                 high=np.array([limit.high for limit in limits], np.float64),

@@ -1,5 +1,6 @@
 """How well an estimator predicted each sample before it learnt from it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,27 @@ class Score:
         sums[kernel.LOWEST_Q], sums[kernel.HIGHEST_Q] = np.inf, -np.inf
         return cls(sums)
 
+    @classmethod
+    def merged(cls, scores: Sequence["Score"]) -> "Score":
+        """One score of several sets of samples (Chan's formula); ``recent_rmse`` is the last's."""
+        merged = cls.none().sums
+        for score in scores:
+            n = merged[kernel.N] + score.n
+            if score.n == 0:
+                continue
+            step = score.sums[kernel.MEAN_Q] - merged[kernel.MEAN_Q]
+            between = step * step * merged[kernel.N] * score.n / n
+            sums = score.sums.copy()
+            sums[kernel.N] = n
+            sums[kernel.SQUARES] += merged[kernel.SQUARES]
+            sums[kernel.MEAN_Q] = merged[kernel.MEAN_Q] + step * score.n / n
+            sums[kernel.SCATTER_Q] += merged[kernel.SCATTER_Q] + between
+            sums[kernel.LOWEST_Q] = min(sums[kernel.LOWEST_Q], merged[kernel.LOWEST_Q])
+            sums[kernel.HIGHEST_Q] = max(sums[kernel.HIGHEST_Q], merged[kernel.HIGHEST_Q])
+            sums[kernel.LARGEST] = max(sums[kernel.LARGEST], merged[kernel.LARGEST])
+            merged = sums
+        return cls(merged)
+
     def add(self, samples: Samples, trace: Trace) -> "Score":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
         sums = self.sums.copy()
@@ -44,6 +66,11 @@ class Score:
     def rmse(self) -> float:
         """Root mean square of all residuals, l/min; NaN before the first."""
         return float(np.sqrt(self.sums[kernel.SQUARES] / self.n)) if self.n else np.nan
+
+    @property
+    def max_abs(self) -> float:
+        """Largest residual, l/min; NaN before the first."""
+        return float(self.sums[kernel.LARGEST]) if self.n else np.nan
 
     @property
     def recent_rmse(self) -> float:

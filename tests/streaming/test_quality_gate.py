@@ -40,7 +40,7 @@ def test_constant_signals_jumps_and_slightly_negative_flow_are_good_by_default()
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["U", "p1", "p2", "Q", "T"])
+@pytest.mark.parametrize("name", ["U", "p1", "p2", "Q"])
 def test_what_is_no_number_is_bad_and_counted(name, broken):
     columns = {"U": [1.0, 2.0, 3.0], name: [1.0, broken, 3.0]}
     quality, counters = judge(QualityGate(), samples(**columns))
@@ -54,9 +54,9 @@ def test_a_value_beyond_all_sensors_is_bad():
     assert counters["out_of_range"] == 1
 
 
-def test_a_missing_thermometer_is_no_fault():
-    gate = QualityGate(has_T=False)
-    assert judge(gate, samples([1.0], T=[np.nan]))[0] == [GOOD]
+def test_no_reading_of_the_temperature_is_no_fault_but_a_wrong_one_is():
+    batch = samples([1.0, 2.0, 3.0], T=[np.nan, np.inf, 40.0])
+    assert judge(QualityGate(), batch)[0] == [GOOD, BAD, GOOD]
 
 
 def test_uncertain_teaches_only_where_it_is_allowed_to():

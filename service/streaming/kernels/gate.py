@@ -37,7 +37,6 @@ class Memory(NamedTuple):
 def judge_samples(
     t: NDArray[np.int64],
     values: NDArray[np.float64],
-    has_T: bool,  # noqa: FBT001 - numba takes positions only
     limits: Limits,
     memory: Memory,
     quality: NDArray[np.uint8],
@@ -47,9 +46,9 @@ def judge_samples(
     last, last_time, still_since, window, counters = memory
     for i in range(len(t)):
         for j in range(SIGNALS):
-            if j == T and not has_T:
-                continue
             x = values[i, j]
+            if j == T and np.isnan(x):  # no reading: only maps that depend on T mind
+                continue
             if not np.isfinite(x):
                 counters[j, NOT_FINITE] += 1
                 quality[i] = 2

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-N, SQUARES, MEAN_Q, SCATTER_Q, LOWEST_Q, HIGHEST_Q, RECENT, WEIGHT, FIELDS = range(9)
+N, SQUARES, MEAN_Q, SCATTER_Q, LOWEST_Q, HIGHEST_Q, RECENT, WEIGHT, LARGEST, FIELDS = range(10)
 
 KEEP = 1.0 - 1.0 / 1000.0
 
@@ -29,5 +29,6 @@ def accumulate(
         score[SCATTER_Q] += step * (Q[i] - score[MEAN_Q])
         score[LOWEST_Q] = min(score[LOWEST_Q], Q[i])
         score[HIGHEST_Q] = max(score[HIGHEST_Q], Q[i])
+        score[LARGEST] = max(score[LARGEST], abs(e))
         score[RECENT] = KEEP * score[RECENT] + (1.0 - KEEP) * e * e
         score[WEIGHT] = KEEP * score[WEIGHT] + (1.0 - KEEP)

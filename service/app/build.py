@@ -1,0 +1,155 @@
+"""From the configuration's words to the objects that do the work."""
+
+from pathlib import Path
+
+from service.config.estimators import build_estimator
+from service.config.models import Config, SourceConfig, ValveConfig
+from service.errors import ConfigurationError
+from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.opcua.hardened import (
+    Limits,
+    OwnCertificate,
+    Pki,
+    ServerSettings,
+    UserStore,
+    ensure_certificate,
+)
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import Signal
+from service.streaming.identification import Identification
+from service.streaming.live import LiveSettings
+from service.streaming.pipeline import ValvePlan
+from service.streaming.quality_gate import SENSORS, QualityGate
+from service.streaming.supervisor import SupervisorSettings
+
+APPLICATION_URI = "urn:valvemap:service"
+APPLICATION_NAME = "valvemap service"
+
+_AXIS_POINTS = 21
+
+
+def build_identification(config: Config) -> Identification:
+    """All valves with their estimators, before the first sample."""
+    has_T = tuple(valve.nodes.T is not None for valve in config.valves)
+    return Identification(build_plans(config), Alignment(_alignment(config), has_T))
+
+
+def build_plans(config: Config) -> list[ValvePlan]:
+    """What is done with each valve's samples."""
+    return [_plan(valve) for valve in config.valves]
+
+
+def build_source(config: Config) -> OpcUaSource:
+    """The client of the source server."""
+    own = None if config.source.security == "None" else own_certificate(config)
+    settings = SourceSettings(
+        url=config.source.url,
+        security=Security(config.source.security),
+        pki=None if own is None else Pki(config.security.pki),
+        own=own,
+        user=config.source.user,
+        password=_password(config.source),
+        application_uri=None if own is not None else APPLICATION_URI,
+        publishing_interval_ms=config.source.publishing_interval_ms,
+        queue_size=config.source.queue_size,
+        timeout_s=config.source.timeout_s,
+    )
+    nodes = [ValveNodes(valve=valve.name, **valve.nodes.model_dump()) for valve in config.valves]
+    return OpcUaSource(settings, nodes)
+
+
+def build_server_settings(config: Config) -> ServerSettings:
+    """Identity, endpoint and users of the results server."""
+    return ServerSettings(
+        url=config.server.url,
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        pki=Pki(config.security.pki),
+        users=UserStore.load(config.security.users),
+        anonymous_observer=config.server.anonymous_observer,
+        host_names=config.server.host_names,
+        limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
+    )
+
+
+def build_live_settings(config: Config) -> LiveSettings:
+    """When results are stale, when states are kept, whose U is written back."""
+    return LiveSettings(
+        stale_after_s=config.alignment.stale_after_s,
+        checkpoint_interval_s=config.state.checkpoint_interval_s,
+        feed_forward=tuple(
+            number
+            for number, valve in enumerate(config.valves)
+            if valve.nodes.required_U is not None
+        ),
+    )
+
+
+def build_supervisor_settings(config: Config) -> SupervisorSettings:
+    """How long the start may take."""
+    return SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
+
+
+def own_certificate(config: Config) -> OwnCertificate:
+    """The service's certificate, made at the first start; as a client and as a server."""
+    names = config.server.host_names or ("localhost", "127.0.0.1")
+    file_name = APPLICATION_NAME.replace(" ", "-")
+    return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
+
+
+def _plan(valve: ValveConfig) -> ValvePlan:
+    ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
+    estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
+    return ValvePlan(
+        name=valve.name,
+        gate=QualityGate(
+            limits={s: getattr(valve.gate, name).limits(s) for s, name in _GATES.items()},
+            use_uncertain=valve.gate.use_uncertain,
+        ),
+        estimators=estimators,
+        inverse=valve.inverse or ("Auto" if "Auto" in estimators else valve.estimators[0].name),
+        map_Q=_axis(*valve.Q_range_l_min),
+        map_dp=_axis(*valve.dp_range_bar),
+    )
+
+
+_GATES = dict(zip(SENSORS, ("U", "p1", "p2", "Q", "T"), strict=True))
+
+
+def _axis(low: float, high: float) -> tuple[float, ...]:
+    step = (high - low) / (_AXIS_POINTS - 1)
+    return tuple(low + k * step for k in range(_AXIS_POINTS))
+
+
+def _alignment(config: Config) -> AlignmentSettings:
+    signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
+    return AlignmentSettings(
+        tolerance_ns=round(config.alignment.tolerance_ms * 1e6),
+        max_wait_ns=round(config.alignment.max_wait_s * 1e9),
+        max_pending=config.alignment.max_pending,
+        hold_ns={signals[name]: round(s * 1e9) for name, s in config.alignment.hold_s.items()},
+    )
+
+
+def _password(source: SourceConfig) -> str | None:
+    if source.password is not None:
+        return source.password.get_secret_value()
+    if source.password_file is None:
+        return None
+    return read_secret(source.password_file)
+
+
+def read_secret(file: Path) -> str:
+    """The first line of a file that holds a password.
+
+    Raises
+    ------
+    ConfigurationError
+        naming the file.
+    """
+    try:
+        return file.read_text(encoding="utf-8").splitlines()[0]
+    except (OSError, IndexError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it holds no password"
+        raise ConfigurationError(f"{file}: {str(reason).lower()}") from None

@@ -1,0 +1,229 @@
+"""Replay: recordings through the same pipeline as live data, and a verdict at the end."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from service.app.build import build_plans
+from service.config.models import Config, ValveConfig
+from service.errors import ConfigurationError
+from service.identification.forgetting import Exponential
+from service.identification.inverse_map import invert
+from service.identification.inversion import InverseStatus
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Quality, Samples, Trace
+from service.storage.recordings import read_recording
+from service.streaming import pipeline
+from service.streaming.pipeline import Lane, ValvePlan, ValveState
+from service.streaming.score import Score
+
+BEST_FIT = "eq. (7), batch LSM"
+
+Progress = Callable[[Path, float], None]
+Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
+
+
+@dataclass(frozen=True)
+class EstimatorReport:
+    """What a replay says of one estimator; ``verify`` and ``inverse`` are of the last file set.
+
+    ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
+    inverse calls feasible, ``infeasible`` the number of the others.
+    """
+
+    parameters: Mapping[str, float]
+    std: Mapping[str, float]
+    one_step: Score
+    verify: Score | None
+    round_trip_max: float
+    infeasible: int
+
+
+Report = Mapping[str, Mapping[str, EstimatorReport]]
+
+
+def replay(
+    files: Iterable[Path],
+    config: Config | None = None,
+    verify: Path | None = None,
+    progress: Progress = lambda _file, _fraction: None,
+    tap: Tap = lambda _valve, _samples, _traces: None,
+) -> Report:
+    """Run recordings through the pipeline, file after file, in constant memory.
+
+    Parameters
+    ----------
+    files, verify
+        Recordings to learn from, and one to predict with the final parameters.
+    config
+        Valves and estimators; without it the default estimators run on every valve found.
+    progress
+        Told the file and how much of it is done (0 to 1).
+    tap
+        Sees every batch with what the estimators said of it.
+
+    Returns
+    -------
+    Report
+        By valve and estimator; under ``BEST_FIT`` the batch LSM of eq. (7) on the same samples,
+        the best that the paper's structure can do.
+
+    Raises
+    ------
+    RecordingError, ConfigurationError
+    """
+    plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
+    valves: dict[str, _Learnt] = {}
+    for file in files:
+        for name, samples in _read(file, progress):
+            if name not in valves:
+                plan = _default_plan(name) if plans is None else plans.get(name)
+                if plan is None:
+                    continue
+                valves[name] = _Learnt.nothing(plan)
+            valves[name], judged, traces = valves[name].learn(samples)
+            tap(name, judged, traces)
+    if not valves:
+        named = ", ".join(plans or ())
+        raise ConfigurationError(f"the recordings hold none of the configured valves: {named}")
+    checks = {name: [_check(valve, valve.last)] for name, valve in valves.items()}
+    if verify is not None:
+        checks = {name: [] for name in valves}
+        for name, samples in _read(verify, progress):
+            if name in valves:
+                checks[name].append(_check(valves[name], samples))
+    return {
+        name: _report(valve, _summed(checks[name]), verified=verify is not None)
+        for name, valve in valves.items()
+    }
+
+
+def as_json(report: Report) -> dict[str, Any]:
+    """The report in the contract's form; what is not known is null."""
+    return {
+        valve: {
+            name: {
+                "parameters": _numbers(r.parameters),
+                "std": _numbers(r.std),
+                "one_step": _numbers(
+                    {k: getattr(r.one_step, k) for k in ("rmse", "nrmse", "r2", "n")}
+                ),
+                "verify": None
+                if r.verify is None
+                else _numbers({k: getattr(r.verify, k) for k in ("rmse", "max_abs", "r2", "n")}),
+                "inverse": _numbers(
+                    {"round_trip_max": r.round_trip_max, "infeasible": r.infeasible}
+                ),
+            }
+            for name, r in estimators.items()
+            if name != BEST_FIT
+        }
+        for valve, estimators in report.items()
+    }
+
+
+@dataclass(frozen=True)
+class _Learnt:
+    """One valve's pipeline and the last batch that taught it."""
+
+    plan: ValvePlan
+    state: ValveState
+    last: Samples
+
+    @classmethod
+    def nothing(cls, plan: ValvePlan) -> Self:
+        best = RecursiveLeastSquares(forgetting=Exponential(1.0))
+        plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
+        return cls(plan, pipeline.start(plan), Samples.empty())
+
+    def learn(self, samples: Samples) -> tuple["_Learnt", Samples, Mapping[str, Trace]]:
+        state, judged, traces = pipeline.advance(self.plan, self.state, samples)
+        return replace(self, state=state, last=samples), judged, traces
+
+
+@dataclass(frozen=True)
+class _Check:
+    """How one estimator's map and its inverse fare on samples that it does not learn from."""
+
+    score: Score
+    round_trip_max: float
+    infeasible: int
+
+
+def _check(valve: _Learnt, samples: Samples) -> Mapping[str, _Check]:
+    gate = valve.plan.gate
+    _, judged = gate.update(gate.initial_state(), samples)
+    good = judged[judged.quality != Quality.BAD]
+    return {name: _check_lane(lane, good) for name, lane in valve.state.lanes.items()}
+
+
+def _check_lane(lane: Lane, samples: Samples) -> _Check:
+    estimator, state = lane.estimator, lane.state
+    Q_hat, _ = estimator.predict(state, samples.U, samples.dp, samples.T)
+    trace = Trace(Q_hat, samples.Q - Q_hat, np.zeros(len(samples), np.uint8))
+    inverse = invert(estimator, state, samples.Q, samples.dp, samples.T)
+    feasible = inverse.status == InverseStatus.OK
+    U, dp, T = (x[feasible] for x in (inverse.U, samples.dp, samples.T))
+    Q_back, _ = estimator.predict(state, U, dp, T)
+    return _Check(
+        score=Score.none().add(samples, trace),
+        round_trip_max=float(np.abs(Q_back - samples.Q[feasible]).max(initial=0.0)),
+        infeasible=int((~feasible).sum()),
+    )
+
+
+def _summed(checks: Sequence[Mapping[str, _Check]]) -> Mapping[str, _Check]:
+    names = checks[0] if checks else ()
+    return {
+        name: _Check(
+            score=Score.merged([check[name].score for check in checks]),
+            round_trip_max=max(check[name].round_trip_max for check in checks),
+            infeasible=sum(check[name].infeasible for check in checks),
+        )
+        for name in names
+    }
+
+
+def _report(
+    valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
+) -> Mapping[str, EstimatorReport]:
+    report = {}
+    for name, lane in valve.state.lanes.items():
+        result = pipeline.estimator_result(lane)
+        check = checks.get(name)
+        report[name] = EstimatorReport(
+            parameters=dict(zip(result.parameter_names, result.theta.tolist(), strict=True)),
+            std=dict(zip(result.parameter_names, result.std.tolist(), strict=True)),
+            one_step=lane.score,
+            verify=check.score if check is not None and verified else None,
+            round_trip_max=np.nan if check is None else check.round_trip_max,
+            infeasible=0 if check is None else check.infeasible,
+        )
+    return report
+
+
+def _read(file: Path, progress: Progress) -> Iterator[tuple[str, Samples]]:
+    with read_recording(file) as recording:
+        progress(file, 0.0)
+        for name, samples in recording:
+            yield name, samples
+            progress(file, recording.fraction)
+
+
+def _default_plan(name: str) -> ValvePlan:
+    try:
+        valve = ValveConfig(name=name)
+    except ValidationError:
+        raise ConfigurationError(
+            f"valve {name!r}: a name is a letter, then letters, digits, _ or -, 64 at most"
+        ) from None
+    (plan,) = build_plans(Config(valves=(valve,)))
+    return plan
+
+
+def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {key: value if np.isfinite(value) else None for key, value in values.items()}
