@@ -124,6 +124,8 @@ def decode_publish_response(data: bytes) -> PublishResponse:
     more = reader.u1() != 0
     message = _message(reader)
     acknowledged = reader.u4_array()
+    for _ in range(reader.count(1)):
+        reader.skip_diagnostic_info()
     return PublishResponse(service_result, subscription_id, available, more, message, acknowledged)
 
 
