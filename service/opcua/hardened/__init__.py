@@ -21,6 +21,7 @@ from service.opcua.hardened.certificates import (
 )
 from service.opcua.hardened.nodes import (
     Argument,
+    InvalidArgument,
     Method,
     OutOfRange,
     Variable,
@@ -41,6 +42,7 @@ __all__ = [
     "CommandRejected",
     "ConfigurationError",
     "HardenedServer",
+    "InvalidArgument",
     "Limits",
     "ManualClock",
     "Method",

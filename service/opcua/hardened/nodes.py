@@ -42,6 +42,14 @@ class OutOfRange(CommandRejected):
     """A number lies outside of what is allowed; OPC UA says BadOutOfRange."""
 
 
+class InvalidArgument(CommandRejected):
+    """One argument of a call makes no sense; OPC UA says BadInvalidArgument and which one."""
+
+    def __init__(self, index: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.index = index
+
+
 @dataclass(frozen=True)
 class Argument:
     """A method's argument: name, type, what it means and what is allowed.
@@ -278,6 +286,11 @@ async def call(method: Method, arguments: Sequence[ua.Variant]) -> ua.CallMethod
             outcome = await outcome
         result.OutputArguments = _outputs(method, outcome)
         result.InputArgumentResults = [ua.StatusCode() for _ in values]
+    except InvalidArgument as error:
+        _log.warning("%s(%s) refused: %s", method.id.Identifier, _shown(values), error)
+        found[error.index] = ua.StatusCodes.BadOutOfRange
+        result.StatusCode = ua.StatusCode(ua.StatusCodes.BadInvalidArgument)
+        result.InputArgumentResults = [ua.StatusCode(code) for code in found]
     except CommandRejected as error:
         _log.warning("%s(%s) refused: %s", method.id.Identifier, _shown(values), error)
         result.StatusCode = ua.StatusCode(rejection_code(error))

