@@ -13,19 +13,23 @@ the valve (T2) is a choice of the scenario. The flow meter sits behind the valve
 and T2; the pump's limit is counted at tank pressure and T1.
 
 The operating point is the root, in p1, of what the valve takes minus what the supply gives; both
-are monotone, so there is exactly one. Here it is found for a whole block at once by scipy's
-bracketing ``find_root`` (Chandrupatla): one sample's answer does not depend on its neighbours.
+are monotone, so there is exactly one, and it is bracketed from the start: scipy's ``brentq`` finds
+it, sample by sample.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize.elementwise import find_root
+from scipy.optimize import brentq
 
-from virtual_rig.oil import Floats, Oil, density, throttling_heat
+from virtual_rig import kernels
+from virtual_rig.kernels import Floats
+from virtual_rig.oil import Oil, density, throttling_heat
+from virtual_rig.oil import numbers as oil_numbers
 from virtual_rig.parameters import Parameters, parameter
 from virtual_rig.valvistor import Valvistor, pilot_opening, poppet_state
+from virtual_rig.valvistor import numbers as valve_numbers
 
 
 class Circuit(Parameters):
@@ -119,29 +123,17 @@ def operating_point(
     >>> point.p1.round(0), point.Q.round(0)
     (array([198.,  78.]), array([102., 200.]))
     """
-    if y.size == 0:
-        empty = np.empty(0)
-        return OperatingPoint(empty, empty, empty, empty, empty, empty)
-    c = bench.circuit
-
-    def p2_at(p1: Floats, p2_set: Floats) -> Floats:
-        share = _supply(c, p1) / c.Q_pump_l_min
-        lowest = c.load_minimum_bar + c.load_resistance_bar * share * share
-        return np.minimum(np.maximum(p2_set, lowest), p1)
-
-    def excess(p1: Floats, y: Floats, p2_set: Floats, T: Floats, edge: Floats) -> Floats:
-        taken = poppet_state(bench.valve, bench.oil, y, p1, p2_at(p1, p2_set), T, edge).Q
-        at_tank = density(bench.oil, p1, T) / density(bench.oil, np.zeros_like(p1), T)
-        return np.asarray(taken * at_tank - _supply(c, p1))
-
-    args = (y, p2_set, T, edge)
-    shut = np.full(y.shape, c.p0_bar - c.relief_override_bar)
-    limited = excess(shut, *args) > 0  # the relief valve is shut: the pump gives all it can
-    low = np.where(limited, 0.0, shut)
-    high = np.where(limited, shut, c.p0_bar)
-    root = find_root(excess, (low, high), args=args, tolerances={"xatol": 1e-9, "xrtol": 0.0})
-    p1 = np.asarray(root.x)
-    p2 = p2_at(p1, p2_set)
+    c = numbers(bench.circuit)
+    of_bench = (valve_numbers(bench.valve), oil_numbers(bench.oil), c)
+    p0, shut = bench.circuit.p0_bar, bench.circuit.p0_bar - bench.circuit.relief_override_bar
+    p1, p2 = np.empty(y.size), np.empty(y.size)
+    samples = zip(y.tolist(), p2_set.tolist(), T.tolist(), edge.tolist(), strict=True)
+    for i, sample in enumerate(samples):
+        args = (*of_bench, *sample)
+        # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
+        low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, p0)
+        p1[i] = brentq(kernels.excess, low, high, args=args, xtol=1e-10)
+        p2[i] = kernels.load_pressure(c, p1[i], sample[1])
     state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge)
     T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))
     return OperatingPoint(p1, p2, _metered(bench.oil, state.Q, p1, p2, T, T2), T, T2, state.x_MP)
@@ -202,11 +194,18 @@ def tank_temperature(circuit: Circuit, t: Floats) -> Floats:
     return circuit.tank_C + circuit.tank_drift_K * np.sin(angle)
 
 
-def _supply(c: Circuit, p1: Floats) -> Floats:
-    """What the supply leaves to the valve at p1, l/min counted at tank pressure."""
-    return c.Q_pump_l_min * np.clip((c.p0_bar - p1) / c.relief_override_bar, 0.0, 1.0)
-
-
 def _metered(oil: Oil, Q: Floats, p1: Floats, p2: Floats, T1: Floats, T2: Floats) -> Floats:
     """Q counted at (p1, T1), as the meter counts it at (p2, T2): the mass is the same."""
     return Q * density(oil, p1, T1) / density(oil, p2, T2)
+
+
+def numbers(circuit: Circuit) -> kernels.Numbers:
+    """What the compiled loops need of the circuit."""
+    row = (
+        circuit.p0_bar,
+        circuit.Q_pump_l_min,
+        circuit.relief_override_bar,
+        circuit.load_minimum_bar,
+        circuit.load_resistance_bar,
+    )
+    return np.array([row], dtype=kernels.CIRCUIT)

@@ -8,7 +8,7 @@ import math
 import numba
 import numpy as np
 
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 
 
 def play(u: Floats, width: float, memory: float) -> Floats:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters
 from virtual_rig.randomness import uniform
 

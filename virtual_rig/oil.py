@@ -11,14 +11,14 @@ only). The throttling heat is the common rule without the cooling by expansion, 
 some 20 % off it.
 """
 
-import numpy as np
-from numpy.typing import NDArray
+import math
 
+import numpy as np
+
+from virtual_rig import kernels
+from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters, parameter
 
-Floats = NDArray[np.float64]
-
-ZERO_CELSIUS = 273.15
 _DIN_51757 = "DIN 51757 (range of mineral oils)"
 
 
@@ -58,11 +58,15 @@ def viscosity(oil: Oil, T: Floats) -> Floats:
     >>> viscosity(Oil(), np.array([20.0, 40.0, 100.0])).round(1)
     array([133.8,  46. ,   6.8])
     """
-    z_40, z_100 = (np.log10(np.log10(nu + 0.7)) for nu in (oil.nu_40_mm2_s, oil.nu_100_mm2_s))
-    t_40, t_100 = (np.log10(celsius + ZERO_CELSIUS) for celsius in (40.0, 100.0))
+    return np.asarray(kernels.viscosity(*walther_constants(oil), T))
+
+
+def walther_constants(oil: Oil) -> tuple[float, float]:
+    """A and B of Walther's equation, through the viscosities at 40 and 100 °C."""
+    z_40, z_100 = (math.log10(math.log10(nu + 0.7)) for nu in (oil.nu_40_mm2_s, oil.nu_100_mm2_s))
+    t_40, t_100 = (math.log10(celsius + 273.15) for celsius in (40.0, 100.0))
     B = (z_40 - z_100) / (t_100 - t_40)
-    A = z_40 + B * t_40
-    return np.asarray(10.0**10.0 ** (A - B * np.log10(T + ZERO_CELSIUS)) - 0.7)
+    return z_40 + B * t_40, B
 
 
 def density(oil: Oil, p: Floats, T: Floats) -> Floats:
@@ -71,13 +75,7 @@ def density(oil: Oil, p: Floats, T: Floats) -> Floats:
     >>> density(Oil(), np.array([0.0, 200.0]), np.array([40.0, 40.0])).round(1)
     array([859.7, 869.7])
     """
-    p_GPa = p * 1e-4
-    return oil.rho_15_kg_m3 * (1 - oil.expansion_per_K * (T - 15)) * compression(p_GPa)
-
-
-def compression(p_GPa: Floats) -> Floats:
-    """Density at p over density without pressure; Dowson and Higginson 1966."""
-    return 1 + 0.6 * p_GPa / (1 + 1.7 * p_GPa)
+    return np.asarray(kernels.density(oil.rho_15_kg_m3, oil.expansion_per_K, p, T))
 
 
 def throttling_heat(oil: Oil, dp: Floats, rho: Floats) -> Floats:
@@ -86,4 +84,11 @@ def throttling_heat(oil: Oil, dp: Floats, rho: Floats) -> Floats:
     >>> throttling_heat(Oil(), np.array([100.0]), np.array([864.8])).round(2)
     array([5.93])
     """
-    return dp * 1e5 / (rho * oil.heat_capacity_J_kg_K)
+    return np.asarray(kernels.throttling_heat(oil.heat_capacity_J_kg_K, dp, rho))
+
+
+def numbers(oil: Oil) -> kernels.Numbers:
+    """What the compiled loops need of the oil."""
+    A, B = walther_constants(oil)
+    row = (A, B, oil.rho_15_kg_m3, oil.expansion_per_K, oil.heat_capacity_J_kg_K)
+    return np.array([row], dtype=kernels.OIL)

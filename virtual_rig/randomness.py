@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 
 _CHUNK = 1024
 

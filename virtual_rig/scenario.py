@@ -20,7 +20,7 @@ from virtual_rig.excitation import (
     low_discrepancy_points,
 )
 from virtual_rig.faults import Fault
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters
 from virtual_rig.sensors import Sensors
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from virtual_rig.dynamics import lag
 from virtual_rig.faults import SensorFaults
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters
 from virtual_rig.randomness import normal
 

@@ -24,7 +24,7 @@ from virtual_rig.faults import (
     still_felt,
     temperature_rise,
 )
-from virtual_rig.oil import Floats
+from virtual_rig.kernels import Floats
 from virtual_rig.scenario import Scenario, ScenarioError, ValveBench
 from virtual_rig.sensors import SensorMemory, measure
 from virtual_rig.valvistor import pilot_opening

@@ -31,9 +31,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from virtual_rig.oil import Floats, Oil, density, throttling_heat, viscosity
+from virtual_rig import kernels
+from virtual_rig.kernels import Floats
+from virtual_rig.oil import Oil
+from virtual_rig.oil import numbers as oil_numbers
 from virtual_rig.parameters import Parameters, parameter
-from virtual_rig.poppet import Numbers, balance
 
 _PAPER = "paper, nomenclature; size chosen for 200 l/min near 80 bar"
 _MERRITT = "Merritt 1967, Hydraulic Control Systems, sec. 3.4"
@@ -188,33 +190,33 @@ def poppet_state(
     >>> state.Q.round(0), state.x_MP.round(1)
     (array([216.]), array([3.9]))
     """
-    rho = density(oil, p1, T)
-    nu = viscosity(oil, T)
-    nu_gap = viscosity(oil, T + 0.5 * throttling_heat(oil, np.maximum(p1 - p2, 0.0), rho))
-    columns = np.broadcast_arrays(y, p1, p2, rho, nu, nu_gap, edge)
-    packed = [np.ascontiguousarray(column, dtype=np.float64) for column in columns]
-    Q, Q_PV, x_MP, p_c = balance(_numbers(valve), *packed)
-    return PoppetState(Q, Q_PV, x_MP, p_c)
+    columns = [
+        np.array(column, dtype=np.float64, order="C")
+        for column in np.broadcast_arrays(y, p1, p2, T, edge)
+    ]
+    return PoppetState(*kernels.balance(numbers(valve), oil_numbers(oil), *columns))
 
 
-def _numbers(valve: Valvistor) -> Numbers:
-    return Numbers(
-        phi=valve.phi,
-        K_MP=valve.K_MP,
-        K_c=valve.K_c,
-        K_PV_stroke=valve.K_PV * valve.pilot_stroke_mm,
-        x_0=valve.x_0_mm,
-        stroke=valve.stroke_mm,
-        bar_per_N=10.0 / valve.poppet_area_mm2,
-        preload=valve.spring_preload_N,
-        rate=valve.spring_rate_N_mm,
-        cos_jet=math.cos(math.radians(valve.jet_angle_deg)) if valve.jet_angle_deg < 90 else 0.0,
-        pilot_jet=valve.pilot_jet_per_bar,
-        poppet_re=valve.poppet_transition_re,
-        slot_re=valve.slot_transition_re,
-        C_d=valve.discharge_coefficient,
-        slot_width=valve.slot_width_mm,
-        pilot_stroke=valve.pilot_stroke_mm,
-        pilot_leakage=valve.pilot_leakage_l_min_bar,
-        seat_leakage=valve.seat_leakage_l_min_bar,
+def numbers(valve: Valvistor) -> kernels.Numbers:
+    """What the compiled loops need of a valve."""
+    row = (
+        valve.phi,
+        valve.K_MP,
+        valve.K_c,
+        valve.K_PV * valve.pilot_stroke_mm,
+        valve.x_0_mm,
+        valve.stroke_mm,
+        10.0 / valve.poppet_area_mm2,
+        valve.spring_preload_N,
+        valve.spring_rate_N_mm,
+        math.cos(math.radians(valve.jet_angle_deg)) if valve.jet_angle_deg < 90 else 0.0,
+        valve.pilot_jet_per_bar,
+        valve.poppet_transition_re,
+        valve.slot_transition_re,
+        valve.discharge_coefficient,
+        valve.slot_width_mm,
+        valve.pilot_stroke_mm,
+        valve.pilot_leakage_l_min_bar,
+        valve.seat_leakage_l_min_bar,
     )
+    return np.array([row], dtype=kernels.VALVE)

@@ -1,0 +1,262 @@
+"""The rig's equations as compiled loops; symbols and sources: ``oil``, ``valvistor``, ``circuit``.
+
+All in one file, because numba's cache watches no other. Every value comes from its own arguments
+by operations in fixed order: the same bits in whatever block it is computed.
+"""
+
+import math
+from typing import Any, TypeAlias
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.void]  # of one record of the types below
+Record: TypeAlias = Any  # one of those records: numba knows its fields
+N: TypeAlias = Any  # a number; in the formulas of the oil also an array of numbers
+
+OIL = np.dtype([(name, np.float64) for name in ("A", "B", "rho_15", "expansion", "heat_capacity")])
+VALVE = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "phi",
+            "K_MP",
+            "K_c",
+            "K_PV_stroke",
+            "x_0",
+            "stroke",
+            "bar_per_N",
+            "preload",
+            "rate",
+            "cos_jet",
+            "pilot_jet",
+            "poppet_re",
+            "slot_re",
+            "C_d",
+            "slot_width",
+            "pilot_stroke",
+            "pilot_leakage",
+            "seat_leakage",
+        )
+    ]
+)
+CIRCUIT = np.dtype(
+    [(name, np.float64) for name in ("p0", "Q_pump", "override", "load_minimum", "load_resistance")]
+)
+
+RHO_K = 860.0  # kg/m³, the density to which the flow coefficients K belong
+NU_LEAKAGE = 46.0  # mm²/s, the viscosity to which the leakages belong
+SEAT_SINE = math.sqrt(0.5)  # gap of a 45° seat over the stroke
+
+
+@numba.njit(cache=True)
+def balance(
+    valve: Numbers, oil: Numbers, y: Floats, p1: Floats, p2: Floats, T: Floats, edge: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Q, Q_PV (l/min), x_MP (mm) and p_c (bar) of the valve at N points."""
+    n = y.size
+    Q, Q_PV, x_MP, p_c = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        Q[i], Q_PV[i], x_MP[i], p_c[i] = _valve(valve[0], oil[0], y[i], p1[i], p2[i], T[i], edge[i])
+    return Q, Q_PV, x_MP, p_c
+
+
+@numba.njit(cache=True)
+def excess(
+    p1: N,
+    valve: Numbers,
+    oil: Numbers,
+    circuit: Numbers,
+    y: N,
+    p2_set: N,
+    T: N,
+    edge: N,
+) -> N:
+    """What the valve takes minus what the supply gives at p1, l/min at tank pressure.
+
+    It rises with p1: from -Q_pump at 0 bar to what the valve takes at p0.
+    """
+    o, c = oil[0], circuit[0]
+    Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge)
+    return Q * compression(p1) - c.Q_pump * supply_share(circuit, p1)
+
+
+@numba.njit(cache=True)
+def supply_share(circuit: Numbers, p1: N) -> N:
+    """Share of the pump's flow that the relief valve leaves at p1."""
+    c = circuit[0]
+    return min(max((c.p0 - p1) / c.override, 0.0), 1.0)
+
+
+@numba.njit(cache=True)
+def load_pressure(circuit: Numbers, p1: N, p2_set: N) -> N:
+    """p2 behind a valve at p1: the set point, at least the load valve's own, at most p1."""
+    c = circuit[0]
+    share = supply_share(circuit, p1)
+    return min(max(p2_set, c.load_minimum + c.load_resistance * share * share), p1)
+
+
+@numba.njit(cache=True)
+def viscosity(A: N, B: N, T: N) -> N:
+    """ν (mm²/s) at T (°C) by Walther."""
+    return 10.0 ** (10.0 ** (A - B * np.log10(T + 273.15))) - 0.7
+
+
+@numba.njit(cache=True)
+def compression(p: N) -> N:
+    """Density at p (bar) over density without pressure, by Dowson and Higginson."""
+    p_GPa = 1e-4 * p
+    return 1.0 + 0.6 * p_GPa / (1.0 + 1.7 * p_GPa)
+
+
+@numba.njit(cache=True)
+def density(rho_15: N, expansion: N, p: N, T: N) -> N:
+    """ρ (kg/m³) at p (bar) and T (°C)."""
+    return rho_15 * (1.0 - expansion * (T - 15.0)) * compression(p)
+
+
+@numba.njit(cache=True)
+def throttling_heat(heat_capacity: N, dp: N, rho: N) -> N:
+    """Rise of temperature (K) behind a throttle that takes dp (bar)."""
+    return dp * 1e5 / (rho * heat_capacity)
+
+
+@numba.njit(cache=True)
+def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N) -> tuple[N, N, N, N]:
+    dp = p1 - p2
+    if not dp > 0.0:
+        return 0.0, 0.0, 0.0, p1
+    rho = density(o.rho_15, o.expansion, p1, T)
+    nu = viscosity(o.A, o.B, T)
+    T_gap = T + 0.5 * throttling_heat(o.heat_capacity, dp, rho)
+    nu_gap = viscosity(o.A, o.B, T_gap)
+    w = _position(v, y, p1, p2, rho, nu, nu_gap, edge)
+    x_MP = min(max(w, 0.0), v.stroke)
+    p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
+    Q_PV = _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap)
+    seat = v.seat_leakage * dp * NU_LEAKAGE / nu_gap
+    return _main_flow(v, x_MP, dp, rho, nu, edge) + Q_PV + seat, Q_PV, x_MP, p_c  # eq. (6)
+
+
+@numba.njit(cache=True)
+def _position(
+    v: Record,
+    y: N,
+    p1: N,
+    p2: N,
+    rho: N,
+    nu: N,
+    nu_gap: N,
+    edge: N,
+) -> N:
+    """The one root of ``_surplus``, by Ridders' method: bracketed all the way."""
+    low, high = 0.0, v.stroke
+    f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
+    f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
+    if f_low <= 0.0:  # the pilot takes so little that the poppet stays on its seat
+        low, high, f_high = -1.0, low, f_low
+        f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
+        if f_low <= 0.0:
+            return low
+    elif f_high >= 0.0:  # the pilot takes so much that the poppet stands at its stop
+        low, high, f_low = high, v.stroke + 1.0, f_high
+        f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
+        if f_high >= 0.0:
+            return high
+    w = low
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        f_middle = _surplus(v, middle, y, p1, p2, rho, nu, nu_gap, edge)
+        if f_middle == 0.0:
+            return middle
+        previous = w
+        w = middle + (middle - low) * f_middle / math.sqrt(f_middle * f_middle - f_low * f_high)
+        f_w = _surplus(v, w, y, p1, p2, rho, nu, nu_gap, edge)
+        if f_w == 0.0 or abs(w - previous) < 1e-13:
+            return w
+        if f_middle > 0.0:
+            low, f_low = middle, f_middle
+        else:
+            high, f_high = middle, f_middle
+        if f_w > 0.0 and w > low:
+            low, f_low = w, f_w
+        elif f_w < 0.0 and w < high:
+            high, f_high = w, f_w
+    return w
+
+
+@numba.njit(cache=True)
+def _surplus(
+    v: Record,
+    w: N,
+    y: N,
+    p1: N,
+    p2: N,
+    rho: N,
+    nu: N,
+    nu_gap: N,
+    edge: N,
+) -> N:
+    """Q_PV - Q_c on the path: falls all the way from w = -1 to w = stroke + 1, eq. (2)."""
+    p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
+    opening = v.x_0 + min(max(w, 0.0), v.stroke)
+    return _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap) - _slot(
+        v, v.K_c * opening, opening, p1 - p_c, rho, nu
+    )
+
+
+@numba.njit(cache=True)
+def _control_pressure(v: Record, w: N, p1: N, p2: N, rho: N, nu: N, edge: N) -> N:
+    """p_c on the path w: poppet pressed on its seat (w < 0), floating, at its stop (w > stroke).
+
+    Floating, p_c follows from the balance of forces, eq. (1). On the seat it may be anything
+    above that, up to p1 at w = -1; at the stop anything below, down to p2 at w = stroke + 1.
+    """
+    x = min(max(w, 0.0), v.stroke)
+    dp = p1 - p2
+    jet = v.cos_jet * _main_flow(v, x, dp, rho, nu, edge) / 6e4 * math.sqrt(2e5 * rho * dp)
+    force = v.preload + v.rate * x + jet
+    floating = max(p2 + dp / v.phi - force * v.bar_per_N, p2)
+    if w < 0.0:
+        return floating - w * (p1 - floating)
+    if w > v.stroke:
+        return floating - (w - v.stroke) * (floating - p2)
+    return floating
+
+
+@numba.njit(cache=True)
+def _main_flow(v: Record, x: N, dp: N, rho: N, nu: N, edge: N) -> N:
+    """Q_MP, eq. (4)."""
+    return _orifice(v.K_MP * x * edge, 2.0 * x * SEAT_SINE, v.poppet_re, v.C_d, dp, rho, nu)
+
+
+@numba.njit(cache=True)
+def _pilot_flow(v: Record, y: N, dp: N, rho: N, nu: N, nu_gap: N) -> N:
+    """Q_PV over the pilot and its gap."""
+    y_jet = y / (1.0 + v.pilot_jet * dp)
+    main = _slot(v, v.K_PV_stroke * y_jet, v.pilot_stroke * y_jet, dp, rho, nu)
+    return main + v.pilot_leakage * dp * NU_LEAKAGE / nu_gap
+
+
+@numba.njit(cache=True)
+def _slot(v: Record, K: N, opening: N, dp: N, rho: N, nu: N) -> N:
+    """Flow (l/min) over a rectangular slot; its hydraulic diameter is 4·area/perimeter."""
+    if opening <= 0.0:
+        return 0.0
+    D_h = 2.0 * v.slot_width * opening / (v.slot_width + opening)
+    return _orifice(K, D_h, v.slot_re, v.C_d, dp, rho, nu)
+
+
+@numba.njit(cache=True)
+def _orifice(K: N, D_h: N, re_t: N, C_d: N, dp: N, rho: N, nu: N) -> N:
+    """Flow (l/min) by C_d(Re) = C_d∞/√(1 + Re_t/Re), solved for C_d over the flow number."""
+    if dp <= 0.0 or K <= 0.0:
+        return 0.0
+    turbulent = K * math.sqrt(dp * RHO_K / rho)
+    if re_t == 0.0:
+        return turbulent
+    flow_number = 1e3 * D_h * math.sqrt(2e5 * dp / rho) / nu  # = Re/C_d
+    b = re_t / (2.0 * C_d * flow_number)
+    return turbulent / (math.sqrt(1.0 + b * b) + b)  # = turbulent·(√(1 + b²) - b)
