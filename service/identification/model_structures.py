@@ -163,10 +163,12 @@ class TensorSpline:
     Attributes
     ----------
     U, s
-        Breaks between the cells, in % and √bar, ascending; one that stands there twice or three
-        times lets the curvature or the slope jump.
+        Breaks between the cells, in % and √bar, ascending.
     T
         Nodes in °C; none: the map does not depend on T.
+    dead_band, saturation
+        U in % where the valve begins to open and where it is fully open, if the map has a kink
+        there; below the one and above the other the prior draws it to a plateau.
     smoothness
         Root of the prior's weight, in samples.
     at_rest
@@ -176,7 +178,7 @@ class TensorSpline:
     Raises
     ------
     ConfigurationError
-        if breaks or nodes do not ascend, or are too few.
+        if breaks or nodes do not ascend or are too few, or a kink lies outside them.
 
     References
     ----------
@@ -196,7 +198,9 @@ class TensorSpline:
     U: tuple[float, ...]
     s: tuple[float, ...]
     T: tuple[float, ...] = ()
-    smoothness: float = 0.03
+    dead_band: float | None = None
+    saturation: float | None = None
+    smoothness: float = 0.3
     at_rest: Literal["free", "zero"] = "free"
 
     def __post_init__(self) -> None:
@@ -204,6 +208,11 @@ class TensorSpline:
         _check_breaks("s", self.s)
         if list(self.T) != sorted(set(self.T)) or len(self.T) == 1:
             raise ConfigurationError(f"spline: T = {self.T}; two or more ascending nodes, or none")
+        if self._kinks != sorted({*self._kinks}.difference(self.U)):
+            raise ConfigurationError(
+                f"spline: dead_band = {self.dead_band}, saturation = {self.saturation}; "
+                f"{self.U[0]} < dead_band < saturation < {self.U[-1]} is allowed, off the breaks"
+            )
 
     @classmethod
     def uniform(
@@ -224,7 +233,8 @@ class TensorSpline:
     @cached_property
     def knots(self) -> tuple[Floats, Floats]:
         """Clamped knots in U and s: the ends four times."""
-        U, s = (np.array([*[x[0]] * 3, *x, *[x[-1]] * 3], np.float64) for x in (self.U, self.s))
+        with_kinks = sorted([*self.U, *self._kinks * 3])
+        U, s = (np.array([*[x[0]] * 3, *x, *[x[-1]] * 3], np.float64) for x in (with_kinks, self.s))
         return U, s
 
     @cached_property
@@ -245,15 +255,28 @@ class TensorSpline:
         n_T = max(1, len(self.T))
         one_U, one_s, one_T = np.eye(len(sites_U)), np.eye(len(sites_s)), np.eye(n_T)
         anchor = sites_s if self.at_rest == "free" else np.concatenate([[self.s[0]], sites_s])
-        bend_s = _bends(anchor, self.s)[:, self._without :]
+        bend_s = _bends(anchor)[:, self._without :]
         rows = np.concatenate(
             [
-                np.kron(np.kron(_bends(sites_U, self.U), one_s), one_T),
+                np.kron(np.kron(self._bends_and_plateaus(), one_s), one_T),
                 np.kron(np.kron(one_U, bend_s), one_T),
                 np.kron(np.kron(one_U, one_s), np.diff(one_T, axis=0)),
             ]
         )
         return self.smoothness * rows, np.zeros(len(rows))
+
+    @property
+    def _kinks(self) -> list[float]:
+        return [U for U in (self.dead_band, self.saturation) if U is not None]
+
+    def _bends_and_plateaus(self) -> Floats:
+        """Bends in U between the kinks, steps beyond them; none across a kink."""
+        sites = self.sites[0]
+        low = -math.inf if self.dead_band is None else self.dead_band
+        high = math.inf if self.saturation is None else self.saturation
+        inside = (sites[1:-1] > low) & (sites[1:-1] < high)
+        beyond = (sites[1:] <= low) | (sites[:-1] >= high)
+        return np.concatenate([_bends(sites)[inside], np.diff(np.eye(len(sites)), axis=0)[beyond]])
 
     @property
     def _without(self) -> int:
@@ -283,30 +306,18 @@ def _spell(powers: dict[str, int]) -> str:
 
 
 def _check_breaks(name: str, breaks: tuple[float, ...]) -> None:
-    inner = Counter(breaks[1:-1])
-    if (
-        len(breaks) < 2
-        or not all(map(math.isfinite, breaks))
-        or list(breaks) != sorted(breaks)
-        or {breaks[0], breaks[-1]} & set(inner)
-        or max(inner.values(), default=0) > 3
-    ):
+    if len(breaks) < 2 or list(breaks) != sorted({*breaks}) or not all(map(math.isfinite, breaks)):
         raise ConfigurationError(
-            f"spline: {name} = {breaks}; two or more ascending breaks are allowed, an inner one up "
-            "to three times"
+            f"spline: {name} = {breaks}; two or more ascending breaks are allowed"
         )
 
 
-def _bends(sites: Floats, breaks: tuple[float, ...]) -> Floats:
-    """Rows (n - 2, n): how far each value lies off the line between its neighbours.
-
-    A site on a threefold break is free to be a kink: its row is nought.
-    """
+def _bends(sites: Floats) -> Floats:
+    """Rows (n - 2, n): how far each value lies off the line between its neighbours."""
     left, right = np.diff(sites)[:-1], np.diff(sites)[1:]
     rows = np.zeros((len(sites) - 2, len(sites)))
     every = np.arange(len(sites) - 2)
     rows[every, every] = -right / (left + right)
     rows[every, every + 1] = 1.0
     rows[every, every + 2] = -left / (left + right)
-    rows[[breaks.count(site) == 3 for site in sites[1:-1]]] = 0.0
     return rows

@@ -19,7 +19,7 @@ from service.identification.model_structures import (
     TensorSpline,
 )
 
-KINKED = TensorSpline((0, 8, 8, 8, 50, 100), (0, 4, 9, 15), T=(20, 60))
+KINKED = TensorSpline((0, 50, 100), (0, 4, 9, 15), T=(20, 60), dead_band=8)
 STRUCTURES = {
     "eq. (7)": FiveTerms(),
     "fifth order": Polynomial.of_order(5),
@@ -117,7 +117,7 @@ def test_an_oil_that_thickens_with_heat_is_refused():
 
 
 @pytest.mark.parametrize(
-    "breaks", [(0.0,), (0.0, 5.0, 3.0), (0.0, 0.0, 3.0), (0.0, math.nan), (0, 1, 1, 1, 1, 2)]
+    "breaks", [(0.0,), (0.0, 5.0, 3.0), (0.0, 0.0, 3.0), (0.0, math.nan), (0.0, math.inf)]
 )
 def test_breaks_that_do_not_ascend_are_refused(breaks):
     with pytest.raises(ConfigurationError, match="ascending breaks"):
@@ -130,8 +130,21 @@ def test_nodes_that_do_not_ascend_are_refused():
             TensorSpline((0.0, 100.0), (0.0, 14.0), T=T)
 
 
+@pytest.mark.parametrize(("dead_band", "saturation"), [(0.0, None), (90.0, 10.0), (50.0, None)])
+def test_a_kink_outside_or_on_the_breaks_is_refused(dead_band, saturation):
+    with pytest.raises(ConfigurationError, match="dead_band < saturation < 100"):
+        TensorSpline((0, 50, 100), (0, 14), dead_band=dead_band, saturation=saturation)
+
+
+def test_beyond_a_kink_the_prior_costs_a_plateau_nothing():
+    structure = TensorSpline((0, 50, 100), (0, 14), dead_band=8.0, saturation=95.0)
+    sites_U, sites_s = structure.sites
+    valve = np.outer(np.clip(sites_U, 8.0, 95.0), sites_s).ravel()
+    np.testing.assert_allclose(structure.prior()[0] @ valve, 0.0, atol=1e-9)
+
+
 def test_the_basis_is_scipys_inside_the_breaks():
-    structure = TensorSpline((0, 8, 8, 30, 100), (0, 2, 2, 2, 14))
+    structure = TensorSpline((0, 30, 100), (0, 2, 14), dead_band=8.0, saturation=97.0)
     U, dp, T = points(200)
     s = np.clip(np.sqrt(dp), 0, 14)
     knots_U, knots_s = structure.knots
@@ -166,7 +179,7 @@ def test_a_parameter_is_named_after_the_place_where_it_is_the_maps_value():
     np.testing.assert_allclose(structure.regressors(U, dp, T) @ plane, U + 7 * np.sqrt(dp))
 
 
-def test_a_kink_is_exact_where_a_break_stands_three_times():
+def test_a_dead_band_is_a_kink_and_exact():
     U, dp, T = points(2000)
     Q = np.maximum(U - 8.0, 0.0) * (1 + T / 100)
     theta = fit(replace(KINKED, smoothness=1e-4), U, dp, T, Q)
@@ -205,7 +218,8 @@ def test_the_prior_costs_a_plane_nothing_and_leaves_the_rest_to_the_data():
         assert rows.shape == (len(values), len(structure.parameter_names))
         assert not values.any()
         sites_U, sites_s = structure.sites
-        plane = np.kron(np.outer(1 + sites_U, sites_s).ravel(), np.ones(max(1, len(structure.T))))
+        opening = np.maximum(sites_U, structure.dead_band or 0.0)
+        plane = np.kron(np.outer(opening, sites_s).ravel(), np.ones(max(1, len(structure.T))))
         np.testing.assert_allclose(rows @ plane, 0.0, atol=1e-9)
 
 
