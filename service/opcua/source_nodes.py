@@ -1,8 +1,9 @@
 """The nodes of a source server: their names, whether they exist, whether they hold numbers."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 from uuid import UUID
 
 from asyncua import ua
@@ -11,6 +12,9 @@ from service.errors import ConfigurationError, SourceRejected
 from service.opcua.connection import Connection, status_name
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
 
 _NODE_ID = re.compile(
     r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)"
@@ -165,10 +169,9 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
     ids = [parse_node_id(node.text, namespaces) for node in wanted]
     with connection.errors("reading the nodes"):
         limit = (await operation_limits(connection)).nodes_per_read
-        step = max(limit // len(_ATTRIBUTES), 1)
-        answers: list[list[ua.DataValue]] = []
-        for start in range(0, len(ids), step):
-            answers += await _read(connection, ids[start : start + step])
+        answers = await in_chunks(
+            ids, max(limit // len(_ATTRIBUTES), 1), lambda chunk: _read(connection, chunk)
+        )
     monitored, writable, faults = [], {}, []
     for node, node_id, answer in zip(wanted, ids, answers, strict=True):
         label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
@@ -212,6 +215,21 @@ async def operation_limits(connection: Connection) -> OperationLimits:
     found = [value if isinstance(value, int) and value > 0 else None for value in values]
     nodes, items = (min(value or _DEFAULT_OPERATIONS, 10_000) for value in found)
     return OperationLimits(nodes, items)
+
+
+async def in_chunks(
+    items: Sequence[_In], size: int, call: Callable[[Sequence[_In]], Awaitable[Sequence[_Out]]]
+) -> list[_Out]:
+    """Call with at most ``size`` items at a time, with fewer where the server wants fewer."""
+    results: list[_Out] = []
+    while len(results) < len(items):
+        try:
+            results += await call(items[len(results) : len(results) + size])
+        except ua.uaerrors.BadTooManyOperations:
+            if size == 1:
+                raise
+            size //= 2
+    return results
 
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:

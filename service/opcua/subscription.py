@@ -22,13 +22,14 @@ from service.opcua.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
-from service.opcua.source_nodes import MonitoredNode, operation_limits
+from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
 from service.streaming.data_changes import DataChanges
 
 _log = logging.getLogger(__name__)
 
 _LOST_KEEP_ALIVES = 3
 _LIFETIME_KEEP_ALIVES = 10
+_LIFETIME_S = 60.0
 _MAX_REPUBLISH = 100
 _NOTIFICATIONS_PER_PUBLISH = 100_000
 _GOOD_TRANSFERRED = 0x002D0000
@@ -250,26 +251,21 @@ async def subscribe(
         result = await connection.session.create_subscription(
             ua.CreateSubscriptionParameters(
                 RequestedPublishingInterval=interval,
-                RequestedLifetimeCount=_LIFETIME_KEEP_ALIVES * keep_alive,
+                RequestedLifetimeCount=max(
+                    _LIFETIME_KEEP_ALIVES * keep_alive, round(_LIFETIME_S * 1e3 / interval)
+                ),
                 RequestedMaxKeepAliveCount=keep_alive,
                 MaxNotificationsPerPublish=_NOTIFICATIONS_PER_PUBLISH,
                 PublishingEnabled=True,
             ),
             _unused,
         )
-        created: list[ua.MonitoredItemCreateResult] = []
-        step = (await operation_limits(connection)).items_per_call
-        for start in range(0, len(nodes), step):
-            created += await connection.session.create_monitored_items(
-                ua.CreateMonitoredItemsParameters(
-                    SubscriptionId=result.SubscriptionId,
-                    TimestampsToReturn=ua.TimestampsToReturn.Both,
-                    ItemsToCreate=[
-                        _request(node, settings.sampling_interval_ms, settings.queue_size)
-                        for node in nodes[start : start + step]
-                    ],
-                )
-            )
+        limits = await operation_limits(connection)
+        created = await in_chunks(
+            nodes,
+            limits.items_per_call,
+            lambda chunk: _create_items(connection, result.SubscriptionId, chunk),
+        )
     for node, item in zip(nodes, created, strict=True):
         if item.StatusCode.value >> 30:
             raise SourceRejected(
@@ -285,6 +281,22 @@ async def subscribe(
     )
     _warn_of_what_may_be_lost(connection, revised)
     return Subscription(connection, result.SubscriptionId, revised, tally, clock)
+
+
+async def _create_items(
+    connection: Connection, subscription_id: int, nodes: Sequence[MonitoredNode]
+) -> list[ua.MonitoredItemCreateResult]:
+    settings = connection.settings
+    created: list[ua.MonitoredItemCreateResult] = await connection.session.create_monitored_items(
+        ua.CreateMonitoredItemsParameters(
+            SubscriptionId=subscription_id,
+            TimestampsToReturn=ua.TimestampsToReturn.Both,
+            ItemsToCreate=[
+                _request(node, settings.sampling_interval_ms, settings.queue_size) for node in nodes
+            ],
+        )
+    )
+    return created
 
 
 def _request(
