@@ -8,7 +8,6 @@ import numpy as np
 
 from service.errors import ConfigurationError, StorageError
 from service.identification.samples import Floats, Times
-from service.report.verification import score
 
 try:
     from matplotlib.axes import Axes
@@ -48,8 +47,7 @@ def plot_agreement(path: Path, Q: Floats, predictions: Mapping[str, Floats]) -> 
         axes.set(xlim=(low, high), ylim=(low, high), aspect="equal")
         axes.set_xlabel("measured Q, l/min")
         axes.set_ylabel("predicted Q̂, l/min")
-        figures = score(Q, Q_hat)
-        axes.set_title(f"{name}: RMSE {figures.rmse:.3g} l/min, R² {figures.r2:.4f}", fontsize=10)
+        axes.set_title(f"{name}: {_fit(Q, Q_hat)}", fontsize=10)
         _note_outside(axes, int(np.sum((Q_hat < low) | (Q_hat > high))))
     _save(figure, path)
 
@@ -229,6 +227,16 @@ def _span(Q: Floats) -> tuple[float, float]:
 def _settled(theta: Floats) -> tuple[float, float]:
     """Limits that show where parameters settle, not how far they swung at the start."""
     return _span(theta[len(theta) // 3 :])
+
+
+def _fit(Q: Floats, Q_hat: Floats) -> str:
+    known = np.isfinite(Q) & np.isfinite(Q_hat)
+    if not known.any():
+        return "nothing predicted"
+    with np.errstate(all="ignore"):
+        error = np.mean((Q[known] - Q_hat[known]) ** 2)
+        r2 = 1 - error / np.var(Q[known])
+    return f"RMSE {math.sqrt(error):.3g} l/min, R² {r2:.4f}"
 
 
 def _note_outside(axes: Axes, count: int) -> None:
