@@ -1,0 +1,366 @@
+import asyncio
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import pytest_asyncio
+from asyncua import Client, ua
+
+from service.clock import ManualClock
+from service.errors import CommandRejected, ServerError
+from service.identification.inversion import Inversion
+from service.identification.samples import Quality, Status
+from service.opcua.hardened import Role, ServerSettings, UserStore
+from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.ports import (
+    EstimatorDescription,
+    EstimatorResult,
+    InverseResult,
+    ValveDescription,
+    ValveResult,
+)
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+T = 1_800_000_000_000_000_000
+Codes = ua.StatusCodes
+VALVES = (
+    ValveDescription(
+        name="Valvistor",
+        estimators=(
+            EstimatorDescription(
+                "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True
+            ),
+            EstimatorDescription(
+                "RBF", "Radial basis functions.", ("w1",), has_forgetting_factor=False
+            ),
+        ),
+        map_Q=(0.0, 100.0, 200.0),
+        map_dp=(50.0, 100.0),
+    ),
+    ValveDescription(
+        "V2", (EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True),)
+    ),
+)
+ESTIMATOR = EstimatorResult(
+    t=T,
+    quality=Quality.GOOD,
+    parameter_names=("a1", "a2"),
+    theta=np.array([1.0, -2.5]),
+    std=np.array([0.1, np.nan]),
+    predicted=50.0,
+    residual=0.5,
+    residual_rmse=0.4,
+    sample_count=2**40,
+    status=Status.OK,
+)
+MAP = np.arange(6.0).reshape(3, 2)
+INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, MAP)
+
+
+def result(estimator=ESTIMATOR, inverse=INVERSE, **counters):
+    return ValveResult("Valvistor", {"RLS": estimator, "RBF": estimator}, inverse, counters)
+
+
+class Operator:
+    """Remembers what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def reset(self, valve, estimator):
+        self.told.append(("reset", valve, estimator))
+
+    def freeze(self, valve, estimator):
+        self.told.append(("freeze", valve, estimator))
+
+    def resume(self, valve, estimator):
+        self.told.append(("resume", valve, estimator))
+
+    def set_forgetting_factor(self, valve, estimator, lam):
+        if estimator == "RBF":
+            raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
+        self.told.append(("forget", valve, estimator, lam))
+
+    def predict(self, valve, estimator, U, dp, T):
+        self.told.append(("predict", valve, estimator, U, dp, T))
+        return 10.0 * U, 0.1, Status.UNEXCITED
+
+    def invert(self, valve, Q, dp, T):
+        self.told.append(("invert", valve, Q, dp, T))
+        columns = (np.array([x]) for x in (Q / 2, Q / 2 - 1, Q / 2 + 1))
+        return Inversion(*columns, np.array([1], np.uint8))
+
+    def demand(self, valve, Q, dp):
+        self.told.append(("demand", valve, Q, dp))
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def served(tmp_path_factory):
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/service/",
+        application_uri="urn:test:service",
+        application_name="service",
+        namespace_uri=NAMESPACE,
+        users=users,
+        none_on_loopback=True,
+        cache=tmp_path_factory.mktemp("cache"),
+    )
+    operator = Operator()
+    async with ResultsServer(settings, VALVES, operator, ManualClock(T)) as server:
+        yield server, operator, password
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def server(served):
+    return served[0]
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def operator(served):
+    served[1].told.clear()
+    return served[1]
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def client(served):
+    client = Client(served[0].url)
+    client.set_user("operator")
+    client.set_password(served[2])
+    async with client:
+        yield client
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def observer(served):
+    async with Client(served[0].url) as client:
+        yield client
+
+
+async def node(client, name):
+    return client.get_node(ua.NodeId(name, await client.get_namespace_index(NAMESPACE)))
+
+
+async def value(client, name):
+    """(value, StatusCode, source time in UTC ns) of a variable."""
+    answer = await (await node(client, name)).read_data_value(raise_on_bad_status=False)
+    ticks = ua.datetime_to_win_epoch(answer.SourceTimestamp) - 116_444_736_000_000_000
+    return answer.Value.Value, answer.StatusCode.value, ticks * 100
+
+
+async def called(client, owner, name, *arguments):
+    index = await client.get_namespace_index(NAMESPACE)
+    return await (await node(client, owner)).call_method(f"{index}:{name}", *arguments)
+
+
+async def test_before_any_result_everything_waits(observer):
+    for name in ("PredictedFlow", "ParameterVector", "SampleCount", "Status"):
+        assert (await value(observer, f"V2.RLS.{name}"))[:2] == (
+            None,
+            Codes.BadWaitingForInitialData,
+        )
+    assert (await value(observer, "V2.RLS.ParameterNames"))[:2] == (["a1"], Codes.Good)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "Identification/Valvistor/RLS/ParameterVector",
+        "Identification/Valvistor/RBF/Status",
+        "Identification/Valvistor/RLS/Predict",
+        "Identification/Valvistor/Inverse/FlowDemand",
+        "Identification/Valvistor/Inverse/Map",
+        "Identification/Valvistor/Inverse/Invert",
+        "Identification/V2/Inverse/RequiredU",
+    ],
+)
+async def test_paths_lead_to_the_ids_of_the_contract(observer, path):
+    index = await observer.get_namespace_index(NAMESPACE)
+    found = await observer.nodes.objects.get_child([f"{index}:{name}" for name in path.split("/")])
+    name = path.removeprefix("Identification/").replace("/", ".")
+    assert found.nodeid == ua.NodeId(name, index)
+    assert (await found.read_browse_name()).Name == name.rpartition(".")[2]
+    assert len((await found.read_description()).Text) > 8
+
+
+async def test_a_result_is_read_as_it_was_published(server, observer):
+    await server.publish([result(late=3)])
+    expected = {
+        "RLS.ParameterVector": [1.0, -2.5],
+        "RLS.ParameterNames": ["a1", "a2"],
+        "RLS.PredictedFlow": 50.0,
+        "RLS.Residual": 0.5,
+        "RLS.ResidualRmse": 0.4,
+        "RLS.SampleCount": 2**40,
+        "RLS.Status": 0,
+        "Inverse.RequiredU": 42.0,
+        "Inverse.RequiredUStatus": 0,
+        "Inverse.Map": MAP.tolist(),
+        "Inverse.MapQ": [0.0, 100.0, 200.0],
+        "Inverse.MapDp": [50.0, 100.0],
+        "Diagnostics.Late": 3,
+    }
+    for name, wanted in expected.items():
+        assert await value(observer, f"Valvistor.{name}") == (wanted, Codes.Good, T), name
+    first, second = (await value(observer, "Valvistor.RLS.ParameterStd"))[0]
+    assert first == 0.1
+    assert np.isnan(second)
+
+
+async def test_lost_sensors_leave_nothing_good(server, observer):
+    await server.publish([result()])
+    lost = replace(ESTIMATOR, quality=Quality.BAD)
+    await server.publish([result(lost, replace(INVERSE, quality=Quality.BAD))])
+    for name in ("RLS.ParameterVector", "RLS.PredictedFlow", "Inverse.RequiredU", "Inverse.Map"):
+        shown = await value(observer, f"Valvistor.{name}")
+        assert shown == (None, Codes.BadNoCommunication, T), name
+    assert await value(observer, "Valvistor.RLS.Status") == (0, Codes.UncertainLastUsableValue, T)
+    await server.publish([result()])
+    assert (await value(observer, "Valvistor.Inverse.Map"))[0] == MAP.tolist()
+
+
+async def test_counters_grow_nodes_of_their_own_when_they_first_appear(server, observer):
+    await server.publish([result(late=4, newcomer=1)])
+    assert (await value(observer, "Valvistor.Diagnostics.Newcomer"))[0] == 1
+    await server.publish([result(late=5, newcomer=1)])
+    assert (await value(observer, "Valvistor.Diagnostics.Late"))[0] == 5
+
+
+async def test_results_of_an_unknown_valve_are_passed_over(server, observer):
+    stranger = ValveResult("Stranger", {"RLS": ESTIMATOR}, INVERSE, {"late": 1})
+    await server.publish([stranger, result()])
+    assert (await value(observer, "Valvistor.RLS.Residual"))[0] == 0.5
+
+
+async def test_units_ranges_and_names_of_values_are_there(observer):
+    flow = await node(observer, "Valvistor.RLS.PredictedFlow")
+    units = await (await flow.get_child("0:EngineeringUnits")).read_value()
+    span = await (await flow.get_child("0:EURange")).read_value()
+    assert (units.UnitId, units.DisplayName.Text) == (19506, "l/min")
+    assert (span.Low, span.High) == (0.0, 200.0)
+    status = await node(observer, "Valvistor.RLS.Status")
+    texts = await (await status.get_child("0:EnumStrings")).read_value()
+    assert [text.Text for text in texts] == [member.name for member in Status]
+
+
+async def test_the_map_is_an_image_that_describes_its_axes(observer):
+    image = await node(observer, "Valvistor.Inverse.Map")
+    assert await image.read_type_definition() == ua.NodeId(12047)
+    assert await image.read_array_dimensions() == [3, 2]
+    x = await (await image.get_child("0:XAxisDefinition")).read_value()
+    y = await (await image.get_child("0:YAxisDefinition")).read_value()
+    assert (x.AxisSteps, x.EngineeringUnits.DisplayName.Text) == ([50.0, 100.0], "bar")
+    assert (y.AxisSteps, y.EngineeringUnits.DisplayName.Text) == ([0.0, 100.0, 200.0], "l/min")
+
+
+async def test_everyone_may_predict_and_invert(observer, operator):
+    assert await called(observer, "Valvistor.RLS", "Predict", 50.0, 100.0, 40.0) == [500.0, 0.1, 2]
+    answer = await called(observer, "Valvistor.Inverse", "Invert", 80.0, 100.0, 40.0)
+    assert answer == [40.0, 39.0, 41.0, 1]
+    assert operator.told == [
+        ("predict", "Valvistor", "RLS", 50.0, 100.0, 40.0),
+        ("invert", "Valvistor", 80.0, 100.0, 40.0),
+    ]
+
+
+@pytest.mark.parametrize("method", ["Reset", "Freeze", "Resume"])
+async def test_commands_reach_the_operator_port(client, operator, method):
+    await called(client, "Valvistor.RBF", method)
+    assert operator.told == [(method.lower(), "Valvistor", "RBF")]
+
+
+@pytest.mark.parametrize("method", ["Reset", "Freeze", "Resume"])
+async def test_an_observer_commands_nothing(observer, operator, method):
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await called(observer, "Valvistor.RLS", method)
+    assert operator.told == []
+
+
+async def test_a_forgetting_factor_is_checked_and_passed_on(client, operator):
+    await called(client, "Valvistor.RLS", "SetForgettingFactor", 0.99)
+    assert operator.told == [("forget", "Valvistor", "RLS", 0.99)]
+    for lam in (0.0, -0.5, 1.01):
+        with pytest.raises(ua.uaerrors.BadOutOfRange):
+            await called(client, "Valvistor.RLS", "SetForgettingFactor", lam)
+    with pytest.raises(ua.uaerrors.BadInvalidState):
+        await called(client, "Valvistor.RBF", "SetForgettingFactor", 0.99)
+    with pytest.raises(ua.uaerrors.BadInvalidArgument):
+        await called(client, "Valvistor.RLS", "SetForgettingFactor", "much")
+    assert len(operator.told) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ((50.0, 100.0), ua.uaerrors.BadArgumentsMissing),
+        ((50.0, 100.0, 40.0, 1.0), ua.uaerrors.BadTooManyArguments),
+        ((50, 100.0, 40.0), ua.uaerrors.BadInvalidArgument),
+        ((101.0, 100.0, 40.0), ua.uaerrors.BadInvalidArgument),
+        ((50.0, float("nan"), 40.0), ua.uaerrors.BadInvalidArgument),
+    ],
+)
+async def test_wrong_arguments_are_refused_by_name(observer, operator, arguments, error):
+    with pytest.raises(error):
+        await called(observer, "Valvistor.RLS", "Predict", *arguments)
+    assert operator.told == []
+
+
+async def test_flow_and_pressure_make_a_demand_together(client, operator):
+    await (await node(client, "V2.Inverse.FlowDemand")).write_value(80.0)
+    await (await node(client, "V2.Inverse.PressureDrop")).write_value(120.0)
+    (_, valve, Q, dp), last = operator.told
+    assert (valve, Q) == ("V2", 80.0)
+    assert np.isnan(dp)
+    assert last == ("demand", "V2", 80.0, 120.0)
+    assert (await value(client, "V2.Inverse.FlowDemand"))[:2] == (80.0, Codes.Good)
+
+
+async def test_a_demand_beyond_the_range_is_refused(client, operator):
+    with pytest.raises(ua.uaerrors.BadOutOfRange):
+        await (await node(client, "V2.Inverse.FlowDemand")).write_value(500.0)
+    assert operator.told == []
+
+
+async def test_an_observer_demands_nothing_and_nobody_writes_results(observer, client, operator):
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await (await node(observer, "V2.Inverse.FlowDemand")).write_value(80.0)
+    with pytest.raises(ua.uaerrors.BadNotWritable):
+        await (await node(client, "V2.Inverse.RequiredU")).write_value(80.0)
+    assert operator.told == []
+
+
+async def test_a_subscriber_sees_every_result_with_its_time(server, observer):
+    seen = asyncio.Queue()
+
+    class Handler:
+        def datachange_notification(self, _node, number, data):
+            seen.put_nowait((number, data.monitored_item.Value.SourceTimestamp))
+
+    subscription = await observer.create_subscription(50, Handler())
+    await subscription.subscribe_data_change(
+        await node(observer, "Valvistor.RLS.Residual"), queuesize=100
+    )
+    await asyncio.wait_for(seen.get(), 5)
+    for k in range(5):
+        await server.publish([result(replace(ESTIMATOR, residual=float(k), t=T + k * 10_000_000))])
+    got = [await asyncio.wait_for(seen.get(), 5) for _ in range(5)]
+    assert [number for number, _ in got] == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert len({time for _, time in got}) == 5
+    await subscription.delete()
+
+
+async def test_a_port_in_use_is_named(served, tmp_path):
+    settings = ServerSettings(
+        url=served[0].url,
+        application_uri="urn:test:other",
+        application_name="other",
+        namespace_uri=NAMESPACE,
+        none_on_loopback=True,
+        cache=tmp_path,
+    )
+    other = ResultsServer(settings, [], Operator())
+    with pytest.raises(ServerError, match="cannot listen"):
+        await other.start()
+    await other.publish([result()])
+    await other.stop()
