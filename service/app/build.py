@@ -30,8 +30,19 @@ _AXIS_POINTS = 21
 
 def build_identification(config: Config) -> Identification:
     """All valves with their estimators, before the first sample."""
-    has_T = tuple(valve.nodes.T is not None for valve in config.valves)
-    return Identification(build_plans(config), Alignment(_alignment(config), has_T))
+    return Identification(build_plans(config), build_alignment(config))
+
+
+def build_alignment(config: Config) -> Alignment:
+    """How the signals of all valves find together."""
+    signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
+    settings = AlignmentSettings(
+        tolerance_ns=round(config.alignment.tolerance_ms * 1e6),
+        max_wait_ns=round(config.alignment.max_wait_s * 1e9),
+        max_pending=config.alignment.max_pending,
+        hold_ns={signals[name]: round(s * 1e9) for name, s in config.alignment.hold_s.items()},
+    )
+    return Alignment(settings, tuple(valve.nodes.T is not None for valve in config.valves))
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
@@ -120,16 +131,6 @@ _GATES = dict(zip(SENSORS, ("U", "p1", "p2", "Q", "T"), strict=True))
 def _axis(low: float, high: float) -> tuple[float, ...]:
     step = (high - low) / (_AXIS_POINTS - 1)
     return tuple(low + k * step for k in range(_AXIS_POINTS))
-
-
-def _alignment(config: Config) -> AlignmentSettings:
-    signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
-    return AlignmentSettings(
-        tolerance_ns=round(config.alignment.tolerance_ms * 1e6),
-        max_wait_ns=round(config.alignment.max_wait_s * 1e9),
-        max_pending=config.alignment.max_pending,
-        hold_ns={signals[name]: round(s * 1e9) for name, s in config.alignment.hold_s.items()},
-    )
 
 
 def _password(source: SourceConfig) -> str | None:

@@ -1,0 +1,5 @@
+"""``python -m service`` is ``valvemap``."""
+
+from service.cli import main
+
+main()

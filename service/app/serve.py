@@ -1,0 +1,90 @@
+"""The live service from start to end."""
+
+import asyncio
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+from service.app.build import (
+    build_identification,
+    build_live_settings,
+    build_server_settings,
+    build_source,
+    build_supervisor_settings,
+)
+from service.clock import SystemClock
+from service.config.models import Config
+from service.identification.samples import Samples
+from service.opcua.hardened import ServerSettings
+from service.opcua.results_server import ResultsServer
+from service.storage.checkpoints import CheckpointFile
+from service.streaming.identification import Identification
+from service.streaming.live import LiveService
+from service.streaming.supervisor import supervise
+
+SampleTap = Callable[[str, Samples], None]
+
+
+async def serve(
+    config: Config,
+    stop: asyncio.Event,
+    server_settings: ServerSettings | None = None,
+    identification: Identification | None = None,
+    on_samples: SampleTap = lambda _valve, _samples: None,
+) -> None:
+    """Identify and publish until ``stop`` is set; keep all states at the end.
+
+    Parameters
+    ----------
+    config
+        The whole configuration.
+    stop
+        Ends the service.
+    server_settings
+        Instead of what the configuration says (the demo's open endpoint).
+    identification
+        Instead of a new one from the configuration, for one who wants to look inside.
+    on_samples
+        Sees every valve's samples as they are identified from.
+
+    Raises
+    ------
+    ValvemapError
+        at start: of the configuration, the source, the server's address, the stores; at the end:
+        if the states cannot be kept.
+    """
+    clock = SystemClock()
+    settings = server_settings or build_server_settings(config)
+    identification = identification or build_identification(config)
+    source = build_source(config)
+    with CheckpointFile(config.state.file) as store:
+        server = ResultsServer(settings, identification.descriptions(), identification)
+        live = LiveService(
+            identification, source, server, store, clock, build_live_settings(config), on_samples
+        )
+        async with server:
+            await live.start()
+            try:
+                await supervise(source, live, clock, stop, build_supervisor_settings(config))
+            finally:
+                live.keep()
+
+
+@contextmanager
+def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
+    """Set ``stop`` on Ctrl-C or a termination signal, on every platform."""
+    loop = asyncio.get_running_loop()
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    with suppress(AttributeError):
+        numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
+    before = {number: signal.signal(number, on_signal) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

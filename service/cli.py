@@ -1,5 +1,0 @@
-"""The command ``valvemap``."""
-
-
-def main() -> None:
-    """Run the command line."""

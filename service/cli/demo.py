@@ -1,0 +1,198 @@
+"""``valvemap demo``: rig and service side by side, a valve being identified before your eyes."""
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.live import Live
+
+from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.app.serve import serve, stop_on_signal
+from service.app.warm_up import warm_up
+from service.cli.demo_view import Verdict, status_table, verdict_table
+from service.cli.logs import set_up_logs
+from service.config.loading import load_config
+from service.config.models import Config, LogConfig, NodesConfig, StateConfig, ValveConfig
+from service.errors import ServerError
+from service.identification.least_squares import batch_least_squares
+from service.identification.model_structures import FiveTerms
+from service.identification.samples import Samples
+from service.opcua.hardened import Role, ServerSettings, UserStore
+from service.streaming.identification import Identification
+from virtual_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
+
+_REFRESH_S = 1.0
+_LINE_S = 5.0
+_RIG_START_S = 60.0
+
+
+def demo(
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="End after S seconds.")
+    ] = None,
+    scenario: Annotated[
+        str, typer.Option(metavar="NAME", help="Built-in scenario of the rig, or a TOML file.")
+    ] = "demo",
+) -> None:
+    """Run rig and service, until Ctrl-C."""
+    loaded = load_scenario(scenario)
+    set_up_logs(LogConfig(level="error"))
+    with TemporaryDirectory(prefix="valvemap-demo-") as folder:
+        config = _demo_config(loaded, Path(folder))
+        console = Console()
+        console.print("preparing (the very first start compiles for some seconds) ...")
+        warm_up(config)
+        asyncio.run(_demo(config, scenario, loaded, duration, console))
+
+
+async def _demo(
+    config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
+) -> None:
+    stop = asyncio.Event()
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    identification = build_identification(config)
+    view = _View(identification, scenario)
+    settings = ServerSettings(
+        url=config.server.url,
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        users=users,
+        none_on_loopback=True,
+    )
+    with stop_on_signal(stop):
+        async with _rig_process(config.source.url, name, password) as rig_url:
+            serving = asyncio.ensure_future(
+                serve(config, stop, settings, identification, view.count)
+            )
+            console.print(f"rig       {rig_url}")
+            console.print(f"service   {config.server.url}")
+            console.print("security  None, on this machine only; anonymous may look")
+            console.print(f"operator  user operator, password {password}")
+            console.print("Ctrl-C ends it.\n")
+            try:
+                await _show(view, console, stop, serving, duration)
+            finally:
+                stop.set()
+                await serving
+    console.print(verdict_table(view.verdicts()))
+
+
+async def _show(
+    view: "_View",
+    console: Console,
+    stop: asyncio.Event,
+    serving: "asyncio.Future[None]",
+    duration: float | None,
+) -> None:
+    """Show the state of things every second; where nobody watches, a line now and then."""
+    loop = asyncio.get_running_loop()
+    end = None if duration is None else loop.time() + duration
+    pause = _REFRESH_S if console.is_terminal else _LINE_S
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while not stop.is_set() and not serving.done():
+            left = pause if end is None else min(pause, end - loop.time())
+            if left <= 0:
+                return
+            stopped = asyncio.ensure_future(stop.wait())
+            ends: set[asyncio.Future[Any]] = {stopped, serving}
+            await asyncio.wait(ends, timeout=left, return_when=asyncio.FIRST_COMPLETED)
+            stopped.cancel()
+            if console.is_terminal:
+                live.update(status_table(view.identification, view.verdicts()), refresh=True)
+            else:
+                for verdict in view.verdicts():
+                    console.print(verdict.line())
+
+
+class _View:
+    """What the demo shows: the service from inside, and the rig's truth that only a demo has."""
+
+    def __init__(self, identification: Identification, scenario: Scenario) -> None:
+        self.identification = identification
+        self._samples = dict.fromkeys((plan.name for plan in identification.plans), 0)
+        self._points = {
+            plan.name: verification_points(scenario, plan.name) for plan in identification.plans
+        }
+        self._best = {name: _best_fit(points) for name, points in self._points.items()}
+
+    def count(self, valve: str, samples: Samples) -> None:
+        """Count samples as they are identified from."""
+        self._samples[valve] += len(samples)
+
+    def verdicts(self) -> list[Verdict]:
+        """Compare every estimator's map with the truth."""
+        return [
+            Verdict(
+                valve=plan.name,
+                samples=self._samples[plan.name],
+                rmse=self._rmse(number),
+                best_fit_rmse=self._best[plan.name],
+                points=len(self._points[plan.name].Q),
+            )
+            for number, plan in enumerate(self.identification.plans)
+        ]
+
+    def _rmse(self, number: int) -> Mapping[str, float]:
+        plan, state = self.identification.plans[number], self.identification.state(number)
+        U, dp, T, Q = self._points[plan.name]
+        errors = {}
+        for name, lane in state.lanes.items():
+            Q_hat, _ = lane.estimator.predict(lane.state, U, dp, T)
+            errors[name] = float(np.sqrt(np.mean((Q - Q_hat) ** 2)))
+        return errors
+
+
+def _best_fit(points: VerificationPoints) -> float:
+    X = FiveTerms().regressors(points.U, points.dp, points.T)
+    return float(np.sqrt(np.mean((points.Q - X @ batch_least_squares(X, points.Q)) ** 2)))
+
+
+def _demo_config(scenario: Scenario, folder: Path) -> Config:
+    """Fit the default configuration to the scenario's valves, open on loopback, state apart."""
+    config = load_config()
+    source = config.source.model_copy(update={"security": "None", "startup_timeout_s": 30.0})
+    valves = tuple(
+        ValveConfig(name=bench.name, nodes=NodesConfig.of_rig(bench.name))
+        for bench in scenario.valves
+    )
+    state = StateConfig(file=folder / "state.sqlite")
+    return config.model_copy(update={"source": source, "valves": valves, "state": state})
+
+
+@asynccontextmanager
+async def _rig_process(url: str, scenario: str, password: str) -> AsyncIterator[str]:
+    """Run the rig in a process of its own, which ends with us whatever becomes of us.
+
+    Raises
+    ------
+    ServerError
+        if the rig does not start; it has said why.
+    """
+    arguments = ["-m", "service", "rig", "--under-demo", "--scenario", scenario, "--url", url]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        *arguments,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdin is not None  # noqa: S101 - both are pipes
+    assert process.stdout is not None  # noqa: S101
+    try:
+        process.stdin.write(f"{password}\n".encode())
+        line = await asyncio.wait_for(process.stdout.readline(), _RIG_START_S)
+        if not line:
+            raise ServerError("the rig did not start")
+        yield line.decode().strip()
+    finally:
+        process.stdin.close()
+        await process.wait()

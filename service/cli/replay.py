@@ -1,0 +1,77 @@
+"""``valvemap replay``: recordings through the live pipeline, with a verdict."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from service.cli.options import ConfigOption
+from service.config.loading import load_config
+from service.errors import StorageError
+
+
+def replay(
+    files: Annotated[list[Path], typer.Argument(help="Recordings, in the order of their time.")],
+    config: ConfigOption = None,
+    verify: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Recording to predict with the final parameters."),
+    ] = None,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", metavar="OUT", help="Write all figures as JSON.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw what was identified (PNG).")
+    ] = None,
+) -> None:
+    """Identify from recordings, as live."""
+    from service.app.replay import as_json
+    from service.app.replay import replay as run
+    from service.report.replay_plots import ReplayPlots
+    from service.report.verification import verification_table
+
+    loaded = None if config is None else load_config(config)
+    plots = None if plot is None else ReplayPlots(plot)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    ) as bar:
+        tasks = {}
+
+        def progress(file: Path, fraction: float) -> None:
+            if file not in tasks:
+                tasks[file] = bar.add_task(file.name, total=1.0)
+            bar.update(tasks[file], completed=fraction)
+
+        report = run(files, loaded, verify, progress, *([] if plots is None else [plots.take]))
+    console = Console()
+    one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
+    console.print(verification_table("One step ahead, before each update", one_step))
+    if verify is not None:
+        verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
+        console.print(verification_table(f"Verified on {verify.name}, no adaptation", verified))
+    if json_out is not None:
+        write_json(json_out, as_json(report))
+    if plots is not None:
+        for written in plots.write():
+            console.print(f"written: {written}")
+
+
+def write_json(file: Path, content: object) -> None:
+    """Write ``content``.
+
+    Raises
+    ------
+    StorageError
+        naming the file.
+    """
+    try:
+        file.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

@@ -1,0 +1,158 @@
+"""``valvemap rig``: the virtual test rig."""
+
+import asyncio
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from service.app.serve import stop_on_signal
+from service.cli.logs import set_up_logs
+from service.cli.options import FolderOption
+from service.config.models import LogConfig
+from service.identification.samples import Samples
+from service.opcua.hardened import Pki, Role, ServerSettings, UserStore
+from virtual_rig.scenario import Scenario, load_scenario
+from virtual_rig.server import RigServer
+from virtual_rig.simulation import RigBlock, advance, initial
+
+URL = "opc.tcp://127.0.0.1:4840/valvemap/rig/"
+APPLICATION_URI = "urn:valvemap:rig"
+APPLICATION_NAME = "valvemap rig"
+
+_BLOCK = 1_000
+_SENSORS: tuple[Literal["U", "p1", "p2", "Q", "T"], ...] = ("U", "p1", "p2", "Q", "T")
+
+
+def rig(
+    scenario: Annotated[
+        str, typer.Option(metavar="NAME", help="Built-in scenario, or a TOML file.")
+    ] = "structured",
+    url: Annotated[
+        str, typer.Option(envvar="VALVEMAP_RIG_URL", help="opc.tcp://ADDRESS:PORT/PATH")
+    ] = URL,
+    data: FolderOption = Path("data"),
+    host: Annotated[
+        list[str] | None,
+        typer.Option(envvar="VALVEMAP_RIG_HOSTS", help="Name under which clients reach the rig."),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Record every sample, too.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds of rig time.")
+    ] = None,
+    *,
+    offline: Annotated[
+        bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
+    ] = False,
+    under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
+) -> None:
+    """Run the virtual test rig as an OPC UA server, until Ctrl-C."""
+    loaded = load_scenario(scenario)
+    if duration is not None:
+        loaded = loaded.model_copy(update={"duration_s": duration})
+    if offline:
+        record_offline(loaded, record)
+        return
+    set_up_logs(LogConfig(level="error" if under_demo else "info"))
+    asyncio.run(_serve(loaded, url, data, host or [], record, under_demo=under_demo))
+
+
+def record_offline(scenario: Scenario, file: Path | None) -> None:
+    """Write a recording without a server; the scenario must end."""
+    from service.clock import SystemClock
+    from service.storage.recordings import RecordingWriter
+
+    if file is None or scenario.samples is None:
+        raise typer.BadParameter("--offline needs --record FILE and --duration S")
+    state = initial(scenario, SystemClock().now())
+    with RecordingWriter(file) as writer:
+        while state.index < scenario.samples:
+            state, block = advance(scenario, state, _BLOCK)
+            _append(writer.append, block)
+    typer.echo(f"{file}: {state.index:,} samples of each valve")
+
+
+def _append(append: Callable[[str, Samples], None], block: RigBlock) -> None:
+    """Record what a client can align: a sample that lacks a signal is none."""
+    import numpy as np
+
+    for name, valve in block.valves.items():
+        columns = {signal: getattr(valve, signal) for signal in _SENSORS}
+        severity = [np.minimum(valve.status[signal] >> 30, 2) for signal in _SENSORS]
+        complete = np.all([valve.present[signal] for signal in _SENSORS], axis=0)
+        samples = Samples.of(t=valve.t, **columns, quality=np.max(severity, axis=0))
+        append(name, samples[complete])
+
+
+async def _serve(
+    scenario: Scenario,
+    url: str,
+    data: Path,
+    hosts: list[str],
+    record: Path | None,
+    *,
+    under_demo: bool,
+) -> None:
+    from service.storage.recordings import RecordingWriter
+
+    stop = asyncio.Event()
+    users = UserStore()
+    if under_demo:
+        users.add("operator", Role.OPERATOR, sys.stdin.readline().strip())
+        _stop_when_the_parent_is_gone(stop)
+    else:
+        users = UserStore.load(data / "users.json")
+    settings = ServerSettings(
+        url=url,
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        pki=None if under_demo else Pki(data / "pki" / "rig"),
+        users=users,
+        none_on_loopback=under_demo,
+        host_names=tuple(hosts),
+    )
+    with ExitStack() as stack:
+        stack.enter_context(stop_on_signal(stop))
+        on_block = None
+        if record is not None:
+            writer = stack.enter_context(RecordingWriter(record))
+            on_block = lambda block: _append(writer.append, block)  # noqa: E731 - a tap
+        server = await RigServer.create(settings, scenario, on_block=on_block)
+        async with server:
+            print(server.url, flush=True)  # noqa: T201 - tells who waits for it
+            await _play(server, stop, until_over=scenario.samples is not None)
+
+
+async def _play(server: RigServer, stop: asyncio.Event, *, until_over: bool) -> None:
+    playing = asyncio.ensure_future(server.run())
+    stopped = asyncio.ensure_future(stop.wait())
+    waited_for: set[asyncio.Future[Any]] = {playing, stopped}
+    try:
+        while not (playing.done() or stopped.done()):
+            await asyncio.wait(waited_for, timeout=0.1, return_when=asyncio.FIRST_COMPLETED)
+            if until_over and server.scenario is None:
+                break
+        if playing.done():
+            playing.result()
+    finally:
+        playing.cancel()
+        stopped.cancel()
+        await asyncio.gather(playing, stopped, return_exceptions=True)
+
+
+def _stop_when_the_parent_is_gone(stop: asyncio.Event) -> None:
+    """Stop at the end of standard input: the parent has closed it, or is dead."""
+    loop = asyncio.get_running_loop()
+
+    def wait() -> None:
+        sys.stdin.read()
+        loop.call_soon_threadsafe(stop.set)
+
+    threading.Thread(target=wait, daemon=True).start()

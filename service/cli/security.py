@@ -1,0 +1,123 @@
+"""``valvemap init`` and ``valvemap trust``: certificates, users, a first configuration."""
+
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.app.build import APPLICATION_NAME, APPLICATION_URI
+from service.cli import rig
+from service.cli.options import FolderOption
+from service.config.template import configuration_template
+from service.errors import StorageError
+from service.opcua.hardened import (
+    OwnCertificate,
+    Pki,
+    Role,
+    UserStore,
+    ensure_certificate,
+    rejected,
+)
+from service.opcua.hardened import trust as trust_certificate
+
+_HOSTS = ["localhost", "127.0.0.1"]
+
+
+def init(
+    data: FolderOption = Path("data"),
+    service_host: Annotated[
+        list[str] | None,
+        typer.Option(
+            envvar="VALVEMAP_SERVICE_HOSTS", help="Name under which clients reach the service."
+        ),
+    ] = None,
+    rig_host: Annotated[
+        list[str] | None,
+        typer.Option(envvar="VALVEMAP_RIG_HOSTS", help="Name under which clients reach the rig."),
+    ] = None,
+    operator_password: Annotated[
+        str | None,
+        typer.Option(envvar="VALVEMAP_OPERATOR_PASSWORD", help="Else a random one is printed."),
+    ] = None,
+) -> None:
+    """Make certificates, users and configuration."""
+    service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
+    of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
+    _trust_each_other(data, service, of_rig)
+    _make_users(data, operator_password)
+    _make_configuration(data, service_host or [])
+    typer.echo(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
+
+
+def trust(
+    certificate: Annotated[
+        str | None, typer.Argument(help="Certificate file, or the thumbprint of a rejected one.")
+    ] = None,
+    data: FolderOption = Path("data"),
+    of: Annotated[str, typer.Option(help="Who shall trust it: service or rig.")] = "service",
+) -> None:
+    """Trust a certificate, or list the rejected."""
+    pki = Pki(data / "pki" / of)
+    if certificate is None:
+        for file in rejected(pki):
+            typer.echo(file.name)
+        return
+    typer.echo(f"trusted: {trust_certificate(pki, certificate)}")
+
+
+def _certificate(
+    data: Path, whose: str, uri: str, application: str, hosts: list[str] | None
+) -> OwnCertificate:
+    names = tuple(dict.fromkeys([*(hosts or []), *_HOSTS]))
+    own = ensure_certificate(Pki(data / "pki" / whose), uri, names, application.replace(" ", "-"))
+    typer.echo(f"certificate of the {whose}: {own.certificate}")
+    return own
+
+
+def _trust_each_other(data: Path, service: OwnCertificate, of_rig: OwnCertificate) -> None:
+    for whose, other in (("service", of_rig), ("rig", service)):
+        trust_certificate(Pki(data / "pki" / whose), other.certificate)
+
+
+def _make_users(data: Path, operator_password: str | None) -> None:
+    file = data / "users.json"
+    if file.exists():
+        typer.echo(f"users: {file} is kept")
+        return
+    users = UserStore()
+    password = operator_password or secrets.token_urlsafe(12)
+    users.add("operator", Role.OPERATOR, password)
+    link = secrets.token_urlsafe(24)
+    users.add("service", Role.OPERATOR, link)
+    _write_secret(data / "source-password", link)
+    users.save(file)
+    typer.echo(f"users: {file}")
+    if operator_password is None:
+        typer.echo(f"user operator, password {password} (shown this once)")
+
+
+def _make_configuration(data: Path, hosts: list[str]) -> None:
+    file = data / "service.toml"
+    if file.exists():
+        typer.echo(f"configuration: {file} is kept")
+        return
+    with _naming(file):
+        file.write_text(configuration_template(data, hosts), encoding="utf-8")
+    typer.echo(f"configuration: {file}")
+
+
+def _write_secret(file: Path, secret: str) -> None:
+    with _naming(file):
+        file.touch(mode=0o600)
+        file.write_text(f"{secret}\n", encoding="utf-8")
+
+
+@contextmanager
+def _naming(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

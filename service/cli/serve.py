@@ -1,0 +1,72 @@
+"""Commands around the live service: ``serve``, ``record``, ``check-config``, ``warm-up``."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.logs import set_up_logs
+from service.cli.options import ConfigOption
+from service.config.loading import load_config
+
+
+def serve(config: ConfigOption = None) -> None:
+    """Subscribe to the source, identify, publish, until Ctrl-C."""
+    from service.app.serve import serve as run
+    from service.app.serve import stop_on_signal
+    from service.app.warm_up import warm_up
+
+    loaded = load_config(config)
+    set_up_logs(loaded.log)
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, stop)
+
+    warm_up(loaded)
+    asyncio.run(until_stopped())
+
+
+def record(
+    file: Annotated[Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet")],
+    config: ConfigOption = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds.")
+    ] = None,
+) -> None:
+    """Record the source's samples to a file."""
+    from service.app.record import record as run
+    from service.app.serve import stop_on_signal
+
+    loaded = load_config(config)
+    set_up_logs(loaded.log)
+
+    async def until_stopped() -> int:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            return await run(loaded, file, stop, duration)
+
+    n = asyncio.run(until_stopped())
+    typer.echo(f"{file}: {n:,} samples")
+
+
+def check_config(
+    config: Annotated[Path, typer.Argument(metavar="FILE", help="Configuration (TOML).")],
+) -> None:
+    """Check a configuration file and say what it would do."""
+    loaded = load_config(config)
+    typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
+    typer.echo(f"results  {loaded.server.url}")
+    for valve in loaded.valves:
+        names = ", ".join(estimator.name for estimator in valve.estimators)
+        typer.echo(f"valve    {valve.name}: {names}")
+    typer.echo(f"{config}: good")
+
+
+def warm_up(config: ConfigOption = None) -> None:
+    """Compile the estimators ahead (for images)."""
+    from service.app.warm_up import warm_up as run
+
+    run(load_config(config))

@@ -1,0 +1,66 @@
+"""A first configuration file, with everything that one usually changes."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def configuration_template(data: Path, host_names: Sequence[str] = ()) -> str:
+    """Text of a configuration (TOML) that fits the virtual rig; ``data`` holds keys and states."""
+
+    def quoted(thing: object) -> str:
+        return json.dumps(str(thing) if isinstance(thing, Path) else thing)
+
+    return f"""\
+# valvemap: what to identify, and where. Fields left out keep their defaults; any field can be
+# overridden by the environment: VALVEMAP_SOURCE__URL=opc.tcp://plc:4840
+
+[source] # the OPC UA server with the signals
+url = "opc.tcp://127.0.0.1:4840/valvemap/rig/"
+security = "Basic256Sha256" # or Aes256Sha256RsaPss; None only where the wire is your own
+user = "service"
+password_file = {quoted(data / "source-password")}
+publishing_interval_ms = 100
+
+[server] # our own, with the results
+url = "opc.tcp://127.0.0.1:4841/valvemap/service/"
+host_names = {quoted(list(host_names))} # further names in its certificate
+
+[security]
+pki = {quoted(data / "pki" / "service")}
+users = {quoted(data / "users.json")}
+
+[state] # survives a restart
+file = {quoted(data / "state.sqlite")}
+checkpoint_interval_s = 10
+
+[alignment] # which signals make one sample
+tolerance_ms = 0 # 0 = the same SourceTimestamp
+# hold_s = {{ T = 10 }} # a signal that reports less often than the others
+
+[[valves]]
+name = "Valvistor"
+dp_range_bar = [0, 200]
+Q_range_l_min = [0, 200]
+
+[valves.nodes] # at the source: nsu=URI;s=NAME or ns=2;s=NAME
+U = "nsu=urn:valvemap:rig;s=Valvistor.U"
+p1 = "nsu=urn:valvemap:rig;s=Valvistor.p1"
+p2 = "nsu=urn:valvemap:rig;s=Valvistor.p2"
+Q = "nsu=urn:valvemap:rig;s=Valvistor.Q"
+T = "nsu=urn:valvemap:rig;s=Valvistor.Temperature" # optional
+sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running number per sample
+# required_U = "nsu=urn:valvemap:rig;s=Valvistor.UCommand" # feed-forward: U for FlowDemand
+
+# [valves.gate.Q] # off unless given
+# low = -5
+# high = 250
+# frozen_s = 5
+# max_rate_per_s = 10000
+# spike = 50
+
+# [[valves.estimators]] # without any: RLS, RML and RBF
+# kind = "RLS"
+# name = "RLS"
+# lam = 0.999
+"""
