@@ -1,0 +1,37 @@
+# ruff: noqa: INP001 - a script on its own
+"""Ask the OPC UA server on this machine's port (first argument, else 4841) for a sign of life.
+
+Exit code 0 if it answers Hello with Acknowledge (OPC UA part 6, 7.1.2), else 1 and a line why.
+"""
+
+import socket
+import struct
+import sys
+
+TIMEOUT_S = 5.0
+
+
+def main() -> None:
+    """Greet the server once."""
+    port = int(sys.argv[1]) if len(sys.argv) > 1 else 4841
+    try:
+        answer = greet(port)
+    except OSError as error:
+        sys.exit(f"port {port}: {error}")
+    if answer[:3] != b"ACK":
+        sys.exit(f"port {port}: answered {answer!r} to Hello")
+
+
+def greet(port: int) -> bytes:
+    """Send Hello; return the kind of message that comes back."""
+    url = f"opc.tcp://127.0.0.1:{port}/".encode()
+    body = struct.pack("<5Ii", 0, 65_535, 65_535, 0, 0, len(url)) + url
+    hello = b"HELF" + struct.pack("<I", 8 + len(body)) + body
+    with socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S) as connection:
+        connection.sendall(hello)
+        with connection.makefile("rb") as reader:
+            return reader.read(4)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,388 @@
+# ruff: noqa: S104, S108 - addresses and folders inside a container
+import os
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parent.parent
+COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
+SERVICES = COMPOSE["services"]
+
+
+@dataclass
+class Stage:
+    base: str
+    name: str | None
+    steps: list[tuple[str, str]] = field(default_factory=list)
+
+    def all(self, instruction):
+        return [argument for name, argument in self.steps if name == instruction]
+
+    def last(self, instruction):
+        return self.all(instruction)[-1]
+
+    def env(self):
+        pairs = [pair for argument in self.all("ENV") for pair in shlex.split(argument)]
+        return dict(pair.split("=", 1) for pair in pairs)
+
+
+def parse(text):
+    """The global ARGs and the stages of a Dockerfile; line by line, as the reference tells."""
+    lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
+    arguments, stages = {}, []
+    for line in filter(str.strip, lines.replace("\\\n", " ").splitlines()):
+        instruction, argument = line.strip().split(None, 1)
+        if instruction == "FROM":
+            words = argument.split()
+            stages.append(Stage(words[0], words[2] if len(words) > 1 else None))
+        elif stages:
+            stages[-1].steps.append((instruction, re.sub(r"\s+", " ", argument)))
+        else:
+            assert instruction == "ARG"
+            name, default = argument.split("=", 1)
+            arguments[name] = default
+    return arguments, stages
+
+
+def exec_form(argument):
+    words = yaml.safe_load(argument)  # a JSON list is YAML
+    assert isinstance(words, list), f"not in exec form: {argument}"
+    return words
+
+
+ARGUMENTS, STAGES = parse((ROOT / "Dockerfile").read_text(encoding="utf-8"))
+BUILD, FINAL = STAGES
+
+
+# -- Dockerfile
+
+
+def test_the_base_image_is_slim_and_may_be_chosen():
+    assert {stage.base for stage in STAGES} == {"${PYTHON_IMAGE}"}
+    assert re.fullmatch(r"docker\.io/library/python:3\.\d+-slim(-\w+)?", ARGUMENTS["PYTHON_IMAGE"])
+
+
+def test_what_runs_carries_neither_builder_nor_installer():
+    assert BUILD.name == "build"
+    assert FINAL.name is None
+    assert not any("pip" in argument for argument in FINAL.all("RUN"))
+    assert "--without-pip" in BUILD.all("RUN")[0]
+
+
+def test_every_dependency_is_installed_by_its_hash_and_without_a_compiler():
+    installs = [argument for argument in BUILD.all("RUN") if "pip install" in argument]
+    assert "--require-hashes --only-binary=:all: -r requirements.lock" in installs[0]
+    assert installs[1:] == ["python -m pip install --no-deps ."]
+
+
+def test_nothing_runs_as_root():
+    uid, gid = FINAL.last("USER").split(":")
+    assert int(uid) >= 1000
+    assert int(gid) >= 1000
+    before_user = FINAL.steps[: FINAL.steps.index(("USER", FINAL.last("USER")))]
+    assert all(name != "RUN" for name, _ in FINAL.steps[len(before_user) :])
+
+
+def test_data_are_a_volume_of_the_user():
+    assert FINAL.last("VOLUME") == "/data"
+    assert f"chown {FINAL.last('USER')} /data" in FINAL.all("RUN")[0]
+    assert FINAL.env()["VALVEMAP_DATA"] == "/data"
+
+
+def test_what_is_written_at_run_time_goes_to_tmp_or_data():
+    places = {n: v for n, v in FINAL.env().items() if v.startswith("/") and n != "PATH"}
+    assert all(place.startswith(("/tmp", "/data")) for place in places.values()), places
+
+
+def test_health_is_asked_in_python():
+    check = exec_form(FINAL.last("HEALTHCHECK").split(" CMD ", 1)[1])
+    assert check[:2] == ["python", "/opt/valvemap/healthcheck.py"]
+    everything = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    assert not re.search(r"curl|wget|apt-get|apk ", everything)
+
+
+def test_the_service_is_process_one_and_is_stopped_like_by_ctrl_c():
+    entry = exec_form(FINAL.last("ENTRYPOINT"))
+    assert entry[:2] == ["/bin/sh", "-c"]
+    assert entry[2].endswith('&& exec valvemap "$@"')
+    assert exec_form(FINAL.last("CMD"))[0] == "serve"
+    assert FINAL.last("STOPSIGNAL") == "SIGINT"
+
+
+def test_the_kernels_are_compiled_ahead_for_any_machine_of_the_architecture():
+    env = BUILD.env()
+    assert "valvemap warm-up" in BUILD.all("RUN")
+    assert env["NUMBA_CPU_NAME"] == FINAL.env()["NUMBA_CPU_NAME"] == "generic"
+    assert env["NUMBA_CACHE_DIR"] == "/opt/valvemap/cache/numba"
+    assert FINAL.env()["NUMBA_CACHE_DIR"] == "/tmp/cache/numba"
+
+
+def test_the_environment_holds_no_secret():
+    names = [*BUILD.env(), *FINAL.env(), *BUILD.all("ARG"), *FINAL.all("ARG")]
+    assert not any(re.search("PASS|SECRET|TOKEN|KEY", name) for name in names)
+    assert not FINAL.all("ADD")
+    assert not BUILD.all("ADD")
+
+
+def reaches_the_builder(path):
+    rules = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
+    ignored = False
+    for rule in filter(None, (line.split("#")[0].strip() for line in rules)):
+        pattern = rule.removeprefix("!").removeprefix("**/")
+        parts = [path, *map(str, Path(path).parents), *Path(path).parts]
+        if any(fnmatch(part, pattern) for part in parts if part != "."):
+            ignored = not rule.startswith("!")
+    return not ignored
+
+
+def test_only_what_the_image_is_made_of_reaches_the_builder():
+    for stage in STAGES:
+        for argument in stage.all("COPY"):
+            if not argument.startswith("--from"):
+                *sources, _ = argument.split()
+                for source in sources:
+                    assert (ROOT / source).exists(), source
+                    assert reaches_the_builder(source), source
+    for path in ("service/errors.py", "virtual_rig/oil.py"):
+        assert reaches_the_builder(path)
+    for path in (
+        ".git/config",
+        ".venv/bin/python",
+        "data/pki/key.pem",
+        "tests/conftest.py",
+        "service/__pycache__/errors.pyc",
+    ):
+        assert not reaches_the_builder(path), path
+
+
+# -- docker-compose.yml
+
+
+@pytest.mark.parametrize("name", ["init", "rig", "service"])
+def test_every_container_is_locked_down(name):
+    container = SERVICES[name]
+    assert container["user"] == FINAL.last("USER")
+    assert container["read_only"] is True
+    assert container["cap_drop"] == ["ALL"]
+    assert container["security_opt"] == ["no-new-privileges:true"]
+    assert container["tmpfs"][0].startswith("/tmp:")
+    assert container["volumes"] == ["data:/data"]
+    assert not {"privileged", "cap_add", "devices", "pid", "ipc"} & set(container)
+    assert container.get("network_mode") != "host"
+    assert "data" in COMPOSE["volumes"]
+
+
+def test_there_are_three_containers():
+    assert list(SERVICES) == ["init", "rig", "service"]
+
+
+def test_ports_are_published_on_loopback_alone():
+    assert "ports" not in SERVICES["init"]
+    for name, port in (("rig", 4840), ("service", 4841)):
+        (published,) = SERVICES[name]["ports"]
+        assert re.fullmatch(rf"127\.0\.0\.1:\$\{{\w+:-{port}\}}:{port}", published)
+
+
+def test_init_runs_once_before_the_others_and_needs_no_network():
+    assert SERVICES["init"]["command"] == ["init"]
+    assert SERVICES["init"]["restart"] == "no"
+    assert SERVICES["init"]["network_mode"] == "none"
+    for name in ("rig", "service"):
+        waits = SERVICES[name]["depends_on"]
+        assert waits["init"] == {"condition": "service_completed_successfully"}
+    assert SERVICES["service"]["depends_on"]["rig"] == {"condition": "service_healthy"}
+
+
+@pytest.mark.parametrize(("name", "port"), [("rig", "4840"), ("service", "4841")])
+def test_health_of_each_is_asked_at_its_own_port(name, port):
+    test = SERVICES[name]["healthcheck"]["test"]
+    assert test == ["CMD", "python", "/opt/valvemap/healthcheck.py", port]
+
+
+def environment(name):
+    """The environment as compose makes it where nothing is set outside."""
+    given = {k: v for k, v in SERVICES[name]["environment"].items() if v is not None}
+    return {k: re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", v) for k, v in given.items()}
+
+
+def command_line(name):
+    import typer.main
+
+    from service.cli import app
+
+    group = typer.main.get_command(app)
+    command = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in SERVICES[name]["command"]]
+    return group.commands[command[0]], command
+
+
+@pytest.mark.parametrize("name", ["init", "rig"])
+def test_the_commands_know_every_variable_that_they_are_given(name, monkeypatch):
+    command, words = command_line(name)
+    for variable, value in environment(name).items():
+        monkeypatch.setenv(variable, value)
+    known = {option.envvar: option.name for option in command.params if option.envvar}
+    assert set(SERVICES[name]["environment"]) <= set(known)
+    context = command.make_context(words[0], words[1:])
+    assert str(context.params["data"]) == "/data"
+    hosts = context.params["host" if name == "rig" else "rig_host"]
+    assert list(hosts) == ["rig", "localhost"]
+
+
+def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
+    from service.config.loading import load_config
+
+    command, words = command_line("service")
+    command.make_context(words[0], words[1:])
+    for variable, value in environment("service").items():
+        monkeypatch.setenv(variable, value)
+    config = load_config()
+    rig = environment("rig")["VALVEMAP_RIG_URL"]
+    assert config.source.url == rig.replace("0.0.0.0", "rig")
+    assert config.server.url == "opc.tcp://0.0.0.0:4841/valvemap/service/"
+    assert config.log.format == "json"
+    assert config.source.security == "Basic256Sha256"
+
+
+# -- the health check
+
+
+def healthcheck(port):
+    return subprocess.run(
+        [sys.executable, ROOT / "container" / "healthcheck.py", str(port)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"), [(b"ACKF\x1c\0\0\0", 0), (b"ERRF\x10\0\0\0", 1), (b"", 1)]
+)
+def test_a_server_is_healthy_if_it_acknowledges_hello(answer, code):
+    heard = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            connection, _ = server.accept()
+            with connection:
+                heard.append(connection.recv(1000))
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        result = healthcheck(server.getsockname()[1])
+        thread.join()
+    assert result.returncode == code, result.stderr
+    assert heard[0][:4] == b"HELF"
+    assert int.from_bytes(heard[0][4:8], "little") == len(heard[0])
+
+
+def test_where_nobody_listens_nobody_is_healthy():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    result = healthcheck(port)
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"port {port}: ")
+
+
+# -- the image's steps, without an engine
+
+
+class Build:
+    """Carries out a Dockerfile's steps below a folder: its absolute paths are moved there."""
+
+    def __init__(self, root):
+        self.root = root
+        self.stub = root / "stub"
+        self.stub.mkdir()
+        (self.stub / "chown").symlink_to(shutil.which("true"))
+        (self.stub / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+        (self.stub / "python").chmod(0o755)
+        self.start_stage()
+
+    def start_stage(self):
+        self.env = {"PATH": f"{self.stub}:{os.environ['PATH']}"}
+        self.workdir = self.root
+
+    def moved(self, text):
+        return re.sub(r"(?<![\w.:/-])/(opt/valvemap|src|data|tmp)\b", rf"{self.root}/\1", text)
+
+    def run(self, words):
+        result = subprocess.run(
+            words,
+            cwd=self.workdir,
+            env=self.env,
+            capture_output=True,
+            text=True,
+            timeout=900,
+            check=False,
+        )
+        assert result.returncode == 0, f"{words}\n{result.stdout}\n{result.stderr}"
+        return result.stdout
+
+    def step(self, instruction, argument):
+        match instruction:
+            case "ENV":
+                for pair in shlex.split(argument):
+                    name, value = pair.split("=", 1)
+                    value = self.moved(value).replace("$PATH", self.env["PATH"])
+                    self.env[name] = value
+            case "WORKDIR":
+                self.workdir = Path(self.moved(argument))
+                self.workdir.mkdir(parents=True, exist_ok=True)
+            case "COPY":
+                words = [word for word in argument.split() if not word.startswith("--chown")]
+                if words[0].startswith("--from"):
+                    assert words[1] == words[2], "the stages share one folder here"
+                    assert Path(self.moved(words[1])).exists()
+                else:
+                    self.copy(words[:-1], words[-1])
+            case "RUN":
+                self.run(["/bin/sh", "-c", self.moved(argument)])
+
+    def copy(self, sources, target):
+        into = self.workdir / self.moved(target)
+        for source in sources:
+            if (ROOT / source).is_dir():
+                shutil.copytree(ROOT / source, into, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(ROOT / source, into)
+
+
+@pytest.mark.image
+@pytest.mark.timeout(1800)
+@pytest.mark.skipif(os.name != "posix", reason="the image's steps are those of a POSIX shell")
+def test_the_image_s_steps_build_something_that_runs(tmp_path):
+    build = Build(tmp_path)
+    (tmp_path / "tmp").mkdir()
+    for stage in STAGES:
+        build.start_stage()
+        for instruction, argument in stage.steps:
+            build.step(instruction, argument)
+    for variable in ("VIRTUAL_ENV", "PYTHONPATH"):
+        assert variable not in build.env
+
+    warm = tmp_path / "opt" / "valvemap" / "cache" / "numba"
+    compiled = {file.relative_to(warm) for file in warm.rglob("*.nbc")}
+    assert len(compiled) > 10
+
+    entry = [build.moved(word) for word in exec_form(FINAL.last("ENTRYPOINT"))]
+    assert "serve" in build.run([*entry, "--help"])
+    build.run([*entry, *SERVICES["init"]["command"]])
+    assert (tmp_path / "data" / "service.toml").exists()
+    build.run([*entry, "check-config", str(tmp_path / "data" / "service.toml")])
+
+    build.run([*entry, "warm-up"])
+    copied = tmp_path / "tmp" / "cache" / "numba"
+    assert {file.relative_to(copied) for file in copied.rglob("*.nbc")} == compiled
