@@ -1,0 +1,86 @@
+"""Running the real command in processes of their own, and leaving none behind."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+READY_S = 120.0
+
+
+def free_port() -> int:
+    """A port of 127.0.0.1 that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def rig_url(port: int) -> str:
+    return f"opc.tcp://127.0.0.1:{port}/valvemap/rig/"
+
+
+def service_url(port: int) -> str:
+    return f"opc.tcp://127.0.0.1:{port}/valvemap/service/"
+
+
+def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = READY_S):
+    """Run ``valvemap`` to its end; the answer has returncode, stdout and stderr."""
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        env={**os.environ, **(env or {})},
+        timeout=timeout,
+        check=False,
+    )
+
+
+@contextmanager
+def running(*arguments: str, env: dict[str, str] | None = None, stdin: str = "", log: Path):
+    """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "service", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **(env or {})},
+        )
+        try:
+            process.stdin.write(stdin.encode())
+            process.stdin.flush()
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdin.close()
+
+
+def wait_for(log: Path, text: str, process=None, timeout: float = READY_S) -> str:
+    """Wait until ``text`` stands in ``log``; return the line that holds it."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        for line in log.read_text(encoding="utf-8", errors="replace").splitlines():
+            if text in line:
+                return line
+        if process is not None and process.poll() is not None:
+            break
+        time.sleep(0.05)
+    raise AssertionError(f"{text!r} never came; the log holds:\n{log.read_text()}")
+
+
+def is_open(port: int) -> bool:
+    """Whether somebody listens on the port."""
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex(("127.0.0.1", port)) == 0
