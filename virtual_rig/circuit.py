@@ -153,11 +153,9 @@ def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
     Examples
     --------
     >>> true_flow(Bench(), 50, [0, 50, 100]).round(0)
-    array([  0.,  86., 121.])
+    array([  0.,  86., 122.])
     """
-    columns = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (U, dp, T)))
-    shape = columns[0].shape
-    u, drop, celsius = (column.ravel() for column in columns)
+    (u, drop, celsius), shape = _raveled(U, dp, T)
     p1 = np.full(u.shape, bench.circuit.p0_bar)
     p2 = p1 - drop
     y = pilot_opening(bench.valve, u)
@@ -168,11 +166,10 @@ def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
 
 def largest_drop(bench: Bench, U: ArrayLike, T: ArrayLike = 40.0) -> Floats:
     """The largest pressure drop (bar) that the bench can put on the valve at signal U (%)."""
-    u, celsius = np.broadcast_arrays(np.asarray(U, np.float64), np.asarray(T, np.float64))
-    y = pilot_opening(bench.valve, u.ravel())
-    wide_open = np.zeros_like(y)
-    point = operating_point(bench, y, wide_open, celsius.ravel().copy(), np.ones_like(y))
-    return point.dp.reshape(u.shape)
+    (u, celsius), shape = _raveled(U, T)
+    y = pilot_opening(bench.valve, u)
+    point = operating_point(bench, y, np.zeros_like(u), celsius, np.ones_like(u))
+    return point.dp.reshape(shape)
 
 
 def reachable(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) -> NDArray[np.bool_]:
@@ -181,11 +178,9 @@ def reachable(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
     >>> reachable(Bench(), [10, 100, 100], [150, 50, 150])
     array([ True,  True, False])
     """
-    u, drop, celsius = np.broadcast_arrays(
-        np.asarray(U, np.float64), np.asarray(dp, np.float64), np.asarray(T, np.float64)
-    )
-    in_range = (u >= 0) & (u <= 100) & (drop >= 0)
-    return np.asarray(in_range & (drop <= largest_drop(bench, u, celsius)))
+    (u, drop, celsius), shape = _raveled(U, dp, T)
+    inside = (u >= 0) & (u <= 100) & (drop >= 0) & (drop <= largest_drop(bench, u, celsius))
+    return np.asarray(inside.reshape(shape))
 
 
 def tank_temperature(circuit: Circuit, t: Floats) -> Floats:
@@ -209,3 +204,9 @@ def numbers(circuit: Circuit) -> kernels.Numbers:
         circuit.load_resistance_bar,
     )
     return np.array([row], dtype=kernels.CIRCUIT)
+
+
+def _raveled(*values: ArrayLike) -> tuple[tuple[Floats, ...], tuple[int, ...]]:
+    """Broadcast to one shape; contiguous copies, raveled, and that shape."""
+    columns = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in values))
+    return tuple(np.array(column).ravel() for column in columns), columns[0].shape

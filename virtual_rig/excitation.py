@@ -149,8 +149,8 @@ def drive(
 
 
 def low_discrepancy_points(number: NDArray[np.int64], p0_bar: float) -> tuple[Floats, Floats]:
-    """Points ``number`` of the R2 sequence (Roberts 2018) over U (%) and dp (bar)."""
-    k = number.astype(np.float64)
+    """Points ``number`` (0 …) of the R2 sequence (Roberts 2018) over U (%) and dp (bar)."""
+    k = number.astype(np.float64) + 1.0  # point 0 would be the very middle
     U = (0.5 + 0.7548776662466927 * k) % 1.0
     dp = (0.5 + 0.5698402909980532 * k) % 1.0
     return 100.0 * U, p0_bar * dp

@@ -166,23 +166,26 @@ def still_felt(faults: Faults, index: int, rate: float) -> Faults:
 
 
 def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """Flow of the main edge over that of the new valve, (N,): wear and damage multiply."""
+    """Flow of the main edge over that of the new valve, (N,): wear and damage multiply.
+
+    However many there are, something is left of the edge, and of the poppet.
+    """
     factor = np.ones(index.shape)
     for active in faults:
         if active.fault.kind is FaultKind.WEAR:
             factor = factor * (1 + 0.01 * active.fault.size * _progress(active, index, rate))
         elif active.fault.kind is FaultKind.DAMAGE:
             factor = factor * (1 + 0.01 * active.fault.size * _is_on(active, index, rate))
-    return factor
+    return np.clip(factor, 0.01, 10.0)
 
 
 def temperature_rise(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """What ramps add to the tank's temperature, K, (N,)."""
+    """What ramps add to the tank's temperature, K, (N,); however many, within ±50 K."""
     rise = np.zeros(index.shape)
     for active in faults:
         if active.fault.kind is FaultKind.TEMPERATURE_RAMP:
             rise = rise + active.fault.size * _progress(active, index, rate)
-    return rise
+    return np.clip(rise, -50.0, 50.0)
 
 
 def clock_error_ns(faults: Faults, index: NDArray[np.int64], rate: float) -> NDArray[np.int64]:

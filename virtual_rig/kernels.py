@@ -24,7 +24,7 @@ VALVE = np.dtype(
             "phi",
             "K_MP",
             "K_c",
-            "K_PV_stroke",
+            "K_PV",
             "x_0",
             "stroke",
             "bar_per_N",
@@ -36,6 +36,7 @@ VALVE = np.dtype(
             "slot_re",
             "C_d",
             "slot_width",
+            "pilot_width",
             "pilot_stroke",
             "pilot_leakage",
             "seat_leakage",
@@ -151,20 +152,40 @@ def _position(
     nu_gap: N,
     edge: N,
 ) -> N:
-    """The one root of ``_surplus``, by Ridders' method: bracketed all the way."""
-    low, high = 0.0, v.stroke
-    f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
-    f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
-    if f_low <= 0.0:  # the pilot takes so little that the poppet stays on its seat
-        low, high, f_high = -1.0, low, f_low
+    """The one root of ``_surplus``, in the one of its three regions where the sign changes."""
+    f_seat = _surplus(v, 0.0, y, p1, p2, rho, nu, nu_gap, edge)
+    f_stop = _surplus(v, v.stroke, y, p1, p2, rho, nu, nu_gap, edge)
+    if f_seat <= 0.0:  # the pilot takes so little that the poppet stays on its seat
+        low, high, f_high = -1.0, 0.0, f_seat
         f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
-        if f_low <= 0.0:
-            return low
-    elif f_high >= 0.0:  # the pilot takes so much that the poppet stands at its stop
-        low, high, f_low = high, v.stroke + 1.0, f_high
+    elif f_stop >= 0.0:  # the pilot takes so much that the poppet stands at its stop
+        low, high, f_low = v.stroke, v.stroke + 1.0, f_stop
         f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
-        if f_high >= 0.0:
-            return high
+    else:
+        low, high, f_low, f_high = 0.0, v.stroke, f_seat, f_stop
+    if f_low <= 0.0:
+        return low
+    if f_high >= 0.0:
+        return high
+    return _root(v, low, high, f_low, f_high, y, p1, p2, rho, nu, nu_gap, edge)
+
+
+@numba.njit(cache=True)
+def _root(
+    v: Record,
+    low: N,
+    high: N,
+    f_low: N,
+    f_high: N,
+    y: N,
+    p1: N,
+    p2: N,
+    rho: N,
+    nu: N,
+    nu_gap: N,
+    edge: N,
+) -> N:
+    """Ridders' method between ends of different sign; the bracket never opens."""
     w = low
     for _ in range(100):
         middle = 0.5 * (low + high)
@@ -202,9 +223,8 @@ def _surplus(
     """Q_PV - Q_c on the path: falls all the way from w = -1 to w = stroke + 1, eq. (2)."""
     p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
     opening = v.x_0 + min(max(w, 0.0), v.stroke)
-    return _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap) - _slot(
-        v, v.K_c * opening, opening, p1 - p_c, rho, nu
-    )
+    into_chamber = _slot(v, v.K_c, v.slot_width, opening, p1 - p_c, rho, nu)
+    return _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap) - into_chamber
 
 
 @numba.njit(cache=True)
@@ -235,18 +255,20 @@ def _main_flow(v: Record, x: N, dp: N, rho: N, nu: N, edge: N) -> N:
 @numba.njit(cache=True)
 def _pilot_flow(v: Record, y: N, dp: N, rho: N, nu: N, nu_gap: N) -> N:
     """Q_PV over the pilot and its gap."""
-    y_jet = y / (1.0 + v.pilot_jet * dp)
-    main = _slot(v, v.K_PV_stroke * y_jet, v.pilot_stroke * y_jet, dp, rho, nu)
-    return main + v.pilot_leakage * dp * NU_LEAKAGE / nu_gap
+    x_PV = v.pilot_stroke * y / (1.0 + v.pilot_jet * dp)
+    return (
+        _slot(v, v.K_PV, v.pilot_width, x_PV, dp, rho, nu)
+        + v.pilot_leakage * dp * NU_LEAKAGE / nu_gap
+    )
 
 
 @numba.njit(cache=True)
-def _slot(v: Record, K: N, opening: N, dp: N, rho: N, nu: N) -> N:
+def _slot(v: Record, K: N, width: N, opening: N, dp: N, rho: N, nu: N) -> N:
     """Flow (l/min) over a rectangular slot; its hydraulic diameter is 4·area/perimeter."""
     if opening <= 0.0:
         return 0.0
-    D_h = 2.0 * v.slot_width * opening / (v.slot_width + opening)
-    return _orifice(K, D_h, v.slot_re, v.C_d, dp, rho, nu)
+    D_h = 2.0 * width * opening / (width + opening)
+    return _orifice(K * opening, D_h, v.slot_re, v.C_d, dp, rho, nu)
 
 
 @numba.njit(cache=True)

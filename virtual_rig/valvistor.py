@@ -128,9 +128,6 @@ class Valvistor(Parameters):
     discharge_coefficient: float = parameter(
         0.61, "1", "C_d∞, relates flow number and Re", "sharp edge, " + _MERRITT, gt=0.1, le=1
     )
-    slot_width_mm: float = parameter(
-        0.5, "mm", "width of the slots in poppet and pilot", "K_c/(C_d∞·√(2/ρ))", gt=0.01, le=50
-    )
     pilot_leakage_l_min_bar: float = parameter(
         6.0e-4,
         "l/(min·bar)",
@@ -188,7 +185,7 @@ def poppet_state(
     >>> one = np.ones(1)
     >>> state = poppet_state(Valvistor(), Oil(), one, 200 * one, 120 * one, 40 * one, one)
     >>> state.Q.round(0), state.x_MP.round(1)
-    (array([216.]), array([3.9]))
+    (array([217.]), array([3.9]))
     """
     columns = [
         np.array(column, dtype=np.float64, order="C")
@@ -198,12 +195,13 @@ def poppet_state(
 
 
 def numbers(valve: Valvistor) -> kernels.Numbers:
-    """What the compiled loops need of a valve."""
+    """What the compiled loops need of a valve; slots are as wide as their K asks for."""
+    K_per_mm = 0.06 * valve.discharge_coefficient * math.sqrt(2e5 / kernels.RHO_K)
     row = (
         valve.phi,
         valve.K_MP,
         valve.K_c,
-        valve.K_PV * valve.pilot_stroke_mm,
+        valve.K_PV,
         valve.x_0_mm,
         valve.stroke_mm,
         10.0 / valve.poppet_area_mm2,
@@ -214,7 +212,8 @@ def numbers(valve: Valvistor) -> kernels.Numbers:
         valve.poppet_transition_re,
         valve.slot_transition_re,
         valve.discharge_coefficient,
-        valve.slot_width_mm,
+        valve.K_c / K_per_mm,
+        valve.K_PV / K_per_mm,
         valve.pilot_stroke_mm,
         valve.pilot_leakage_l_min_bar,
         valve.seat_leakage_l_min_bar,

@@ -2,7 +2,16 @@ from pathlib import Path
 
 import pytest
 
-from virtual_rig.scenario import BUILTIN, Scenario, ScenarioError, load_scenario
+from virtual_rig.circuit import reachable, true_flow
+from virtual_rig.scenario import (
+    BUILTIN,
+    Scenario,
+    ScenarioError,
+    ValveBench,
+    load_scenario,
+    verification_points,
+)
+from virtual_rig.valvistor import Valvistor
 
 EXAMPLES = Path(__file__).parents[2] / "config" / "scenarios"
 
@@ -66,3 +75,19 @@ def test_the_scenarios_of_the_contract_are_built_in():
     assert wanted <= set(BUILTIN)
     for name, scenario in BUILTIN.items():
         assert scenario.name == name
+
+
+def test_verification_points_can_be_reached_and_hold_the_truth():
+    points = verification_points(BUILTIN["demo"])
+    bench = BUILTIN["demo"].valves[0]
+    assert reachable(bench, points.U, points.dp, points.T).all()
+    assert (true_flow(bench, points.U, points.dp, points.T) == points.Q).all()
+    assert points.Q.max() < 202
+
+
+def test_each_valve_has_a_truth_of_its_own():
+    second = ValveBench(name="Second", valve=Valvistor(K_MP=3.0))
+    scenario = Scenario(valves=(ValveBench(), second))
+    assert verification_points(scenario, "Second").Q.mean() < (
+        0.8 * verification_points(scenario, "Valvistor").Q.mean()
+    )
