@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -9,37 +10,40 @@ from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import State
 from service.identification.kernels import maximum_likelihood as kernel
-from service.identification.model_structures import FiveTerms, Structure
+from service.identification.kernels.factors import covariance
+from service.identification.kernels.stability import is_stable, root_margins
+from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Status, Trace
 
 
 @dataclass(frozen=True)
 class MaximumLikelihoodState(State):
-    """Everything that eq. (29) remembers; parameters and P for scaled regressors.
+    """Everything that eq. (29) remembers, for regressors scaled to magnitude 1.
 
     Attributes
     ----------
-    theta, D, ceiling : (n,)
-        Parameters; diagonal of P = U·diag(D)·Uᵀ; bounds of P's diagonal.
-    U : (n, n)
-        Unit upper triangular factor of P.
-    rls_theta, rls_D : (s,)
-        Plain RLS on the same regressors without the noise columns, for comparison.
-    rls_U : (s, s)
-        Its factor.
+    theta : (n,)
+        Parameters of the structure, then d.
+    factor : (n, n)
+        Uᵀ with D on its diagonal, P = U·D·Uᵀ.
+    spread : (n, n)
+        Lower triangle of the covariance of theta over σ²; unused until theta is determined.
+    prior : (n,)
+        Variances over σ² that count as knowing nothing; 0 for d until σ² is known.
+    rls_theta, rls_factor : (s,), (s, s)
+        Plain RLS on the regressors without the noise columns.
     raw, filtered : (channels, lags)
         The last values of output, inputs and residual; the same through 1/D(q).
-    monitor : (11,)
-        Counts, weights and powers, see the kernel.
+    monitor : (10,)
+        Ramp, counts, noise variance and powers, see the kernel.
     """
 
     theta: Floats
-    U: Floats
-    D: Floats
-    ceiling: Floats
+    factor: Floats
+    spread: Floats
+    prior: Floats
     rls_theta: Floats
-    rls_U: Floats
-    rls_D: Floats
+    rls_factor: Floats
     raw: Floats
     filtered: Floats
     monitor: Floats
@@ -56,9 +60,9 @@ class MaximumLikelihood:
 
     and the noise fed back is the residual *after* the update, v̂ = Q - hᵀθ̂(t) (the printed
     equation feeds back ε and fails). A step that would make D̂(q) unstable is halved until it does
-    not; λ starts at 0.95 and rises to ``lam``; the prior variance of d is small; forgetting never
-    takes P above where it started. Plain RLS runs beside it, and where RML is worse for long, it
-    starts again from there.
+    not; λ rises from 0.95; the prior variance of d is small. ``lam`` < 1 forgets along h_f alone
+    (Kulhavý 1987), so a level of U that is not visited is not forgotten. Plain RLS runs beside it,
+    and where RML is worse for long, it starts again from there.
 
     Attributes
     ----------
@@ -67,7 +71,7 @@ class MaximumLikelihood:
     nd : int
         Order of the noise model, 0 to 8.
     lam : float
-        Forgetting factor in (0, 1].
+        Directional forgetting factor in (0, 1].
     p0 : float
         Prior variance of a parameter in units of the noise variance, for regressors scaled to
         magnitude 1 over U = 0 … 100 %, dp = 0 … 200 bar.
@@ -112,66 +116,75 @@ class MaximumLikelihood:
         return replace(self, lam=lam)
 
     def initial_state(self) -> MaximumLikelihoodState:
-        """Nothing known: theta = 0, P = p0·I for scaled regressors."""
-        return _initial_state(self._orders(), self.p0, self.lam)
+        """Nothing known but the structure's prior: theta = 0, P = p0·I for scaled regressors."""
+        state = _initial_state(self._orders(), self.p0)
+        if isinstance(self.structure, StructureWithPrior):
+            rows, values = self.structure.prior()
+            kernel.learn(_memory(state), rows / self._scale, values)
+        return state
 
     def update(
         self, state: MaximumLikelihoodState, samples: Samples
     ) -> tuple[MaximumLikelihoodState, Trace]:
         """Take N samples in; bad and non-finite ones leave the state untouched."""
-        X, finite = self._scaled_regressors(samples.U, samples.dp, samples.T)
-        good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q) & finite
-        run = _run(samples.Q[good], X[good], None, self._orders(), self.lam, self.radius, state)
-        count = len(samples)
-        predicted = np.full(count, np.nan)
-        residual = np.full(count, np.nan)
-        status = np.full(count, Status.REJECTED, np.uint8)
-        # Far outside what the samples determine, nothing can be said.
+        X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
+        good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
+        rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
+        run = _run(state, rule, self._orders(), X[good], samples.Q[good])
+        # Where the samples so far tell nothing, nothing can be said.
         with np.errstate(invalid="ignore"):
-            predicted[good] = np.where(run.leverage <= kernel.UNDETERMINED, run.predicted, np.nan)
-        residual[good] = samples.Q[good] - predicted[good]
+            known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
+        predicted = np.full(len(samples), np.nan)
+        predicted[good] = known
+        status = np.full(len(samples), Status.REJECTED, np.uint8)
         status[good] = run.status
-        return run.state, Trace(predicted=predicted, residual=residual, status=status)
+        return run.state, Trace(predicted, samples.Q - predicted, status)
 
     def predict(
         self, state: MaximumLikelihoodState, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, Floats]:
         """Flow and its standard deviation, l/min; NaN where the samples do not determine it."""
-        X, finite = self._scaled_regressors(
-            np.ascontiguousarray(U, np.float64),
-            np.ascontiguousarray(dp, np.float64),
-            np.ascontiguousarray(T, np.float64),
-        )
-        X = np.where(finite[:, None], X, 0.0)
-        mean, variance, share = kernel.evaluate(X, state.theta, state.U, state.D, state.ceiling)
+        points = (np.ascontiguousarray(a, np.float64) for a in (U, dp, T))
+        X, finite = self._scaled_regressors(*points)
+        values, variances, share = np.empty((3, len(X)))
+        kernel.evaluate(_memory(state), np.where(finite[:, None], X, 0.0), values, variances, share)
         known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
-        std = np.sqrt(variance) * _noise_std(state)
-        return np.where(known, mean, np.nan), np.where(known, std, np.nan)
+        with np.errstate(all="ignore"):
+            std = np.sqrt(variances * _noise_variance(state))
+        return np.where(known, values, np.nan), np.where(known, std, np.nan)
 
     def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations: the structure's in its units, d without unit."""
-        scale = np.append(_scale_of(self.structure), np.ones(self.nd))
-        variance = np.diag(_covariance(state.U, state.D))
-        std = np.sqrt(variance) * _noise_std(state)
-        known = (variance > 0) & (variance <= kernel.UNDETERMINED * state.ceiling)
-        known[len(known) - self.nd :] = variance[len(known) - self.nd :] > 0
-        return state.theta / scale, np.where(known, std / scale, np.nan)
+        scale = np.append(self._scale, np.ones(self.nd))
+        P = np.diag(covariance(state.factor))
+        variance = np.maximum(np.diag(_parameter_covariance(state)), 0.0)
+        known = (P > 0) & (kernel.UNDETERMINED * state.prior >= P)
+        known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
+        return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
 
     def root_margin(self, state: MaximumLikelihoodState) -> float:
         """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""
         n = len(state.theta)
-        return float(kernel.root_margins(state.theta[None, n - self.nd :])[0])
+        return float(root_margins(state.theta[None, n - self.nd :])[0])
 
-    def _orders(self) -> NDArray[np.int64]:
-        columns = len(self.structure.parameter_names)
-        return np.array([0] + [1] * columns + [self.nd], dtype=np.int64)
+    def _orders(self) -> kernel.Orders:
+        return np.array([0] + [1] * len(self.structure.parameter_names) + [self.nd], np.int64)
+
+    @cached_property
+    def _scale(self) -> Floats:
+        """Magnitude of each regressor over the nominal range: powers of two, exact to divide by."""
+        grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
+        rows = self.structure.regressors(*(axis.ravel() for axis in grid))
+        rms = np.sqrt(np.mean(rows**2, axis=0))
+        scale: Floats = np.exp2(np.round(np.log2(np.where(rms > 0, rms, 1.0))))
+        return scale
 
     def _scaled_regressors(
         self, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, NDArray[np.bool_]]:
         """Rows over their scale, and which of them are finite."""
         with np.errstate(all="ignore"):
-            X = self.structure.regressors(U, dp, T) / _scale_of(self.structure)
+            X = self.structure.regressors(U, dp, T) / self._scale
         return X, np.isfinite(U) & np.isfinite(dp) & np.isfinite(X).all(axis=1)
 
 
@@ -265,35 +278,34 @@ def recursive_maximum_likelihood(
     lags = [nb] * m if isinstance(nb, int) else list(nb)
     if len(lags) != m:
         raise ValueError(f"nb has {len(lags)} orders for {m} inputs")
-    orders = np.array([na, *lags, nd], dtype=np.int64)
+    orders = np.array([na, *lags, nd], np.int64)
     if (orders < 0).any() or orders.sum() == 0:
         raise ValueError(f"orders must be >= 0, and one > 0, not na={na}, nb={nb}, nd={nd}")
     _check_settings(nd, lam, p0, radius)
 
-    state = _initial_state(orders, p0, lam)
+    state = _initial_state(orders, p0)
     n = len(state.theta)
     if theta0 is not None:
         start = np.array(theta0, np.float64)
-        if start.shape != (n,) or not np.isfinite(start).all():
-            raise ValueError(f"theta0 must be {n} finite numbers, not {start.shape}")
+        if start.shape != (n,) or not (np.abs(start) < kernel.LARGEST).all():
+            raise ValueError(f"theta0 must be {n} finite numbers, not {theta0!r}")
         start[n - nd :] = _contracted(start[n - nd :], radius)
-        state = replace(state, theta=start, rls_theta=start[: n - nd])
+        state = replace(state, theta=start)
 
     X, use = _delayed(inputs, max(lags, default=0))
     use &= np.isfinite(output)
     history = np.empty((len(output), n))
-    run = _run(output, X, use, orders, lam, radius, state, history)
-    final = run.state
-    variance = _noise_variance(final)
+    rule = kernel.Rule(kernel.EXPONENTIAL, float(lam), float(radius))
+    run = _run(state, rule, orders, X, output, use.astype(np.uint8), history)
     return MaximumLikelihoodResult(
-        theta=final.theta,
+        theta=run.state.theta,
         theta_history=history,
         innovations=output - run.predicted,
         residuals=run.posterior,
-        covariance=variance * _covariance(final.U, final.D),
-        root_margin=kernel.root_margins(np.ascontiguousarray(history[:, n - nd :])),
+        covariance=_parameter_covariance(run.state),
+        root_margin=root_margins(np.ascontiguousarray(history[:, n - nd :])),
         status=run.status,
-        restarts=int(final.monitor[kernel.RESTARTS]),
+        restarts=int(run.state.monitor[kernel.RESTARTS]),
     )
 
 
@@ -302,69 +314,61 @@ class _Run:
     state: MaximumLikelihoodState
     predicted: Floats
     posterior: Floats
-    leverage: Floats
+    share: Floats
     status: Codes
 
 
 def _run(
-    y: Floats,
-    X: Floats,
-    use: NDArray[np.bool_] | None,
-    orders: NDArray[np.int64],
-    lam: float,
-    radius: float,
     state: MaximumLikelihoodState,
+    rule: kernel.Rule,
+    orders: kernel.Orders,
+    X: Floats,
+    y: Floats,
+    use: Codes | None = None,
     history: Floats | None = None,
 ) -> _Run:
     """Run the kernel on copies of the state's arrays."""
-    after = MaximumLikelihoodState(
-        **{name: np.array(getattr(state, name)) for name in state.__dataclass_fields__}
-    )
-    count = len(y)
-    run = _Run(after, np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.uint8))
-    kernel.update(
-        np.ascontiguousarray(y),
-        np.ascontiguousarray(X),
-        np.ones(count, np.bool_) if use is None else use,
+    memory = kernel.Memory(*(np.array(getattr(state, name)) for name in kernel.Memory._fields))
+    N = len(y)
+    predicted, posterior, share = np.empty((3, N))
+    status = np.empty(N, np.uint8)
+    kernel.run(
+        memory,
+        rule,
         orders,
-        float(lam),
-        float(radius),
-        after.ceiling,
-        after.theta,
-        after.U,
-        after.D,
-        after.rls_theta,
-        after.rls_U,
-        after.rls_D,
-        after.raw,
-        after.filtered,
-        after.monitor,
-        run.predicted,
-        run.posterior,
-        run.leverage,
-        run.status,
-        np.empty((0, len(after.theta))) if history is None else history,
+        np.ascontiguousarray(X),
+        np.ascontiguousarray(y),
+        np.ones(N, np.uint8) if use is None else use,
+        predicted,
+        posterior,
+        share,
+        status,
+        np.empty((0, len(memory.theta))) if history is None else history,
     )
-    return run
+    after = MaximumLikelihoodState(**memory._asdict())
+    return _Run(after, predicted, posterior, share, status)
 
 
-def _initial_state(orders: NDArray[np.int64], p0: float, lam: float) -> MaximumLikelihoodState:
-    n = int(orders.sum())
-    nd = int(orders[-1])
-    prior = np.append(np.full(n - nd, float(p0)), np.zeros(nd))
-    memory = np.zeros((len(orders), max(1, int(orders.max()), nd)))
-    monitor = np.zeros(kernel.MONITORS)
-    monitor[kernel.LAM] = min(kernel.RAMP_START, lam) if nd > 0 else lam
+def _memory(state: MaximumLikelihoodState) -> kernel.Memory:
+    return kernel.Memory(*(getattr(state, name) for name in kernel.Memory._fields))
+
+
+def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
+    n, nd = int(orders.sum()), int(orders[-1])
+    ns = n - nd
+    unknown = max(float(p0), kernel.OPEN)
+    channels = (len(orders), max(1, int(orders.max())))
+    monitor = np.zeros(kernel.PLACES)
+    monitor[kernel.RAMP] = kernel.RAMP_START if nd > 0 else 1.0
     return MaximumLikelihoodState(
         theta=np.zeros(n),
-        U=np.eye(n),
-        D=prior,
-        ceiling=prior,
-        rls_theta=np.zeros(n - nd),
-        rls_U=np.eye(n - nd),
-        rls_D=prior[: n - nd],
-        raw=memory,
-        filtered=memory,
+        factor=np.diag(np.append(np.full(ns, float(p0)), np.zeros(nd))),
+        spread=np.zeros((n, n)),
+        prior=np.append(np.full(ns, unknown), np.zeros(nd)),
+        rls_theta=np.zeros(ns),
+        rls_factor=np.diag(np.full(ns, unknown)),
+        raw=np.zeros(channels),
+        filtered=np.zeros(channels),
         monitor=monitor,
     )
 
@@ -384,45 +388,26 @@ def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
 
 def _contracted(d: Floats, radius: float) -> Floats:
     """D with its roots drawn towards 0 until the largest lies well inside ``radius``."""
-    if kernel.is_stable(d, radius):
+    if is_stable(d, radius):
         return d
-    largest = 1.0 - kernel.root_margins(d[None, :])[0]
+    largest = 1.0 - root_margins(d[None, :])[0]
     result: Floats = d * (0.9 * radius / largest) ** np.arange(1, len(d) + 1)
     return result
 
 
-def _scale_of(structure: Structure) -> Floats:
-    """Magnitude of each regressor over the nominal range, as powers of two: exact to divide by."""
-    U, dp, T = (
-        a.ravel()
-        for a in np.meshgrid(
-            np.linspace(0, 100, 6), np.linspace(0, 200, 6), np.array([20.0, 40.0, 60.0])
-        )
-    )
-    rms = np.sqrt(np.mean(structure.regressors(U, dp, T) ** 2, axis=0))
-    scale: Floats = np.exp2(np.round(np.log2(np.where(rms > 0, rms, 1.0))))
-    return scale
-
-
-def _covariance(U: Floats, D: Floats) -> Floats:
-    return (U * D) @ U.T
-
-
 def _noise_variance(state: MaximumLikelihoodState) -> float:
-    """Weighted residual sum of squares over its degrees of freedom; NaN before there are any."""
-    weight, squared = state.monitor[kernel.WEIGHT], state.monitor[kernel.WEIGHT_SQUARED]
-    if weight <= 0:
-        return float("nan")
-    freedom = weight - len(state.theta) * squared / weight
-    return float(state.monitor[kernel.RSS] / freedom) if freedom > 0 else float("nan")
+    """σ² of the innovation; NaN before the first sample."""
+    known = state.monitor[kernel.WEIGHT] > 0
+    return float(state.monitor[kernel.VARIANCE]) if known else float("nan")
 
 
-def _noise_std(state: MaximumLikelihoodState) -> float:
-    """What sqrt(P) is to be multiplied by; forgetting makes P larger than the covariance."""
-    weight, squared = state.monitor[kernel.WEIGHT], state.monitor[kernel.WEIGHT_SQUARED]
-    if weight <= 0:
-        return float("nan")
-    return float(np.sqrt(_noise_variance(state) * squared / weight))
+def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
+    """Covariance of theta (n, n), an upper bound until theta is determined."""
+    over = covariance(state.factor)
+    if state.monitor[kernel.DETERMINED] > 0:
+        over = state.spread + np.tril(state.spread, -1).T
+    with np.errstate(all="ignore"):
+        return np.asarray(_noise_variance(state) * over)
 
 
 def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:

@@ -1,372 +1,452 @@
-"""Loops of recursive maximum likelihood, eq. (29), one sample after another in fixed order.
+"""The loop of recursive maximum likelihood, eq. (29): one step per sample, in fixed order.
 
-The covariance is kept as P = U·diag(D)·Uᵀ (U unit upper triangular, Bierman 1977): it cannot lose
-symmetry or sign. Beside RML runs plain RLS on the same regressors without the noise columns; where
-RML predicts worse than it for long, RML starts again from it.
+Beside RML runs plain RLS on the same regressors without the noise columns, from an open start;
+where RML predicts worse than it for long, RML starts again from there.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from service.identification.samples import Codes, Floats
+from service.identification.kernels.factors import covariance, project, rank_one
+from service.identification.kernels.stability import is_stable
+from service.identification.samples import Codes, Floats, Status
 
-# Elements of ``monitor``.
-LAM, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, WEIGHT_SQUARED, RSS = range(8)
-POWER, RLS_POWER, OUTPUT_POWER = range(8, 11)
-MONITORS = 11
+Orders = NDArray[np.int64]
 
-# Statuses, as in service.identification.samples.Status.
-OK, WARMING_UP, UNEXCITED, REJECTED, HELD = 0, 1, 2, 3, 5
+EXPONENTIAL = 0
+DIRECTIONAL = 1
 
-RAMP_START = 0.95  # lambda(0)
-RAMP_RATE = 0.99  # lambda(t) = .99·lambda(t-1) + .01·lambda
+# Places in `monitor`.
+RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
+POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
+PLACES = 10
+
+RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
+RAMP_RATE = 0.99
 NOISE_PRIOR = 0.1  # variance of d before the first sample, in units of the noise variance
+OPEN = 1e6  # least prior variance (scaled regressors) that counts as knowing nothing
 UNDETERMINED = 1e-2  # share of the prior variance above which a direction counts as unknown
-LARGEST = 1e30  # input beyond it is held off: its square would leave the range of numbers
-LARGEST_RESULT = 1e100
+LARGEST = 1e30  # input beyond it is held off
+LARGEST_RESULT = 1e100  # beyond it the state itself has left the range of numbers
 HALVINGS = 12
+FADING = 0.01
 PATIENCE = 200  # samples before RML may be judged against plain RLS
-ROUNDING = 1e-18  # of the output's power: below it two models are equally exact
+TOO_BAD = 1.5  # times the mean square of plain RLS
+ROUNDING = 1e-14  # relative to the terms of a sum
+
+_OK = int(Status.OK)
+_WARMING_UP = int(Status.WARMING_UP)
+_UNEXCITED = int(Status.UNEXCITED)
+_REJECTED = int(Status.REJECTED)
+_HELD = int(Status.HELD)
 
 
-@njit(cache=True)
-def is_stable(
-    d: Floats,
-    radius: float,
-) -> bool:
-    """Whether all roots of z^m + d1·z^(m-1) + ... + dm lie inside ``radius`` (Schur-Cohn)."""
-    m = len(d)
-    a = np.empty(m + 1)
-    a[0] = 1.0
-    shrink = 1.0
-    for i in range(m):
-        shrink /= radius
-        a[i + 1] = d[i] * shrink
-    b = np.empty(m + 1)
-    for k in range(m, 0, -1):
-        reflection = a[k]
-        if not abs(reflection) < 1.0:
-            return False
-        b[: k + 1] = a[: k + 1]
-        for i in range(k):
-            a[i] = (b[i] - reflection * b[k - i]) / (1.0 - reflection * reflection)
-    return True
+class Memory(NamedTuple):
+    """Arrays of a state, written in place.
 
-
-@njit(cache=True)
-def root_margins(
-    d: Floats,
-) -> Floats:
-    """1 - max|root of D| for each of N polynomials, rows of ``d`` (N, nd), to 1e-9."""
-    margins = np.ones(len(d))
-    for t in range(len(d)):
-        low = 0.0
-        high = 1.0
-        while not is_stable(d[t], high) and high < 1e12:
-            low = high
-            high *= 2.0
-        while high - low > 1e-9:
-            middle = 0.5 * (low + high)
-            if is_stable(d[t], middle):
-                high = middle
-            else:
-                low = middle
-        margins[t] = 1.0 - high
-    return margins
-
-
-@njit(cache=True)
-def _measure(
-    U: Floats,
-    D: Floats,
-    x: Floats,
-    lam: float,
-    gain: Floats,
-    f: Floats,
-) -> float:
-    """Bierman's measurement update of U, D in place; the gain is gain/alpha, alpha is returned."""
-    n = len(x)
-    alpha = lam
-    for j in range(n):
-        s = x[j]
-        for i in range(j):
-            s += U[i, j] * x[i]
-        f[j] = s
-    for j in range(n):
-        g = D[j] * f[j]
-        grown = alpha + f[j] * g
-        D[j] *= alpha / grown
-        p = -f[j] / alpha
-        gain[j] = g
-        for i in range(j):
-            u = U[i, j]
-            U[i, j] = u + gain[i] * p
-            gain[i] += g * u
-        alpha = grown
-    return alpha
-
-
-@njit(cache=True)
-def _forget(
-    U: Floats,
-    D: Floats,
-    lam: float,
-    ceiling: Floats,
-    ns: int,
-) -> tuple[bool, float]:
-    """P/lam, unless a variance would pass its ceiling: then P is held.
-
-    Returns whether it was held, and the largest share of its ceiling among the first ``ns``.
+    See :class:`~service.identification.maximum_likelihood.MaximumLikelihoodState`.
     """
-    n = len(D)
-    largest = 0.0
-    share = 0.0
-    for i in range(n):
-        variance = D[i]
-        for j in range(i + 1, n):
-            variance += D[j] * U[i, j] * U[i, j]
-        if ceiling[i] > 0.0:
-            largest = max(largest, variance / ceiling[i])
-            if i < ns:
-                share = largest
-    if largest > lam:
-        return lam < 1.0, share
-    for i in range(n):
-        D[i] /= lam
-    return False, share / lam
+
+    theta: Floats
+    factor: Floats
+    spread: Floats
+    prior: Floats
+    rls_theta: Floats
+    rls_factor: Floats
+    raw: Floats
+    filtered: Floats
+    monitor: Floats
 
 
-@njit(cache=True)
-def _push(
-    raw: Floats,
-    filtered: Floats,
-    c: int,
-    value: float,
-    d: Floats,
+class Rule(NamedTuple):
+    """What is forgotten, and how far the roots of D(q) may go out."""
+
+    kind: int
+    lam: float
+    radius: float
+
+
+class _Scratch(NamedTuple):
+    """Vectors of one step, allocated once per batch."""
+
+    h: Floats
+    hf: Floats
+    f: Floats
+    Ph: Floats
+    Sh: Floats
+    work: Floats
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def run(
+    memory: Memory,
+    rule: Rule,
+    orders: Orders,
+    X: Floats,
+    y: Floats,
+    use: Codes,
+    predicted: Floats,
+    posterior: Floats,
+    share: Floats,
+    status: Codes,
+    history: Floats,
 ) -> None:
-    """Shift a value into channel c's memory, and value/D(q) into its filtered memory."""
-    s = value
+    """Take N samples in, one after another.
+
+    Parameters
+    ----------
+    memory, rule
+        State, written in place; settings.
+    orders : (channels,)
+        Lags of the output, of each input, of the noise.
+    X : (N, inputs)
+        Row t is what the inputs were *before* y(t): u(t-1) of an ARMAX model, X(t) of a static map.
+    y, use : (N,)
+        Output; where ``use`` is 0 theta is held and a y that is missing becomes its prediction.
+    predicted, posterior, share, status : (N,)
+        Written: hᵀ·theta before, y - hᵀ·theta after the update, variance of the prediction over
+        that before any sample, status.
+    history : (N, n) or (0, n)
+        Written if it has rows: theta after each sample.
+    """
+    n, last = len(memory.theta), len(orders) - 1
+    d = memory.theta[n - orders[last] :]
+    scratch = _scratch(n)
+    for t in range(len(y)):
+        in_range = True
+        for c in range(1, last):
+            in_range = in_range and abs(X[t, c - 1]) < LARGEST
+        y_in_range = abs(y[t]) < LARGEST
+        predicted[t] = np.nan
+        posterior[t] = np.nan
+        share[t] = np.nan
+        if use[t] and not (in_range and y_in_range):
+            status[t] = _HELD
+        else:
+            for c in range(1, last):
+                _push(memory, d, c, X[t, c - 1])
+            _regressors(memory, orders, scratch)
+            predicted[t] = _dot(scratch.h, memory.theta, n)
+            if use[t]:
+                status[t] = _step(memory, rule, scratch, y[t], d, share, t)
+                posterior[t] = _rest(scratch.h, memory.theta, n, y[t])
+                _push(memory, d, 0, y[t])
+                _push(memory, d, last, posterior[t])
+                _watch(memory, posterior[t], status, t)
+            else:
+                status[t] = _REJECTED
+                _push(memory, d, 0, y[t] if y_in_range else predicted[t])
+                _push(memory, d, last, 0.0)
+        if t < len(history):
+            for j in range(n):
+                history[t, j] = memory.theta[j]
+
+
+@njit(cache=True, error_model="numpy")
+def learn(memory: Memory, rows: Floats, values: Floats) -> None:
+    """Take a structure's prior in: pseudo-samples row·theta = value, no samples."""
+    n, ns = len(memory.theta), rows.shape[1]
+    scratch = _scratch(n)
+    f, Px = scratch.f, scratch.Ph
+    for t in range(len(rows)):
+        for j in range(ns):
+            scratch.h[j] = rows[t, j]
+        r = project(memory.factor, scratch.h, f, Px)
+        step = (values[t] - _dot(rows[t], memory.theta, ns)) / (1.0 + r)
+        for j in range(n):
+            memory.theta[j] += step * Px[j]
+        rank_one(memory.factor, f, scratch.work, 1.0, 1.0, 1.0)
+        r = project(memory.rls_factor, rows[t], f, Px)
+        step = (values[t] - _dot(rows[t], memory.rls_theta, ns)) / (1.0 + r)
+        for j in range(ns):
+            memory.rls_theta[j] += step * Px[j]
+        rank_one(memory.rls_factor, f[:ns], scratch.work, 1.0, 1.0, 1.0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, shares: Floats) -> None:
+    """Write Xᵀ·theta, its variance over σ², and that over the variance before any sample (N,)."""
+    n, ns = len(memory.theta), X.shape[1]
+    scratch = _scratch(n)
+    x = scratch.h
+    for t in range(len(X)):
+        before = 0.0
+        for j in range(ns):
+            x[j] = X[t, j]
+            before += memory.prior[j] * x[j] * x[j]
+        r = project(memory.factor, x, scratch.f, scratch.Ph)
+        values[t] = _dot(x, memory.theta, ns)
+        shares[t] = r / before if before > 0.0 else 0.0
+        variances[t] = r
+        if memory.monitor[DETERMINED] > 0.0:
+            variances[t] = _spread_along(memory.spread, x, scratch.Sh)
+
+
+@njit(cache=True, error_model="numpy")
+def _scratch(n: int) -> _Scratch:
+    return _Scratch(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@njit(cache=True, error_model="numpy")
+def _take(to: Floats, values: Floats) -> None:
+    """Copy a matrix; ``to[:] = values`` takes numba five seconds to compile."""
+    for i in range(to.shape[0]):
+        for j in range(to.shape[1]):
+            to[i, j] = values[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _dot(a: Floats, b: Floats, n: int) -> float:
+    total = 0.0
+    for j in range(n):
+        total += a[j] * b[j]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
+    """Y - hᵀtheta; 0 where it is rounding, or the noise model would learn the rounding."""
+    total = y
+    magnitude = abs(y)
+    for j in range(n):
+        part = h[j] * theta[j]
+        total -= part
+        magnitude += abs(part)
+    return total if abs(total) > ROUNDING * magnitude else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _push(memory: Memory, d: Floats, c: int, value: float) -> None:
+    """Shift a value into channel c, and value/D(q) into its filtered twin."""
+    raw, filtered = memory.raw, memory.filtered
+    through = value
     for i in range(len(d)):
-        s -= d[i] * filtered[c, i]
+        through -= d[i] * filtered[c, i]
     for i in range(raw.shape[1] - 1, 0, -1):
         raw[c, i] = raw[c, i - 1]
         filtered[c, i] = filtered[c, i - 1]
     raw[c, 0] = value
-    filtered[c, 0] = s
+    filtered[c, 0] = through
 
 
-@njit(cache=True)
-def update(
-    y: Floats,
-    X: Floats,
-    use: NDArray[np.bool_],
-    orders: NDArray[np.int64],
-    lam: float,
-    radius: float,
-    ceiling: Floats,
-    theta: Floats,
-    U: Floats,
-    D: Floats,
-    rls_theta: Floats,
-    rls_U: Floats,
-    rls_D: Floats,
-    raw: Floats,
-    filtered: Floats,
-    monitor: Floats,
-    predicted: Floats,
-    posterior: Floats,
-    leverage: Floats,
-    status: Codes,
-    history: Floats,
-) -> None:
-    """Take N samples in; state and output arrays are changed in place.
+@njit(cache=True, error_model="numpy")
+def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
+    """Fill h and h_f from the channels: lags of -y, of the inputs, of the residual."""
+    q = 0
+    sign = -1.0
+    for c in range(len(orders)):
+        for i in range(orders[c]):
+            scratch.h[q] = sign * memory.raw[c, i]
+            scratch.hf[q] = sign * memory.filtered[c, i]
+            q += 1
+        sign = 1.0
 
-    Row t of ``X`` is what the inputs were *before* y(t): u(t-1) of an ARMAX model, X(t) of a
-    static map; ``orders`` counts the lags of y, of each input, and of the noise. Where ``use``
-    is false theta is held, and a y that is missing is replaced by its prediction.
-    """
-    n = len(theta)
-    channels = len(orders)
-    nd = orders[channels - 1]
+
+@njit(cache=True, error_model="numpy")
+def _step(
+    memory: Memory,
+    rule: Rule,
+    scratch: _Scratch,
+    y: float,
+    d: Floats,
+    share: Floats,
+    t: int,
+) -> int:
+    """One sample by eq. (29), and the same sample by plain RLS."""
+    theta, monitor = memory.theta, memory.monitor
+    h, hf, f, Ph, new = scratch.h, scratch.hf, scratch.f, scratch.Ph, scratch.work
+    n, nd = len(theta), len(d)
     ns = n - nd
     settled = 2 * n + 10
-    h = np.zeros(n)
-    hf = np.zeros(n)
-    f = np.zeros(n)
-    gain = np.zeros(n)
-    rls_f = np.zeros(ns)
-    rls_gain = np.zeros(ns)
-    new = np.zeros(n)
-    for t in range(len(y)):
-        usable = use[t] and abs(y[t]) < LARGEST
-        for c in range(1, channels - 1):
-            if not abs(X[t, c - 1]) < LARGEST:
-                usable = False
-        if not usable and use[t]:
-            status[t] = HELD
-            predicted[t] = np.nan
-            posterior[t] = np.nan
-            leverage[t] = np.nan
-            if len(history):
-                history[t] = theta
-            continue
-        for c in range(1, channels - 1):
-            _push(raw, filtered, c, X[t, c - 1], theta[ns:])
-        q = 0
-        for c in range(channels):
-            sign = -1.0 if c == 0 else 1.0
-            for i in range(orders[c]):
-                h[q] = sign * raw[c, i]
-                hf[q] = sign * filtered[c, i]
-                q += 1
-        guess = 0.0
-        for i in range(n):
-            guess += h[i] * theta[i]
-        rls_guess = 0.0
-        for i in range(ns):
-            rls_guess += h[i] * rls_theta[i]
-        predicted[t] = guess
+    if nd > 0 and monitor[SINCE] < settled:
+        for j in range(ns, n):
+            hf[j] = 0.0
+    elif nd > 0 and memory.prior[ns] == 0.0 and monitor[VARIANCE] > 0.0:
+        _let_noise_in(memory, ns)
 
-        if not usable:
-            status[t] = REJECTED
-            posterior[t] = np.nan
-            leverage[t] = np.nan
-            _push(raw, filtered, 0, y[t] if abs(y[t]) < LARGEST else guess, theta[ns:])
-            _push(raw, filtered, channels - 1, 0.0, theta[ns:])
-            if len(history):
-                history[t] = theta
-            continue
+    before = 0.0
+    for j in range(n):
+        before += memory.prior[j] * hf[j] * hf[j]
+    r = project(memory.factor, hf, f, Ph)
+    share[t] = r / before if before > 0.0 else 0.0
+    e = _rest(h, theta, n, y)  # the a-priori innovation
 
-        error = y[t] - guess  # the a-priori innovation
-        rls_error = y[t] - rls_guess
+    ramp, lam = monitor[RAMP], rule.lam
+    holds = not _may_grow(memory.factor, memory.prior, ramp * lam)
+    if holds:
+        ramp, lam = 1.0, 1.0
 
-        # The noise model waits until its own scale, the noise variance, is known.
-        if monitor[SINCE] < settled:
-            for i in range(ns, n):
-                hf[i] = 0.0
-        elif D[n - 1] == 0.0 and nd > 0 and monitor[RSS] > 0.0:
-            variance = min(NOISE_PRIOR * monitor[WEIGHT] / monitor[RSS], 1e20)
-            for i in range(ns, n):
-                D[i] = variance
-                ceiling[i] = 10.0 * variance
+    # A step that makes D(q) unstable is halved: Ljung and Söderström 1983.
+    step = e / (ramp * lam + r)
+    for _ in range(HALVINGS):
+        for j in range(n):
+            new[j] = theta[j] + step * Ph[j]
+        if is_stable(new[ns:], rule.radius):
+            for j in range(n):
+                theta[j] = new[j]
+            break
+        step *= 0.5
 
-        used_lam = monitor[LAM]
-        before = 0.0
-        for i in range(n):
-            before += ceiling[i] * hf[i] * hf[i]
-        alpha = _measure(U, D, hf, used_lam, gain, f)
-        leverage[t] = (alpha - used_lam) / before if before > 0.0 else 0.0
-        held, share = _forget(U, D, used_lam, ceiling, ns)
+    gain = 1.0 / (ramp * lam + r)
+    q = r / ramp
+    if monitor[DETERMINED] > 0.0:
+        q = _spread_along(memory.spread, hf, scratch.Sh)
+        if not q <= 1.01 * r:  # it never exceeds P but by rounding
+            _take(memory.spread, covariance(memory.factor))
+            q = _spread_along(memory.spread, hf, scratch.Sh)
+        _update_spread(memory.spread, Ph, scratch.Sh, gain, q)
+    monitor[WEIGHT] = ramp * lam * monitor[WEIGHT] + 1.0
+    monitor[VARIANCE] += (e * e / (1.0 + q) - monitor[VARIANCE]) / monitor[WEIGHT]
+    _forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
 
-        # eq. (29) with the step halved until D(q) is stable: Ljung and Söderström 1983.
-        step = error / alpha
-        stable = False
-        for _ in range(HALVINGS):
-            for i in range(n):
-                new[i] = theta[i] + gain[i] * step
-            stable = is_stable(new[ns:], radius)
-            if stable:
-                break
-            step *= 0.5
-        if stable:
-            theta[:] = new
+    rls_e = _rest(h, memory.rls_theta, ns, y)
+    monitor[POWER] += FADING * (e * e - monitor[POWER])
+    monitor[RLS_POWER] += FADING * (rls_e * rls_e - monitor[RLS_POWER])
+    monitor[OUTPUT_POWER] += FADING * (y * y - monitor[OUTPUT_POWER])
+    before = 0.0
+    for j in range(ns):
+        before += memory.prior[j] * h[j] * h[j]
+    r = project(memory.rls_factor, h[:ns], f, Ph)
+    lam = rule.lam if _may_grow(memory.rls_factor, memory.prior, rule.lam) else 1.0
+    for j in range(ns):
+        memory.rls_theta[j] += rls_e / (lam + r) * Ph[j]
+    _forget(memory.rls_factor, rule.kind, lam, 1.0, scratch, r, before)
 
-        rls_alpha = _measure(rls_U, rls_D, h[:ns], used_lam, rls_gain, rls_f)
-        _forget(rls_U, rls_D, used_lam, ceiling[:ns], ns)
-        for i in range(ns):
-            rls_theta[i] += rls_gain[i] * rls_error / rls_alpha
-
-        after = y[t]
-        largest = abs(alpha)
-        for i in range(n):
-            after -= h[i] * theta[i]
-            largest = max(largest, abs(theta[i]))
-        for i in range(ns):
-            largest = max(largest, abs(rls_theta[i]))
-        posterior[t] = after
-        _push(raw, filtered, 0, y[t], theta[ns:])
-        _push(raw, filtered, channels - 1, after, theta[ns:])
-        largest = max(largest, abs(filtered[channels - 1, 0]))
-
-        monitor[COUNT] += 1.0
-        monitor[SINCE] += 1.0
-        if not held:
-            monitor[WEIGHT] *= used_lam
-            monitor[WEIGHT_SQUARED] *= used_lam * used_lam
-            monitor[RSS] *= used_lam
-        monitor[WEIGHT] += 1.0
-        monitor[WEIGHT_SQUARED] += 1.0
-        monitor[RSS] += error * error * used_lam / alpha
-        monitor[LAM] = RAMP_RATE * used_lam + (1.0 - RAMP_RATE) * lam
-        monitor[POWER] += 0.01 * (error * error - monitor[POWER])
-        monitor[RLS_POWER] += 0.01 * (rls_error * rls_error - monitor[RLS_POWER])
-        monitor[OUTPUT_POWER] += 0.01 * (y[t] * y[t] - monitor[OUTPUT_POWER])
-
-        status[t] = OK
-        if share <= UNDETERMINED and monitor[SINCE] > settled:
-            monitor[DETERMINED] = 1.0
-        elif monitor[DETERMINED] == 0.0:
-            status[t] = WARMING_UP
-        else:
-            status[t] = UNEXCITED
-
-        sane = largest < LARGEST_RESULT
-        worse = monitor[POWER] > 1.5 * monitor[RLS_POWER] + ROUNDING * monitor[OUTPUT_POWER]
-        if not sane or (nd > 0 and worse and monitor[SINCE] > PATIENCE):
-            # Start again: from plain RLS, or from nothing where that too is out of range.
-            if not sane:
-                status[t] = HELD
-                rls_theta[:] = 0.0
-                rls_U[:] = np.eye(ns)
-                rls_D[:] = ceiling[:ns]
-                monitor[DETERMINED] = 0.0
-                raw[:] = 0.0
-            theta[:] = 0.0
-            theta[:ns] = rls_theta
-            U[:] = np.eye(n)
-            U[:ns, :ns] = rls_U
-            D[:] = 0.0
-            D[:ns] = rls_D
-            ceiling[ns:] = 0.0
-            raw[channels - 1] = 0.0
-            filtered[:] = raw
-            monitor[WEIGHT] = 0.0
-            monitor[WEIGHT_SQUARED] = 0.0
-            monitor[RSS] = 0.0
-            monitor[POWER] = 0.0
-            monitor[RLS_POWER] = 0.0
-            monitor[OUTPUT_POWER] = 0.0
-            monitor[SINCE] = 0.0
-            monitor[LAM] = min(RAMP_START, lam) if nd > 0 else lam
-            monitor[RESTARTS] += 1.0
-        if len(history):
-            history[t] = theta
+    monitor[RAMP] = RAMP_RATE * monitor[RAMP] + (1.0 - RAMP_RATE)
+    monitor[COUNT] += 1.0
+    monitor[SINCE] += 1.0
+    known = monitor[DETERMINED] > 0.0
+    if not known or rule.lam < 1.0:  # with lam = 1 nothing is ever unlearnt
+        known = monitor[SINCE] > settled and _largest_share(memory, ns) <= UNDETERMINED
+    if known and monitor[DETERMINED] == 0.0:
+        _take(memory.spread, covariance(memory.factor))
+        monitor[DETERMINED] = 1.0
+    if monitor[DETERMINED] == 0.0:
+        return _WARMING_UP
+    return _OK if known and not (holds and rule.lam < 1.0) else _UNEXCITED
 
 
-@njit(cache=True)
-def evaluate(
-    X: Floats,
-    theta: Floats,
-    U: Floats,
-    D: Floats,
-    ceiling: Floats,
-) -> tuple[Floats, Floats, Floats]:
-    """Mean, variance (over the noise variance) and share of the prior variance at N points."""
-    N, ns = X.shape
-    mean = np.zeros(N)
-    variance = np.zeros(N)
-    share = np.zeros(N)
-    for t in range(N):
-        prior = 0.0
-        for i in range(ns):
-            mean[t] += X[t, i] * theta[i]
-            prior += ceiling[i] * X[t, i] * X[t, i]
-        for j in range(len(D)):
-            s = X[t, j] if j < ns else 0.0
-            for i in range(min(j, ns)):
-                s += X[t, i] * U[i, j]
-            variance[t] += D[j] * s * s
-        if prior > 0.0:
-            share[t] = variance[t] / prior
-    return mean, variance, share
+@njit(cache=True, error_model="numpy")
+def _let_noise_in(memory: Memory, ns: int) -> None:
+    """Give d its prior variance, in units of the noise variance that is known by now."""
+    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], 1e20)
+    for j in range(ns, len(memory.theta)):
+        memory.prior[j] = 10.0 * variance  # room for forgetting
+        memory.factor[j, j] = variance
+        memory.spread[j, j] = variance
+
+
+@njit(cache=True, error_model="numpy")
+def _variance(factor: Floats, i: int) -> float:
+    """P[i, i]."""
+    total = factor[i, i]
+    for j in range(i + 1, len(factor)):
+        total += factor[j, j] * factor[j, i] * factor[j, i]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _may_grow(factor: Floats, prior: Floats, lam: float) -> bool:
+    """Whether P/λ stays below the prior: else nothing is forgotten, for ever bounded."""
+    if lam < 1.0:
+        for i in range(len(factor)):
+            if prior[i] > 0.0 and _variance(factor, i) > lam * prior[i]:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _forget(
+    factor: Floats, kind: int, lam: float, ramp: float, scratch: _Scratch, r: float, before: float
+) -> None:
+    """P after the sample: (P - L·hfᵀP)/λ, or λ along hf alone (Kulhavý 1987); the ramp always."""
+    f = scratch.f[: len(factor)]
+    if kind == DIRECTIONAL:
+        weight = 1.0
+        if r > 0.0 and before > 0.0:
+            weight -= (1.0 - lam) * max(0.0, ramp / r - 1.0 / before)
+        rank_one(factor, f, scratch.work, ramp, weight, 1.0 / ramp)
+    else:
+        rank_one(factor, f, scratch.work, ramp * lam, 1.0, 1.0 / (ramp * lam))
+
+
+@njit(cache=True, error_model="numpy")
+def _largest_share(memory: Memory, ns: int) -> float:
+    """Largest variance of a parameter of the structure over that before any sample."""
+    largest = 0.0
+    for i in range(ns):
+        largest = max(largest, _variance(memory.factor, i) / memory.prior[i])
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
+def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
+    """S·x from the lower triangle of S, and xᵀ·S·x."""
+    for j in range(len(x)):
+        Sx[j] = S[j, j] * x[j]
+        for i in range(j):
+            Sx[j] += S[j, i] * x[i]
+            Sx[i] += S[j, i] * x[j]
+    return max(_dot(x, Sx, len(x)), 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> None:
+    """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, whatever the gain L."""
+    c = gain * gain * (1.0 + q)
+    for j in range(len(Px)):
+        for i in range(j + 1):
+            S[j, i] += c * Px[j] * Px[i] - gain * (Px[j] * Sx[i] + Sx[j] * Px[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
+    """Start again from plain RLS where RML is lost, from nothing where that is lost too."""
+    monitor, nd = memory.monitor, len(memory.theta) - len(memory.rls_theta)
+    total = abs(after) + abs(memory.filtered[len(memory.filtered) - 1, 0]) + monitor[VARIANCE]
+    for j in range(len(memory.theta)):
+        total += abs(memory.theta[j]) + memory.factor[j, j] + memory.spread[j, j]
+    for j in range(len(memory.rls_theta)):
+        total += abs(memory.rls_theta[j]) + memory.rls_factor[j, j]
+    if not total < LARGEST_RESULT:  # NaN too
+        status[t] = _HELD
+        memory.raw[:] = 0.0
+        memory.rls_theta[:] = 0.0
+        memory.rls_factor[:] = 0.0
+        for j in range(len(memory.rls_theta)):
+            memory.rls_factor[j, j] = memory.prior[j]
+        _restart(memory)
+    elif (
+        nd > 0
+        and monitor[SINCE] > PATIENCE
+        and monitor[POWER]
+        > TOO_BAD * monitor[RLS_POWER] + (1e3 * ROUNDING) ** 2 * monitor[OUTPUT_POWER]
+    ):
+        _restart(memory)
+
+
+@njit(cache=True, error_model="numpy")
+def _restart(memory: Memory) -> None:
+    """Take theta and P of plain RLS over, without a noise model."""
+    ns, monitor = len(memory.rls_theta), memory.monitor
+    restarts = monitor[RESTARTS] + 1.0
+    count = monitor[COUNT]
+    monitor[:] = 0.0
+    monitor[RESTARTS] = restarts
+    monitor[COUNT] = count
+    monitor[RAMP] = RAMP_START if ns < len(memory.theta) else 1.0
+    memory.theta[:] = 0.0
+    memory.factor[:] = 0.0
+    memory.spread[:] = 0.0
+    for j in range(ns, len(memory.theta)):
+        memory.prior[j] = 0.0
+    for j in range(ns):
+        memory.theta[j] = memory.rls_theta[j]
+        for i in range(j + 1):
+            memory.factor[j, i] = memory.rls_factor[j, i]
+    for i in range(memory.raw.shape[1]):
+        memory.raw[len(memory.raw) - 1, i] = 0.0
+    _take(memory.filtered, memory.raw)
