@@ -117,6 +117,8 @@ def qualities(cells: Sequence[str]) -> Codes:
 
 def qualities_of_integers(values: NDArray[np.int64]) -> Codes:
     """Qualities from 0, 1, 2 and OPC UA status codes."""
+    if values.size and values.min() >= Quality.GOOD and values.max() <= Quality.BAD:
+        return values.astype(np.uint8)
     distinct, where = np.unique(values, return_inverse=True)
     known = [_quality_of_code(int(value)) for value in distinct]
     for row in np.flatnonzero(np.array([code is None for code in known])[where])[:1]:
@@ -137,12 +139,9 @@ def by_valve(
     samples: Samples, valves: Sequence[str], index: NDArray[np.intp]
 ) -> Iterator[tuple[str, Samples]]:
     """Part a batch by valve, the rows of each in their order."""
-    present = np.unique(index)
-    if len(present) == 1:
-        yield valves[present[0]], samples
-        return
+    present = np.flatnonzero(np.bincount(index)).tolist()
     for i in present:
-        yield valves[i], samples[index == i]
+        yield valves[i], samples if len(present) == 1 else samples[index == i]
 
 
 def time_text(t: int) -> str:

@@ -29,7 +29,7 @@ _SCHEMA = pa.schema(
         pa.field("quality", pa.uint8()),
     ]
 )
-_ROW_GROUP = 131_072
+_ROW_GROUP = 1 << 19
 
 
 class ArrowReader:
@@ -92,7 +92,15 @@ class ArrowReader:
 def open_parquet(path: Path, chunk_rows: int) -> ArrowReader:
     """Open a Parquet file; memory is bounded by the chunk, however large its row groups are."""
     try:
-        file = pq.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False)
+        metadata = pq.read_metadata(path)
+        names = [name for name in metadata.schema.names if name == "valve"]
+        file = pq.ParquetFile(
+            path,
+            metadata=metadata,
+            read_dictionary=names,
+            buffer_size=1 << 20,
+            pre_buffer=False,  # would hold the whole file in the end
+        )
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, error, 0) from error
     wanted = [name for name in file.schema_arrow.names if name in columns.COLUMNS]
