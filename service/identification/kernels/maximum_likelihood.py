@@ -342,7 +342,7 @@ def _let_noise_in(memory: Memory, ns: int) -> None:
 @njit(cache=True, error_model="numpy")
 def _variance(factor: Floats, i: int) -> float:
     """P[i, i]."""
-    total = factor[i, i]
+    total = float(factor[i, i])
     for j in range(i + 1, len(factor)):
         total += factor[j, j] * factor[j, i] * factor[j, i]
     return total
