@@ -76,9 +76,12 @@ async def supervise(
                 if hopeless and not ever_connected:
                     raise
                 await source.close()
-                await consumer.lost(error)
                 pause = next(pauses)
-                log.warning("source lost", reason=str(error), next_try_in_s=pause)
+                if ever_connected:
+                    await consumer.lost(error)
+                    log.warning("source lost", reason=str(error), next_try_in_s=pause)
+                else:
+                    log.info("waiting for the source", reason=str(error), next_try_in_s=pause)
                 await _wait(stop, pause, consumer, settings.tick_s)
     finally:
         await source.close()
