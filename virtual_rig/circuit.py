@@ -31,6 +31,8 @@ from virtual_rig.parameters import Parameters, parameter
 from virtual_rig.valvistor import Valvistor, pilot_opening, poppet_state
 from virtual_rig.valvistor import numbers as valve_numbers
 
+_LOAD = "own choice for a proportional relief valve"
+
 
 class Circuit(Parameters):
     """Data sheet of supply, load valve and tank."""
@@ -45,18 +47,16 @@ class Circuit(Parameters):
         3.0,
         "bar",
         "p0 minus the pressure at which the relief valve shuts",
-        "data sheets of pilot-operated relief valves: 1-2 %",
+        "own choice for a pilot-operated relief valve",
         ge=0.01,
         le=100,
     )
-    load_minimum_bar: float = parameter(
-        3.0, "bar", "lowest p2, no flow", "data sheets of proportional relief valves", ge=0, le=50
-    )
+    load_minimum_bar: float = parameter(3.0, "bar", "lowest p2, no flow", _LOAD, ge=0, le=50)
     load_resistance_bar: float = parameter(
         8.0,
         "bar",
         "what full pump flow adds to the lowest p2",
-        "data sheets of proportional relief valves",
+        _LOAD,
         ge=0,
         le=100,
     )
@@ -64,10 +64,20 @@ class Circuit(Parameters):
         40.0, "°C", "temperature of the tank", "paper, sec. 2.2", ge=-10, le=100
     )
     tank_drift_K: float = parameter(
-        1.0, "K", "amplitude of its slow drift", "two-point cooler control", ge=0, le=20
+        1.0,
+        "K",
+        "amplitude of its slow drift",
+        "own choice for a cooler that switches",
+        ge=0,
+        le=20,
     )
     tank_drift_period_s: float = parameter(
-        900.0, "s", "period of its slow drift", "two-point cooler control", ge=10, le=1e6
+        900.0,
+        "s",
+        "period of its slow drift",
+        "own choice for a cooler that switches",
+        ge=10,
+        le=1e6,
     )
 
 

@@ -19,7 +19,8 @@ from virtual_rig import kernels
 from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters, parameter
 
-_DIN_51757 = "DIN 51757 (range of mineral oils)"
+_TEXTBOOK = "textbook value for mineral oil"
+_HLP = "own choice among HLP 46 oils"
 
 
 class Oil(Parameters):
@@ -29,24 +30,24 @@ class Oil(Parameters):
         46.0, "mm²/s", "kinematic viscosity at 40 °C", "ISO 3448, VG 46", gt=1, le=1000
     )
     nu_100_mm2_s: float = parameter(
-        6.8, "mm²/s", "kinematic viscosity at 100 °C", "typical HLP 46 data sheets", gt=1, le=200
+        6.8, "mm²/s", "kinematic viscosity at 100 °C", _HLP, gt=1, le=200
     )
     rho_15_kg_m3: float = parameter(
         875.0,
         "kg/m³",
         "density at 15 °C, no pressure",
-        "typical HLP 46 data sheets",
+        _HLP,
         ge=600,
         le=1300,
     )
     expansion_per_K: float = parameter(
-        7.0e-4, "1/K", "thermal expansion α", _DIN_51757, ge=0, le=2e-3
+        7.0e-4, "1/K", "thermal expansion α", _TEXTBOOK, ge=0, le=2e-3
     )
     heat_capacity_J_kg_K: float = parameter(
         1950.0,
         "J/(kg·K)",
         "specific heat c_p",
-        "mineral oil at 50 °C, VDI heat atlas",
+        _TEXTBOOK,
         ge=500,
         le=5000,
     )

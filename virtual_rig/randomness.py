@@ -5,7 +5,8 @@ fixed chunks, so that nothing has to be remembered between blocks.
 """
 
 import zlib
-from collections.abc import Callable
+from functools import lru_cache
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -21,22 +22,35 @@ def normal(seed: int, stream: str, start: int, n: int) -> Floats:
     >>> bool((normal(1, "Valvistor.Q noise", 1000, 100) == whole[1000:1100]).all())
     True
     """
-    return _draw(lambda generator: generator.standard_normal(_CHUNK), seed, stream, start, n)
+    return _draw("normal", seed, stream, start, n)
 
 
 def uniform(seed: int, stream: str, start: int, n: int) -> Floats:
     """Numbers start … start + n - 1 of a stream, uniform in [0, 1)."""
-    return _draw(lambda generator: generator.random(_CHUNK), seed, stream, start, n)
+    return _draw("uniform", seed, stream, start, n)
 
 
 def _draw(
-    chunk_of: Callable[[np.random.Generator], Floats], seed: int, stream: str, start: int, n: int
+    distribution: Literal["normal", "uniform"], seed: int, stream: str, start: int, n: int
 ) -> Floats:
-    key = np.array([seed, zlib.crc32(stream.encode())], dtype=np.uint64)
     first, last = start // _CHUNK, (start + n - 1) // _CHUNK
-    chunks = [
-        chunk_of(np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, chunk])))
-        for chunk in range(first, last + 1)
-    ]
+    chunks = [_chunk(distribution, seed, stream, number) for number in range(first, last + 1)]
     offset = start - first * _CHUNK
     return np.concatenate([np.empty(0), *chunks])[offset : offset + n]
+
+
+@lru_cache(maxsize=512)
+def _chunk(
+    distribution: Literal["normal", "uniform"], seed: int, stream: str, number: int
+) -> Floats:
+    key = np.array([seed, zlib.crc32(stream.encode())], dtype=np.uint64)
+    generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, number]))
+    match distribution:
+        case "normal":
+            chunk = generator.standard_normal(_CHUNK)
+        case "uniform":
+            chunk = generator.random(_CHUNK)
+        case _:
+            assert_never(distribution)
+    chunk.setflags(write=False)
+    return chunk

@@ -37,10 +37,9 @@ from virtual_rig.oil import Oil
 from virtual_rig.oil import numbers as oil_numbers
 from virtual_rig.parameters import Parameters, parameter
 
-_PAPER = "paper, nomenclature; size chosen for 200 l/min near 80 bar"
-_MERRITT = "Merritt 1967, Hydraulic Control Systems, sec. 3.4"
-_MAKERS = "data sheets of pilot-operated proportional seat valves"
-_DESIGN = "chosen: usual in seat valves of this size"
+_PAPER = "paper, nomenclature; size: own choice for 200 l/min near 80 bar"
+_MERRITT = "Merritt 1967, Hydraulic Control Systems, ch. 3"
+_DESIGN = "own choice for a seat valve of this size"
 
 
 class Valvistor(Parameters):
@@ -59,7 +58,12 @@ class Valvistor(Parameters):
         1.0, "l/(min·√bar·mm)", "flow coefficient of the pilot valve", _PAPER, gt=0, le=20
     )
     x_0_mm: float = parameter(
-        0.15, "mm", "negative overlap x₀ of the slot", "paper, eq. (2); size chosen", ge=0, le=2
+        0.15,
+        "mm",
+        "negative overlap x₀ of the slot",
+        "paper, eq. (2); size: own choice",
+        ge=0,
+        le=2,
     )
     stroke_mm: float = parameter(
         4.0, "mm", "stroke of the poppet to its stop", _DESIGN, gt=0, le=50
@@ -77,27 +81,27 @@ class Valvistor(Parameters):
         5.0, "N/mm", "rate k of the poppet's spring", _DESIGN, ge=0, le=1e4
     )
     jet_angle_deg: float = parameter(
-        45.0, "°", "angle ε of the jet; 90 = no flow force", "cone of 45°, " + _MERRITT, ge=0, le=90
+        45.0, "°", "angle ε of the jet; 90 = no flow force", "the seat's cone, 45°", ge=0, le=90
     )
     pilot_jet_per_bar: float = parameter(
         6.0e-4,
         "1/bar",
         "closing of the pilot by its jet, κ",
-        "5-10 % at full drop, " + _MAKERS,
+        "own choice: 6 % at full drop",
         ge=0,
         le=2e-3,
     )
     dead_band_percent: float = parameter(
-        2.5, "%", "signal at which the pilot begins to open", _MAKERS, ge=0, le=50
+        2.5, "%", "signal at which the pilot begins to open", _DESIGN, ge=0, le=50
     )
     saturation_percent: float = parameter(
-        98.0, "%", "signal at which the pilot is fully open", _MAKERS, gt=50, le=100
+        98.0, "%", "signal at which the pilot is fully open", _DESIGN, gt=50, le=100
     )
     hysteresis_percent: float = parameter(
         0.4,
         "%",
         "width of the loop between rising and falling signal; 0 = none",
-        _MAKERS + " with dither or position feedback",
+        "own choice: the paper's valve has little",
         ge=0,
         le=20,
     )
@@ -105,7 +109,7 @@ class Valvistor(Parameters):
         0.0,
         "s",
         "time constant of the pilot; 0 = steady state in every sample",
-        "scope",
+        "own choice: quasi-static data",
         ge=0,
         le=10,
     )
@@ -113,7 +117,7 @@ class Valvistor(Parameters):
         30.0,
         "1",
         "Re_t of the main poppet (chamfered seat)",
-        "between sharp and long, " + _MERRITT,
+        "own choice above the sharp slit's",
         ge=0,
         le=5000,
     )
@@ -132,12 +136,12 @@ class Valvistor(Parameters):
         6.0e-4,
         "l/(min·bar)",
         "leakage of the closed pilot per bar at 46 mm²/s",
-        _MAKERS,
+        _DESIGN,
         ge=0,
         le=0.1,
     )
     seat_leakage_l_min_bar: float = parameter(
-        3.0e-4, "l/(min·bar)", "leakage of the main seat per bar at 46 mm²/s", _MAKERS, ge=0, le=0.1
+        3.0e-4, "l/(min·bar)", "leakage of the main seat per bar at 46 mm²/s", _DESIGN, ge=0, le=0.1
     )
 
 
