@@ -29,12 +29,14 @@ Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
 
 @dataclass(frozen=True)
 class EstimatorReport:
-    """What a replay says of one estimator; ``verify`` and ``inverse`` are of the last file set.
+    """What a replay says of one estimator: its final lane, and figures.
 
+    Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
     inverse calls feasible, ``infeasible`` the number of the others.
     """
 
+    lane: Lane
     parameters: Mapping[str, float]
     std: Mapping[str, float]
     one_step: Score
@@ -196,6 +198,7 @@ def _report(
         result = pipeline.estimator_result(lane)
         check = checks.get(name)
         report[name] = EstimatorReport(
+            lane=lane,
             parameters=dict(zip(result.parameter_names, result.theta.tolist(), strict=True)),
             std=dict(zip(result.parameter_names, result.std.tolist(), strict=True)),
             one_step=lane.score,

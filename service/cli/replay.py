@@ -59,7 +59,8 @@ def replay(
     if json_out is not None:
         write_json(json_out, as_json(report))
     if plots is not None:
-        for written in plots.write():
+        lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
+        for written in plots.write(lanes):
             console.print(f"written: {written}")
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from service.identification.samples import Floats, Quality, Samples, Trace
-from service.report.plots import plot_agreement, plot_residuals
+from service.report.plots import plot_agreement, plot_map, plot_residuals
+from service.report.thinning import Thinned
+from service.streaming.pipeline import Lane
 
-_MOST_POINTS = 20_000
+_GRID = 60
 
 
 class ReplayPlots:
@@ -22,50 +24,55 @@ class ReplayPlots:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._valves: dict[str, _Thinned] = {}
+        self._valves: dict[str, Thinned] = {}
 
     def take(self, valve: str, samples: Samples, traces: Mapping[str, Trace]) -> None:
         """Take one batch in, with what every estimator said of it."""
         good = samples.quality != Quality.BAD
-        rows = np.stack([samples.t.astype(np.float64), samples.Q, *_residuals(traces)], axis=1)
-        self._valves.setdefault(valve, _Thinned(list(traces))).add(rows[good])
+        columns = {"t": samples.t, "U": samples.U, "dp": samples.dp, "Q": samples.Q}
+        residuals = {f"e {name}": trace.residual for name, trace in traces.items()}
+        kept = {name: column[good] for name, column in {**columns, **residuals}.items()}
+        self._valves.setdefault(valve, Thinned()).add(kept)
 
-    def write(self) -> Iterator[Path]:
+    def write(self, lanes: Mapping[str, Mapping[str, Lane]]) -> Iterator[Path]:
         """Draw everything; tell each file as it is written.
+
+        Parameters
+        ----------
+        lanes
+            Valve → estimator → its final state, for the maps.
 
         Raises
         ------
         StorageError
             naming the file.
         """
-        for valve, kept in self._valves.items():
-            t, Q, *columns = kept.rows.T
-            residuals = dict(zip(kept.names, columns, strict=True))
+        for valve, thinned in self._valves.items():
+            kept = thinned.columns
+            residuals = {n.removeprefix("e "): e for n, e in kept.items() if n.startswith("e ")}
             agreement = self._folder / f"{valve}-agreement.png"
-            plot_agreement(agreement, Q, {name: Q - e for name, e in residuals.items()})
+            plot_agreement(agreement, kept["Q"], {n: kept["Q"] - e for n, e in residuals.items()})
             yield agreement
             over_time = self._folder / f"{valve}-residuals.png"
-            plot_residuals(over_time, t.astype(np.int64), residuals)
+            plot_residuals(over_time, kept["t"], residuals)
             yield over_time
+            for name, lane in lanes[valve].items():
+                file = self._folder / f"{valve}-map-{_file_name(name)}.png"
+                U, dp = _axis(kept["U"]), _axis(kept["dp"])
+                plot_map(file, U, dp, _map(lane, U, dp), (kept["U"], kept["dp"]))
+                yield file
 
 
-class _Thinned:
-    """Every k-th row of a stream of any length; k doubles when there are too many."""
-
-    def __init__(self, names: list[str]) -> None:
-        self.names = names
-        self.rows = np.empty((0, 2 + len(names)))
-        self._step = 1
-        self._seen = 0
-
-    def add(self, rows: Floats) -> None:
-        first = -self._seen % self._step
-        self._seen += len(rows)
-        self.rows = np.concatenate([self.rows, rows[first :: self._step]])
-        while len(self.rows) > _MOST_POINTS:
-            self.rows = self.rows[::2]
-            self._step *= 2
+def _axis(column: Floats) -> Floats:
+    return np.linspace(column.min(), column.max(), _GRID)
 
 
-def _residuals(traces: Mapping[str, Trace]) -> list[Floats]:
-    return [trace.residual for trace in traces.values()]
+def _map(lane: Lane, U: Floats, dp: Floats) -> Floats:
+    grid_U, grid_dp = (g.ravel() for g in np.meshgrid(U, dp, indexing="ij"))
+    T = np.full(grid_U.shape, np.nan)
+    Q, _ = lane.estimator.predict(lane.state, grid_U, grid_dp, T)
+    return Q.reshape(len(U), len(dp))
+
+
+def _file_name(estimator: str) -> str:
+    return "".join(c for c in estimator if c.isalnum() or c in "-_")
