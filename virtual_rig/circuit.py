@@ -142,7 +142,7 @@ def operating_point(
         args = (*of_bench, *sample)
         # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
         low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, p0)
-        p1[i] = brentq(kernels.excess, low, high, args=args, xtol=1e-10)
+        p1[i] = brentq(kernels.excess, low, high, args=args, xtol=1e-10, maxiter=1000)
         p2[i] = kernels.load_pressure(c, p1[i], sample[1])
     state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge)
     T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))

@@ -64,14 +64,14 @@ class Verification(Parameters):
 
 _MACHINE = (
     CyclePoint(at=0.00, U_percent=0, p2_bar=190),
-    CyclePoint(at=0.06, U_percent=85, p2_bar=40),  # rapid advance
-    CyclePoint(at=0.26, U_percent=90, p2_bar=55),
-    CyclePoint(at=0.30, U_percent=40, p2_bar=110),  # working stroke against a rising load
-    CyclePoint(at=0.52, U_percent=48, p2_bar=165),
+    CyclePoint(at=0.06, U_percent=65, p2_bar=105),  # rapid advance
+    CyclePoint(at=0.26, U_percent=70, p2_bar=115),
+    CyclePoint(at=0.30, U_percent=35, p2_bar=120),  # working stroke against a rising load
+    CyclePoint(at=0.52, U_percent=45, p2_bar=165),
     CyclePoint(at=0.56, U_percent=9, p2_bar=180),  # holding pressure
     CyclePoint(at=0.68, U_percent=8, p2_bar=182),
-    CyclePoint(at=0.74, U_percent=75, p2_bar=20),  # rapid return
-    CyclePoint(at=0.92, U_percent=70, p2_bar=25),
+    CyclePoint(at=0.74, U_percent=62, p2_bar=90),  # rapid return
+    CyclePoint(at=0.92, U_percent=58, p2_bar=95),
     CyclePoint(at=0.96, U_percent=0, p2_bar=190),  # pause
     CyclePoint(at=1.00, U_percent=0, p2_bar=190),
 )

@@ -161,12 +161,21 @@ def verification_points(
     They are those of the ``verification`` excitation, of the valve as new and at the tank's set
     temperature. ``valve`` defaults to the first one.
 
+    Raises
+    ------
+    ScenarioError
+        if there is no such valve.
+
+    Examples
+    --------
     >>> points = verification_points(BUILTIN["demo"])
     >>> 700 < len(points.Q) < 900
     True
     """
     benches = {bench.name: bench for bench in scenario.valves}
-    bench = benches[valve] if valve is not None else scenario.valves[0]
+    if valve is not None and valve not in benches:
+        raise ScenarioError(f"{valve}: no such valve; allowed are {', '.join(benches)}")
+    bench = scenario.valves[0] if valve is None else benches[valve]
     U, dp = low_discrepancy_points(np.arange(n), bench.circuit.p0_bar)
     T = tank_temperature(bench.circuit, np.zeros(n))
     inside = reachable(bench, U, dp, T)

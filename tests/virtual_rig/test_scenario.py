@@ -91,3 +91,8 @@ def test_each_valve_has_a_truth_of_its_own():
     assert verification_points(scenario, "Second").Q.mean() < (
         0.8 * verification_points(scenario, "Valvistor").Q.mean()
     )
+
+
+def test_there_is_no_truth_of_a_valve_that_is_not_there():
+    with pytest.raises(ScenarioError, match="X: no such valve; allowed are Valvistor"):
+        verification_points(Scenario(), "X")
