@@ -149,8 +149,7 @@ class Connection:
     async def close(self) -> None:
         """Say good-bye if the server still listens, and hang up."""
         self._renewal.cancel()
-        with contextlib.suppress(asyncio.CancelledError, Exception):
-            await self._renewal
+        await asyncio.gather(self._renewal, return_exceptions=True)
         client = self._client.uaclient
         client.request_disconnect()
         client.pre_request_hook = None
