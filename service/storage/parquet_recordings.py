@@ -66,11 +66,11 @@ class ArrowReader:
                 raise _damaged(self._path, error, self._done) from error
             if batch is None:
                 return
+            before, self._done = self._done, self._done + batch.num_rows
             if batch.num_rows:
-                yield from self._parsed(batch)
-            self._done += batch.num_rows
+                yield from self._parsed(batch, before)
 
-    def _parsed(self, batch: pa.RecordBatch) -> Iterator[tuple[str, Samples]]:
+    def _parsed(self, batch: pa.RecordBatch, before: int) -> Iterator[tuple[str, Samples]]:
         found = {name: batch.column(name) for name in columns.COLUMNS if name in batch.schema.names}
         try:
             samples = Samples.of(
@@ -84,7 +84,7 @@ class ArrowReader:
             )
             valves = _valves(found.get("valve"), batch.num_rows)
         except CellError as error:
-            row = self._done + error.row + 1
+            row = before + error.row + 1
             raise RecordingError(f"{self._path}, row {row}: {error}") from None
         yield from columns.by_valve(samples, *valves)
 

@@ -353,7 +353,8 @@ def test_progress_runs_from_nothing_to_one(tmp_path, form):
         assert recording.fraction == 1.0
     assert seen == sorted(seen)
     assert len(seen) == 40
-    assert seen[0] < 0.6
+    assert 0 < seen[0] < 0.6
+    assert seen[-1] == 1.0
     assert all(0 <= fraction <= 1 for fraction in seen)
 
 
