@@ -251,19 +251,25 @@ class TensorSpline:
 
     def prior(self) -> tuple[Floats, Floats]:
         """Rows that ask each theta to lie on the line between its neighbours; values 0."""
-        sites_U, sites_s = self.sites
         n_T = max(1, len(self.T))
-        one_U, one_s, one_T = np.eye(len(sites_U)), np.eye(len(sites_s)), np.eye(n_T)
-        anchor = sites_s if self.at_rest == "free" else np.concatenate([[self.s[0]], sites_s])
-        bend_s = _bends(anchor)[:, self._without :]
+        along_U, along_s = self.roughness
+        one_U, one_s, one_T = np.eye(along_U.shape[1]), np.eye(along_s.shape[1]), np.eye(n_T)
         rows = np.concatenate(
             [
-                np.kron(np.kron(self._bends_and_plateaus(), one_s), one_T),
-                np.kron(np.kron(one_U, bend_s), one_T),
-                np.kron(np.kron(one_U, one_s), np.diff(one_T, axis=0)),
+                np.kron(np.kron(along_U, one_s), one_T),
+                np.kron(np.kron(one_U, along_s), one_T),
+                np.kron(np.kron(one_U, one_s), self.smoothness * np.diff(one_T, axis=0)),
             ]
         )
-        return self.smoothness * rows, np.zeros(len(rows))
+        return rows, np.zeros(len(rows))
+
+    @cached_property
+    def roughness(self) -> tuple[Floats, Floats]:
+        """The prior's rows along U (R, n_U) and along s (R, n_s)."""
+        sites_s = self.sites[1]
+        anchored = sites_s if self.at_rest == "free" else np.concatenate([self.s[:1], sites_s])
+        along_s = _bends(anchored)[:, self._without :]
+        return self.smoothness * self._bends_and_plateaus(), self.smoothness * along_s
 
     @property
     def _kinks(self) -> list[float]:

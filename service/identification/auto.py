@@ -1,0 +1,351 @@
+"""`Auto`: the structure of the map chosen online, by prequential error and BIC."""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.estimator import State
+from service.identification.kernels import cells as memory
+from service.identification.kernels import surface as kernel
+from service.identification.kernels.cells import Surface
+from service.identification.map_shapes import MOST_S, MOST_U, NODES_T, Shape, Variety, dp_top
+from service.identification.samples import Floats, Quality, Samples, Trace
+
+MOST: Final = MOST_U * MOST_S
+BAND: Final = 3 * MOST_S + 4
+CHAMPION, CHALLENGER = 0, 1
+RICH: Final = {"cells": 20, "axis": 2}
+ENOUGH_CELLS: Final = 24
+RESTING_STEPS: Final = 2
+LEAST_GAIN: Final = 0.1
+LONGEST_WAIT, TRIAL = 512, 64
+Counts = NDArray[np.int64]
+NEVER_BELOW: Final = 1e-5
+UNKNOWN: Final = 1e4
+SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
+
+
+@dataclass(frozen=True)
+class AutoState(State):
+    """What `Auto` knows; arrays of constant size.
+
+    Attributes
+    ----------
+    cells : (4800, 6)
+        Weight and means of U, s, T, direction and Q of each cell's samples.
+    shapes : (2, 6), tops : (2,)
+        Shapes of champion and challenger, and the pressures their splines reach to, bar.
+    theta : (2, n + 8)
+        Their parameters, padded with 0.
+    inverse, mixed, corner
+        The champion's inverse information, see :func:`kernels.surface.fit`.
+    scalars, counters
+        See :mod:`kernels.cells`.
+    """
+
+    cells: Floats
+    shapes: Floats
+    tops: Floats
+    theta: Floats
+    inverse: Floats
+    mixed: Floats
+    corner: Floats
+    scalars: Floats
+    counters: Counts
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Chooses the structure of the map online, and with it identifies the map.
+
+    A grid of cells over (U, √dp), split by temperature and direction of U, remembers the mean of
+    the samples that fell into each. To these means, weighted by their numbers, any structure is
+    fitted by least squares, eq. (16), whenever some more samples are in. The ladder
+    (:class:`~service.identification.map_shapes.Shape`) leads from eq. (7) to cubic tensor splines
+    of many cells, with a dead band, a saturation, hysteresis (U lags by half its width) and a trend
+    with temperature.
+
+    Two shapes run at once. The *challenger* climbs, a few steps of the ladder at each fit, to a
+    smaller::
+
+        BIC = (Σ w·e² + penalty) / σ² + n_effective · ln(cells)
+
+    where σ² is what the richest spline leaves. It becomes *champion*, whose map is published, when
+    it has predicted the samples since the last fit no worse (2 %) than the champion, one step
+    ahead. BIC proposes, the prequential error disposes.
+
+    Forgetting is local: a cell remembers its last 1/(1 - lam) samples, and one that is not visited
+    keeps what it knows. A change of the valve is a CUSUM on the residual against the sample's own
+    cell, which no misfit can raise; it opens the memory, and what was learnt stays as a faint
+    prior.
+
+    Its parameters are the map itself: Q at 55 points, 40 °C, direction 0, whatever the shape.
+
+    Parameters
+    ----------
+    lam
+        Forgetting factor of a cell, per sample that falls into it; 0 < lam <= 1.
+    steps
+        Steps of the ladder tried at each fit.
+
+    Examples
+    --------
+    >>> from service.identification.samples import Samples
+    >>> U, dp = np.meshgrid(np.linspace(0, 100, 40), np.linspace(1, 200, 40))
+    >>> Q = 0.14 * U.ravel() * np.sqrt(dp.ravel())
+    >>> auto = Auto()
+    >>> state, _ = auto.update(
+    ...     auto.initial_state(), Samples.of(np.arange(1600), U.ravel(), dp.ravel(), 0 * Q, Q)
+    ... )
+    >>> auto.describe(state)
+    'eq. (7)'
+    >>> auto.predict(state, np.array([50.0]), np.array([100.0]), np.array([40.0]))[0].round(3)
+    array([70.])
+    """
+
+    lam: float = 0.998
+    steps: int = 20
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.lam <= 1.0:
+            raise ValueError(f"forgetting factor lam = {self.lam!r} is not in (0, 1]")
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the points at which the map is published."""
+        return tuple(f"Q({U}%,{dp}bar)" for U, dp in SITES)
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Use another forgetting factor; states may be carried over."""
+        return replace(self, lam=lam)
+
+    def initial_state(self) -> AutoState:
+        """State before the first sample."""
+        scalars = np.zeros(memory.SCALARS)
+        scalars[memory.HELD_U] = scalars[memory.VARIANCE] = math.nan
+        counters = np.zeros(memory.COUNTERS, np.int64)
+        counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = 8
+        return AutoState(
+            cells=np.zeros((memory.CELLS_U * memory.CELLS_S * memory.CELLS_T * 2, 6)),
+            shapes=np.stack([Shape().to_array()] * 2),
+            tops=np.full(2, dp_top(0.0)),
+            theta=np.zeros((2, MOST + kernel.BORDER)),
+            inverse=np.zeros((MOST, BAND)),
+            mixed=np.zeros((MOST, kernel.BORDER)),
+            corner=np.zeros((kernel.BORDER, kernel.BORDER)),
+            scalars=scalars,
+            counters=counters,
+        )
+
+    def update(self, state: AutoState, samples: Samples) -> tuple[AutoState, Trace]:
+        """Take N samples in, one after another."""
+        N = len(samples)
+        trace = Trace(np.empty(N), np.empty(N), np.empty(N, np.uint8))
+        usable = samples.quality != Quality.BAD
+        longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
+        dp, done = samples.dp, 0
+        state = replace(
+            state,
+            cells=state.cells.copy(),
+            scalars=state.scalars.copy(),
+            counters=state.counters.copy(),
+        )
+        with np.errstate(all="ignore"):
+            while done < N:
+                done = memory.run(
+                    done,
+                    samples.U,
+                    dp,
+                    samples.T,
+                    samples.Q,
+                    usable,
+                    longest,
+                    state.cells,
+                    surface(state, CHAMPION),
+                    surface(state, CHALLENGER),
+                    state.scalars,
+                    state.counters,
+                    trace.predicted,
+                    trace.residual,
+                    trace.status,
+                )
+                if memory.is_due(state.counters):
+                    state = self._refit(state)
+        return state, trace
+
+    def predict(self, state: AutoState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) in the middle of the hysteresis and its standard deviation (N,), l/min."""
+        return self.predict_along(state, U, dp, T, np.zeros_like(U))
+
+    def predict_along(
+        self, state: AutoState, U: Floats, dp: Floats, T: Floats, direction: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow and standard deviation with U coming from below (1) or above (-1)."""
+        n = _size(_shape(state, CHAMPION), state.tops[CHAMPION])
+        Q, spread = np.empty(len(U)), np.empty(len(U))
+        kernel.evaluate(
+            *surface(state, CHAMPION),
+            state.inverse[:n],
+            state.mixed[:n],
+            state.corner,
+            U,
+            dp,
+            T,
+            direction,
+            Q,
+            spread,
+        )
+        unknown = ~(spread < UNKNOWN) | (state.counters[memory.FITTED] == 0)
+        with np.errstate(all="ignore"):
+            std = np.sqrt(spread * state.scalars[memory.VARIANCE])
+        return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
+
+    def parameters(self, state: AutoState) -> tuple[Floats, Floats]:
+        """Q at the 55 points and its standard deviation."""
+        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
+        return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+
+    def describe(self, state: AutoState) -> str:
+        """Which structure speaks now."""
+        return _shape(state, CHAMPION).describe()
+
+    def _refit(self, state: AutoState) -> AutoState:
+        """Promote the challenger if it did well, let it climb, fit both; a pure function."""
+        points = state.cells[state.cells[:, memory.WEIGHT] > 0.0]
+        top = dp_top(float(points[:, memory.MEAN_S].max()))
+        scalars, counters = state.scalars.copy(), state.counters.copy()
+        champion, challenger = _shape(state, CHAMPION), _shape(state, CHALLENGER)
+        squares = scalars[memory.CHAMPION_SQUARES], scalars[memory.CHALLENGER_SQUARES]
+        if squares[1] <= 1.02**2 * squares[0]:
+            champion = challenger
+        if counters[memory.NEW_CELLS] <= 0:
+            counters[memory.IDLE] = 0
+        if len(points) >= ENOUGH_CELLS:
+            challenger = self._climb(points, challenger, top, counters)
+        best, rival = _fit(points, champion, top), _fit(points, challenger, top)
+        freedom = max(len(points) - best.n_effective, 1.0)
+        scalars[memory.VARIANCE] = max(best.rss / freedom, scalars[memory.NOISE])
+        scalars[memory.EXCITATION] = best.n_effective
+        scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
+        since = counters[memory.USED] - counters[memory.OPENED]
+        longest = LONGEST_WAIT if champion == challenger else TRIAL
+        counters[memory.NEXT_FIT] = counters[memory.USED] + min(max(since // 16, 8), longest)
+        counters[memory.NEW_CELLS] = max(8, len(points) // 24)
+        counters[memory.FITTED] = 1
+        return replace(
+            state,
+            shapes=np.stack([champion.to_array(), challenger.to_array()]),
+            tops=np.full(2, top),
+            theta=np.stack([_padded(best.theta), _padded(rival.theta)]),
+            inverse=best.inverse,
+            mixed=best.mixed,
+            corner=best.corner,
+            scalars=scalars,
+            counters=counters,
+        )
+
+    def _climb(self, points: Floats, shape: Shape, top: float, counters: Counts) -> Shape:
+        """Try the next few neighbours, go to each that lowers the BIC; rest once all were tried."""
+        sigma_2, variety = _noise(points, shape, top), _variety(points)
+        best = _fit(points, shape, top).bic(sigma_2, len(points))
+        around = shape.neighbours(variety)
+        resting = counters[memory.IDLE] > 2 * len(around)
+        for _ in range(RESTING_STEPS if resting else self.steps):
+            candidate = around[counters[memory.MOVE] % len(around)]
+            bic = _fit(points, candidate, top).bic(sigma_2, len(points))
+            counters[[memory.MOVE, memory.IDLE]] += 1
+            if bic < best - LEAST_GAIN:
+                shape, counters[memory.IDLE] = candidate, 0
+                sigma_2 = _noise(points, shape, top)
+                best = _fit(points, shape, top).bic(sigma_2, len(points))
+                around = shape.neighbours(variety)
+        return shape
+
+
+def surface(state: AutoState, which: int) -> Surface:
+    """The map of the champion (0) or the challenger (1)."""
+    shape, top = _shape(state, which), float(state.tops[which])
+    spline = shape.spline(top)
+    n = _size(shape, top)
+    theta = np.concatenate([state.theta[which, :n], state.theta[which, MOST:]])
+    coefficients = np.ascontiguousarray(shape.coefficients(theta, top))
+    return Surface(spline.knots[0], spline.knots[1], NODES_T, coefficients, shape.play)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    theta: Floats
+    inverse: Floats
+    mixed: Floats
+    corner: Floats
+    rss: float
+    penalty: float
+    n_effective: float
+
+    def bic(self, sigma_2: float, n_points: int) -> float:
+        misfit = (self.rss + self.penalty) / sigma_2
+        bic = misfit + self.n_effective * math.log(n_points)
+        return bic if math.isfinite(bic) else math.inf
+
+
+def _fit(points: Floats, shape: Shape, top: float) -> _Fit:
+    spline = shape.spline(top)
+    (knots_U, knots_s), (along_U, along_s) = spline.knots, spline.roughness
+    n = _size(shape, top)
+    rough_U = along_U.T @ along_U if n else np.zeros((0, 0))
+    rough_s = along_s.T @ along_s
+    theta = np.zeros(n + kernel.BORDER)
+    inverse = np.zeros((MOST, BAND))
+    mixed, corner = np.zeros((MOST, kernel.BORDER)), np.zeros((kernel.BORDER, kernel.BORDER))
+    rss, penalty, n_effective = kernel.fit(
+        points,
+        shape.play,
+        knots_U,
+        knots_s,
+        rough_U,
+        rough_s,
+        shape.columns,
+        theta,
+        inverse[:n],
+        mixed[:n],
+        corner,
+    )
+    return _Fit(theta, inverse, mixed, corner, rss, penalty, n_effective)
+
+
+def _variety(points: Floats) -> Variety:
+    weight = points[:, memory.WEIGHT] / points[:, memory.WEIGHT].sum()
+    T = points[:, memory.MEAN_T]
+    direction = points[:, memory.DIRECTION]
+    return Variety(
+        both_directions=min(weight @ (direction > 0.5), weight @ (direction < -0.5)) > 0.05,
+        temperatures=math.sqrt(float(weight @ (T - weight @ T) ** 2)) > 2.0,
+    )
+
+
+def _noise(points: Floats, shape: Shape, top: float) -> float:
+    """σ² that the richest spline with the shape's kinks and play leaves."""
+    rich = _fit(points, replace(shape, **RICH), top)
+    floor = (NEVER_BELOW * np.abs(points[:, memory.MEAN_Q]).max()) ** 2
+    return max(rich.rss / max(len(points) - rich.n_effective, 1.0), float(floor), 1e-30)
+
+
+def _size(shape: Shape, top: float) -> int:
+    """Parameters of the spline, 0 without one."""
+    sites_U, sites_s = shape.spline(float(top)).sites
+    return len(sites_U) * len(sites_s) if shape.cells else 0
+
+
+def _shape(state: AutoState, which: int) -> Shape:
+    return Shape.from_array(state.shapes[which])
+
+
+def _padded(theta: Floats) -> Floats:
+    padded = np.zeros(MOST + kernel.BORDER)
+    n = len(theta) - kernel.BORDER
+    padded[:n], padded[MOST:] = theta[:n], theta[n:]
+    return padded
