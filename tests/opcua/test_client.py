@@ -23,8 +23,8 @@ from service.opcua.hardened import (
     add_object,
     add_variable,
     ensure_certificate,
-    trust,
 )
+from service.opcua.hardened.certificates import trust
 from service.opcua.source_nodes import parse_node_id
 from service.streaming.data_changes import DataChanges, Signal
 
@@ -378,7 +378,7 @@ async def test_a_lost_message_is_asked_for_again_and_comes_in_its_place(plant, m
     for _ in range(100):
         plant.sample()
         await asyncio.sleep(0.005)
-    changes = await received(source, 100)
+    changes = await received(source, 101)  # one came before the first sample
     numbers = of(changes, Signal.SEQUENCE)
     assert numbers.value[numbers.status == 0].tolist() == list(range(100))
     assert source.counters.missing_messages == 0
@@ -424,7 +424,7 @@ async def test_a_full_buffer_holds_the_server_back_and_the_rest_comes_later(plan
     assert held < 200 * 6 / 2
     await asyncio.sleep(1.0)  # longer than three keep-alives: it is we who are silent
     assert source.counters.notifications == held
-    changes = await received(source, 200)
+    changes = await received(source, 201)
     numbers = of(changes, Signal.SEQUENCE)
     assert numbers.value[numbers.status == 0].tolist() == list(range(200))
     await source.close()

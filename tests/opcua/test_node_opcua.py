@@ -12,7 +12,8 @@ from support.plant import plant
 
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.opcua.hardened import Pki, Role, ServerSettings, UserStore, ensure_certificate, trust
+from service.opcua.hardened import Pki, Role, ServerSettings, UserStore, ensure_certificate
+from service.opcua.hardened.certificates import trust
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.identification import Identification
