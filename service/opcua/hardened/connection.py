@@ -1,212 +1,410 @@
-"""What a connection may send before it is believed: frames, channels, services."""
+"""One TCP connection: frames, channel, sessions; what it may send before it is believed."""
 
+import asyncio
 import logging
-import time
-from typing import TYPE_CHECKING
+from collections import deque
+from collections.abc import Awaitable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from asyncua import ua
-from asyncua.common.connection import SecureConnection, TransportLimits
+from asyncua.common.connection import TransportLimits
 from asyncua.common.utils import Buffer, ServiceError
-from asyncua.crypto.security_policies import SecurityPolicyNone
-from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
-from asyncua.server.uaprocessor import UaProcessor
+from asyncua.crypto.uacrypto import InvalidSignature
 from asyncua.ua import ua_binary
-from typing_extensions import override
+
+from service.opcua.hardened import seams
+from service.opcua.hardened.channel import Channel
+from service.opcua.hardened.encoding import encode_publish_response, ticks_of_ns
+from service.opcua.hardened.handshake import Handshake
+from service.opcua.hardened.publish_queue import PublishRequest
+from service.opcua.hardened.services import Request
+from service.opcua.hardened.subscription import Message
+from service.opcua.hardened.turns import Account
 
 if TYPE_CHECKING:
-    import asyncio
-
-    from service.opcua.hardened.internal import GuardedInternalServer
+    from service.opcua.hardened.listener import Listener
 
 _log = logging.getLogger(__name__)
+T = TypeVar("T")
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
 
-_DISCOVERY = {
-    _Ids.GetEndpointsRequest_Encoding_DefaultBinary,
-    _Ids.FindServersRequest_Encoding_DefaultBinary,
-    _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary,
-}
-_CREATE = _Ids.CreateSessionRequest_Encoding_DefaultBinary
-_ACTIVATE = _Ids.ActivateSessionRequest_Encoding_DefaultBinary
-_CLOSE = _Ids.CloseSessionRequest_Encoding_DefaultBinary
-_WITHOUT_SESSION = _DISCOVERY | {_CREATE, _ACTIVATE, _CLOSE}
-# offset of the array of operations in the request's body
-_OPERATIONS = {
-    _Ids.ReadRequest_Encoding_DefaultBinary: 12,
-    _Ids.WriteRequest_Encoding_DefaultBinary: 0,
-    _Ids.CallRequest_Encoding_DefaultBinary: 0,
-    _Ids.TranslateBrowsePathsToNodeIdsRequest_Encoding_DefaultBinary: 0,
-    _Ids.CreateMonitoredItemsRequest_Encoding_DefaultBinary: 8,
-    _Ids.DeleteSubscriptionsRequest_Encoding_DefaultBinary: 0,
-}
-_FRAMES = (b"HEL", b"OPN", b"MSG", b"CLO")
+_HELLO, _OPEN, _MESSAGE, _CLOSE = b"HEL", b"OPN", b"MSG", b"CLO"
+_CHUNK_KINDS = b"FCA"
+_HELLO_BYTES = 8 + 20 + 4 + 4_096
+_OPEN_BYTES = 24 * 1024
+_CLOSE_BYTES = 1_024
+_SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
+_FRAMES_AHEAD, _BYTES_AHEAD = 32, 128 * 1024
+_ERRORS_FORGIVEN = 20
+_CLOSE_CHANNEL = _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary
 
 
-class GuardedChannel(SecureConnection):
-    """A secure channel that opens only with a policy on offer, or for discovery alone."""
+class Connection(asyncio.Protocol):
+    """Takes frames apart, answers requests one after the other, in fair turns with others."""
 
-    discovery_only = False
-
-    def select_policy(
-        self, uri: str, peer_certificate: bytes | None, mode: ua.MessageSecurityMode | None = None
-    ) -> None:
-        """Select a policy on offer; without security only discovery is answered otherwise."""
-        if any(policy.matches(uri, mode) for policy in self._policies):
-            super().select_policy(uri, peer_certificate, mode)
-            return
-        if uri.endswith("#None") and mode in (None, ua.MessageSecurityMode.None_):
-            self.discovery_only = True
-            return
-        raise ua.UaError(f"security policy not offered: {uri}")
-
-
-class GuardedProcessor(UaProcessor):
-    """Checks each request before asyncua acts on it."""
-
-    iserver: "GuardedInternalServer"
-
-    def __init__(
-        self,
-        internal_server: "GuardedInternalServer",
-        transport: "asyncio.Transport",
-        limits: TransportLimits,
-    ) -> None:
-        super().__init__(internal_server, transport, limits)
-        self._connection = GuardedChannel(SecurityPolicyNone(), self._limits)
-
-    @override
-    async def _process_message(
-        self,
-        typeid: ua.NodeId,
-        requesthdr: ua.RequestHeader,
-        seqhdr: ua.SequenceHeader,
-        body: Buffer,
-    ) -> bool | None:
-        service = typeid.Identifier
-        active = self.session is not None and self.session.is_activated()
-        if not active and service not in _WITHOUT_SESSION:
-            raise ServiceError(_Codes.BadSessionNotActivated)
-        if self._connection.discovery_only and service not in _DISCOVERY:
-            raise ServiceError(_Codes.BadSecurityPolicyRejected)
-        if self.session is None:
-            if service in (_ACTIVATE, _CLOSE):
-                raise ServiceError(_Codes.BadSessionIdInvalid)
-        elif (
-            service not in _DISCOVERY
-            and service != _CREATE
-            and requesthdr.AuthenticationToken != self.session.auth_token
-        ):
-            raise ServiceError(_Codes.BadSessionIdInvalid)
-        if service in _OPERATIONS:
-            self._check_operations(body, _OPERATIONS[service])
-        if service == _CREATE:
-            self._check_create(body)
-        return await super()._process_message(typeid, requesthdr, seqhdr, body)
-
-    def _check_operations(self, body: Buffer, offset: int) -> None:
-        peek = body.copy(offset + 4)
-        peek.skip(offset)
-        count = int.from_bytes(peek.read(4), "little", signed=True)
-        if count > self.iserver.limits.operations:
-            raise ServiceError(_Codes.BadTooManyOperations)
-
-    def _check_create(self, body: Buffer) -> None:
-        if self.session is not None:
-            raise ServiceError(_Codes.BadTooManySessions)
-        channel = self._connection.security_policy.peer_certificate
-        if channel:
-            shown = ua_binary.struct_from_binary(ua.CreateSessionParameters, body.copy())
-            if shown.ClientCertificate != channel:
-                raise ServiceError(_Codes.BadSecurityChecksFailed)
-
-
-class GuardedProtocol(OPCUAProtocol):
-    """Cuts frames itself, so that nothing is kept or parsed beyond the limits."""
-
-    iserver: "GuardedInternalServer"
-    processor: GuardedProcessor | None
-
-    def connection_made(self, transport: "asyncio.BaseTransport") -> None:
-        """Refuse too many connections of one host, then start."""
-        limits = self.iserver.limits
-        host = _host(transport.get_extra_info("peername"))
-        if sum(_host(peer.peer_name) == host for peer in self.clients) >= (
-            limits.connections_per_host
-        ):
-            _log.warning("%s: refused, too many connections", host)
-            transport.abort()  # type: ignore[attr-defined]
-            return
-        super().connection_made(transport)
-        if self.processor is not None:
-            self.processor = GuardedProcessor(self.iserver, self.transport, self.limits)
-            self.processor.set_policies(self.policies)
-        self._frames = bytearray()
+    def __init__(self, listener: "Listener") -> None:
+        self.listener = listener
+        self.host = "?"
+        self.account = Account()
+        self.writable = True
+        self.idle_since = listener.clock.monotonic()
+        self.blocked_since: float | None = None
+        self.channel: Channel
+        self._transport: asyncio.Transport
+        self._limits = listener.limits
+        self._frames: deque[bytes] = deque()
+        self._buffer = bytearray()
+        self._arrived = asyncio.Event()
+        self._writable_again = asyncio.Event()
+        self._paused = False
+        self._greeted = False
+        self._errors = 0
         self._before_session = 0
-        self._allowance = limits.request_burst
-        self._last = time.monotonic()
+        self._requests_before_session = 0
+        self._allowance = self._limits.request_burst
+        self._refilled = self.idle_since
+        self._peer_message_bytes = 0
+        self._peer_chunks = 0
+        self._task: asyncio.Task[None] | None = None
+        self._handshake = Handshake(listener, self)
 
-    @override
-    def data_received(self, data: bytes) -> None:  # noqa: PLR0911 - each limit ends the connection
-        """Cut whole frames; close on what is too much or no frame."""
-        if self.transport is None or self.transport.is_closing():
+    @property
+    def peer_certificate(self) -> bytes | None:
+        """Certificate of the secure channel (DER), None without security."""
+        return self.channel.peer_certificate
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that the peer has not yet read."""
+        return self._transport.get_write_buffer_size()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Start, unless there are too many connections."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 - TCP gives nothing else
+        self._transport = transport
+        name = transport.get_extra_info("peername")
+        self.host = str(name[0]) if name else "?"
+        limits = self._limits
+        if not self.listener.admit(self):
+            transport.abort()
             return
-        limits = self.iserver.limits
-        if self.transport.get_write_buffer_size() > limits.unsent_bytes:
-            self._abort("reads too slowly")
-            return
-        session = self.processor.session if self.processor else None
-        if session is None or not session.is_activated():
-            self._before_session += len(data)
-            if self._before_session > limits.handshake_bytes:
-                self._abort("sends too much before its session is activated")
-                return
-        self._frames += data
-        while len(self._frames) >= 8:
-            size = int.from_bytes(self._frames[4:8], "little")
-            if bytes(self._frames[:3]) not in _FRAMES or not 8 <= size <= limits.chunk_bytes:
-                self._abort("sends no OPC UA frame, or one too large")
-                return
-            if len(self._frames) < size:
-                return
-            frame = bytes(self._frames[:size])
-            del self._frames[:size]
-            if not self._allowed():
-                self._abort("sends requests too fast")
-                return
-            super().data_received(frame)
-            if self.transport.is_closing():
-                return
+        transport.set_write_buffer_limits(high=limits.unsent_bytes_per_connection)
+        self.channel = Channel(
+            TransportLimits(
+                max_recv_buffer=limits.chunk_bytes,
+                max_send_buffer=limits.chunk_bytes,
+                max_chunk_count=limits.chunks,
+                max_message_size=limits.handshake_bytes,
+            ),
+            self.listener.policies,
+            self.listener.pki,
+        )
+        self._task = asyncio.create_task(self._run())
 
-    def _allowed(self) -> bool:
-        limits = self.iserver.limits
-        now = time.monotonic()
-        earned = (now - self._last) * limits.requests_per_second
-        self._allowance = min(limits.request_burst, self._allowance + earned) - 1
-        self._last = now
-        return self._allowance >= 0
-
-    def _abort(self, reason: str) -> None:
-        _log.warning("%s: disconnected, %s", _host(self.peer_name), reason)
+    def connection_lost(self, _: Exception | None) -> None:
+        """End: sessions live on for their time-out."""
+        if self._task is not None:
+            self._task.cancel()
         self._frames.clear()
-        if self.transport is not None:
-            self.transport.abort()
+        self._buffer.clear()
+        self.listener.forget(self)
 
+    def pause_writing(self) -> None:
+        """Note that the peer reads too slowly: nothing more is answered or published."""
+        self.writable = False
+        self.blocked_since = self.listener.clock.monotonic()
+        self._writable_again.clear()
 
-class GuardedBinaryServer(BinaryServer):
-    """Listens with our protocol."""
+    def resume_writing(self) -> None:
+        """Note that the peer reads again."""
+        self.writable = True
+        self.blocked_since = None
+        self._writable_again.set()
+        for session in self.listener.sessions:
+            if session.line is self:
+                session.serve_late()
 
-    iserver: "GuardedInternalServer"
+    def data_received(self, data: bytes) -> None:
+        """Cut whole frames; close on what is too much or no frame."""
+        if self._transport.is_closing():
+            return
+        if not self._handshake.done:
+            self._before_session += len(data)
+            if self._before_session > self._limits.handshake_bytes:
+                self.fail(_Codes.BadTcpMessageTooLarge, "sends too much before it logs in")
+                return
+        self._buffer += data
+        while len(self._buffer) >= 8:
+            size = int.from_bytes(self._buffer[4:8], "little")
+            if not self._plausible(bytes(self._buffer[:4]), size):
+                self.fail(_Codes.BadTcpMessageTypeInvalid, "sends no OPC UA, or too large a frame")
+                return
+            if len(self._buffer) < size:
+                break
+            self._frames.append(bytes(self._buffer[:size]))
+            del self._buffer[:size]
+        if self._frames:
+            self._arrived.set()
+        waiting = sum(map(len, self._frames))
+        if (len(self._frames) > _FRAMES_AHEAD or waiting > _BYTES_AHEAD) and not self._paused:
+            self._paused = True
+            self._transport.pause_reading()
 
-    def _make_protocol(self) -> OPCUAProtocol:
-        return GuardedProtocol(
-            iserver=self.iserver,
-            policies=self._policies,
-            clients=self.clients,
-            closing_tasks=self.closing_tasks,
-            limits=self.limits,
+    def fail(self, code: int, reason: str) -> None:
+        """Tell the peer why, and close."""
+        if self._transport.is_closing():
+            return
+        _log.warning("%s: disconnected: %s", self.host, reason)
+        if self._greeted and self.writable:
+            error = ua.ErrorMessage(ua.StatusCode(code), None)
+            self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Error, error))
+            self._transport.close()
+        else:
+            self._transport.abort()
+
+    def abort(self) -> None:
+        """Close at once."""
+        self._transport.abort()
+
+    def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
+        """Send a publish response."""
+        now = ticks_of_ns(self.listener.clock.now())
+        response = encode_publish_response(
+            request.handle,
+            now,
+            number,
+            message.available,
+            message.more,
+            message.content,
+            request.results,
+        )
+        self._send(request.request_id, response)
+
+    def refuse(self, request_id: int, handle: int, code: int) -> None:
+        """Send a fault."""
+        response = ua.ServiceFault()
+        response.ResponseHeader.RequestHandle = handle
+        response.ResponseHeader.ServiceResult = ua.StatusCode(code)
+        self._send(request_id, ua_binary.struct_to_binary(response))
+
+    def respond(self, request_id: int, handle: int, response: Any) -> None:  # noqa: ANN401
+        """Send a response, if it is not larger than the peer takes."""
+        if not isinstance(response, bytes):
+            response.ResponseHeader.RequestHandle = handle
+            response = ua_binary.struct_to_binary(response)
+        if self._too_large(response):
+            self.refuse(request_id, handle, _Codes.BadResponseTooLarge)
+        else:
+            self._send(request_id, response)
+
+    async def breathe(self) -> None:
+        """Let others go first if this request has lasted for long."""
+        if self.listener.turns.held_s > self._limits.turn_s:
+            self.listener.turns.give(self.account)
+            await asyncio.sleep(0)
+            await self.listener.turns.take(self.account)
+
+    async def outside(self, slow: Awaitable[T]) -> T:
+        """Wait for something slow without keeping the turn."""
+        self.listener.turns.give(self.account)
+        try:
+            return await slow
+        finally:
+            await self.listener.turns.take(self.account)
+
+    def send_open(self, request_id: int, response: ua.OpenSecureChannelResponse) -> None:
+        """Answer an OpenSecureChannel."""
+        content = ua_binary.struct_to_binary(response)
+        kind = ua.MessageType.SecureOpen
+        self._transport.write(self.channel.message_to_binary(content, kind, request_id))
+
+    def log_in(self) -> None:
+        """Allow what only those may who are logged in."""
+        self.channel.limits.max_message_size = self._limits.message_bytes
+
+    def close(self) -> None:
+        """Close once all is sent."""
+        self._transport.close()
+
+    async def _run(self) -> None:
+        while True:
+            while not self._frames:
+                self._arrived.clear()
+                self._resume_reading()
+                await self._arrived.wait()
+            while not self.writable:
+                await self._writable_again.wait()
+            if not self._has_allowance():
+                await asyncio.sleep(1.0 / self._limits.requests_per_second)
+                continue
+            await self.listener.turns.take(self.account)
+            try:
+                keep = await self._process(self._frames.popleft())
+            finally:
+                self.listener.turns.give(self.account)
+            if not keep:
+                self._transport.close()
+                return
+            await asyncio.sleep(0)
+
+    async def _process(self, frame: bytes) -> bool:
+        try:
+            with seams.decoding(self._budget()):
+                message = self._receive(frame)
+            if message is None:
+                return True
+            if isinstance(message, ua.Message) and frame[:3] == _MESSAGE:
+                return await self._serve(message)
+            return frame[:3] != _CLOSE
+        except (ServiceError, ua.UaStatusCodeError) as error:
+            self.fail(error.code, ua.StatusCode(error.code).name)
+        except InvalidSignature:
+            self.fail(_Codes.BadSecurityChecksFailed, "wrong signature")
+        except Exception as error:  # noqa: BLE001 - whatever a peer sends must not get further
+            reason = f"cannot be understood: {type(error).__name__}"
+            self.fail(_Codes.BadSecurityChecksFailed, reason)
+        return True
+
+    def _receive(self, frame: bytes) -> Any:  # noqa: ANN401 - asyncua's messages
+        body = Buffer(frame)
+        header = ua_binary.header_from_binary(body)
+        if header.MessageType == _HELLO:
+            self._greet(ua_binary.struct_from_binary(ua.Hello, body))
+            return None
+        if not self._greeted:
+            raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
+        if header.MessageType == _OPEN:
+            self.channel.check_open_frame(header, body)
+        elif not self.channel.is_open():
+            raise ServiceError(_Codes.BadTcpSecureChannelUnknown)
+        message = self.channel.receive_from_header_and_body(header, body)
+        if message is not None and header.MessageType == _OPEN:
+            self._handshake.open_channel(message)
+        return message
+
+    def _greet(self, hello: ua.Hello) -> None:
+        if self._greeted:
+            raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
+        smallest = min(hello.ReceiveBufferSize, hello.SendBufferSize)
+        if smallest < _SMALLEST_BUFFER or len(hello.EndpointUrl or "") > 4_096:
+            self._greeted = True  # so that the peer is told why
+            raise ServiceError(_Codes.BadConnectionRejected)
+        self._greeted = True
+        limits = self.channel.limits
+        limits.max_send_buffer = min(hello.ReceiveBufferSize, limits.max_send_buffer)
+        limits.max_recv_buffer = min(hello.SendBufferSize, limits.max_recv_buffer)
+        self._peer_message_bytes = hello.MaxMessageSize
+        self._peer_chunks = hello.MaxChunkCount
+        acknowledge = ua.Acknowledge(
+            ProtocolVersion=0,
+            ReceiveBufferSize=limits.max_recv_buffer,
+            SendBufferSize=limits.max_send_buffer,
+            MaxMessageSize=self._limits.message_bytes,
+            MaxChunkCount=self._limits.chunks,
+        )
+        self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, acknowledge))
+
+    async def _serve(self, message: ua.Message) -> bool:
+        """Answer a request; tell whether the connection goes on."""
+        request_id = message.SequenceHeader().RequestId
+        body = message.body()
+        budget = self._budget()
+        with seams.decoding(budget):
+            service = ua_binary.nodeid_from_binary(body)
+            header = ua_binary.struct_from_binary(ua.RequestHeader, body)
+        number = service.Identifier if service.NamespaceIndex == 0 else None
+        if number == _CLOSE_CHANNEL:
+            return False
+        try:
+            response = await self._answer(number, request_id, header, body, budget)
+        except (ServiceError, ua.UaStatusCodeError) as error:
+            self._refused(request_id, header, error.code)
+            return self._forgiven(error.code)
+        except Exception:  # noqa: BLE001 - a fault is the answer
+            _log.exception("%s: request %s failed", self.host, number)
+            self._refused(request_id, header, _Codes.BadInternalError)
+            return True
+        if response is not None:
+            self.respond(request_id, header.RequestHandle, response)
+        return True
+
+    async def _answer(
+        self,
+        service: Any,  # noqa: ANN401 - whatever a peer sends
+        request_id: int,
+        header: ua.RequestHeader,
+        body: Buffer,
+        budget: seams.Budget,
+    ) -> Any:  # noqa: ANN401 - any response
+        if self._handshake.answers(service):
+            if not self._handshake.done:
+                self._requests_before_session += 1
+                if self._requests_before_session > self._limits.handshake_messages:
+                    raise ServiceError(_Codes.BadTcpServerTooBusy)
+            return await self._handshake.answer(service, header, body, budget)
+        session = self._handshake.session_of(header)
+        services = self.listener.services
+        self.idle_since = self.listener.clock.monotonic()
+        session.touch()
+        session.counters.requests += 1
+        params = seams.decode(services.parameters(service), body, budget)
+        return await services.answer(service, Request(session, request_id, header, self), params)
+
+    def _refused(self, request_id: int, header: ua.RequestHeader, code: int) -> None:
+        self.listener.count_refusal(code)
+        self.refuse(request_id, header.RequestHandle, code)
+
+    def _forgiven(self, code: int) -> bool:
+        if code in (_Codes.BadDecodingError, _Codes.BadEncodingLimitsExceeded):
+            self._errors += 1
+        return self._errors <= _ERRORS_FORGIVEN
+
+    def _budget(self) -> seams.Budget:
+        limits = self._limits
+        if not self._handshake.done:
+            return seams.Budget(1_000, 1_000, limits.handshake_bytes, 8)
+        return seams.Budget(
+            limits.elements, limits.array_length, limits.string_bytes, limits.nesting
         )
 
+    def _send(self, request_id: int, response: bytes) -> None:
+        if self._transport.is_closing():
+            return
+        data = self.channel.message_to_binary(response, ua.MessageType.SecureMessage, request_id)
+        self._transport.write(data)
+        self.listener.sent(self)
 
-def _host(peer_name: tuple[str, int] | None) -> str:
-    return str(peer_name[0]) if peer_name else "?"
+    def _too_large(self, response: bytes) -> bool:
+        size = len(response)
+        if size > self._limits.response_bytes:
+            return True
+        if self._peer_message_bytes and size > self._peer_message_bytes:
+            return True
+        usable = self.channel.limits.max_send_buffer - 256
+        return bool(self._peer_chunks) and size > self._peer_chunks * usable
+
+    def _plausible(self, kind: bytes, size: int) -> bool:
+        most = {
+            _HELLO: _HELLO_BYTES,
+            _OPEN: _OPEN_BYTES,
+            _CLOSE: _CLOSE_BYTES,
+            _MESSAGE: self.channel.limits.max_recv_buffer,
+        }.get(kind[:3], 0)
+        whole = kind[:3] == _MESSAGE or kind[3:] == b"F"
+        return 8 < size <= most and kind[3] in _CHUNK_KINDS and whole
+
+    def _has_allowance(self) -> bool:
+        limits, now = self._limits, self.listener.clock.monotonic()
+        earned = (now - self._refilled) * limits.requests_per_second
+        self._allowance = min(limits.request_burst, self._allowance + earned)
+        self._refilled = now
+        if self._allowance < 1.0:
+            return False
+        self._allowance -= 1.0
+        return True
+
+    def _resume_reading(self) -> None:
+        if self._paused and not self._transport.is_closing():
+            self._paused = False
+            self._transport.resume_reading()

@@ -23,6 +23,7 @@ Range = tuple[float, float]
 Value = Any  # what a variable holds: bool, int, float, str, or a list or array of them
 OnWrite = Callable[[Any], None] | Callable[[Any], Awaitable[None]]
 Function = Callable[..., Any]
+Outside = Callable[[Awaitable[Any]], Awaitable[Any]]
 
 _ANALOG_UNIT_RANGE_TYPE = ua.NodeId(17570)
 _FLOATS = {ua.VariantType.Double, ua.VariantType.Float}
@@ -263,8 +264,13 @@ async def add_method(
     return method.id
 
 
-async def call(method: Method, arguments: Sequence[ua.Variant]) -> ua.CallMethodResult:
-    """Check the arguments, run the method, turn what it says into a result."""
+async def call(
+    method: Method, arguments: Sequence[ua.Variant], outside: Outside
+) -> ua.CallMethodResult:
+    """Check the arguments, run the method, turn what it says into a result.
+
+    What the method waits for is awaited by ``outside``, so that others are served meanwhile.
+    """
     result = ua.CallMethodResult()
     if len(arguments) != len(method.inputs):
         few = len(arguments) < len(method.inputs)
@@ -283,7 +289,7 @@ async def call(method: Method, arguments: Sequence[ua.Variant]) -> ua.CallMethod
     try:
         outcome = method.function(*values)
         if inspect.isawaitable(outcome):
-            outcome = await outcome
+            outcome = await outside(outcome)
         result.OutputArguments = _outputs(method, outcome)
         result.InputArgumentResults = [ua.StatusCode() for _ in values]
     except InvalidArgument as error:

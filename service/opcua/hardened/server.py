@@ -10,14 +10,16 @@ from typing import Any, Self
 from urllib.parse import urlparse
 
 from asyncua import Server, ua
-from asyncua.common.connection import TransportLimits
-from asyncua.crypto import security_policies, uacrypto
+from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from service.clock import Clock, SystemClock
-from service.errors import ConfigurationError, ServerError
+from service.errors import CertificateError, ConfigurationError, ServerError
+from service.opcua.hardened import seams
+from service.opcua.hardened.announcements import Announcements
+from service.opcua.hardened.attributes import Attributes
 from service.opcua.hardened.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -25,20 +27,18 @@ from service.opcua.hardened.certificates import (
     load_certificate,
     make_certificate,
 )
-from service.opcua.hardened.connection import GuardedBinaryServer
-from service.opcua.hardened.internal import GuardedInternalServer
+from service.opcua.hardened.encoding import instant, nanoseconds, ticks_of_ns
+from service.opcua.hardened.endpoints import offered_endpoints, offered_policies
+from service.opcua.hardened.internal import InsideServer
+from service.opcua.hardened.listener import Listener
 from service.opcua.hardened.nodes import Method, Value, Variable, as_variant
-from service.opcua.hardened.session import GuardedSession
+from service.opcua.hardened.services import Services
+from service.opcua.hardened.session import Sessions
 from service.opcua.hardened.settings import ServerSettings
+from service.opcua.hardened.subscription_service import Subscriptions
+from service.opcua.hardened.view import View
 
 _log = logging.getLogger(__name__)
-_SECURED = (
-    (security_policies.SecurityPolicyBasic256Sha256, 70),
-    (security_policies.SecurityPolicyAes256Sha256RsaPss, 80),
-)
-_MODE = ua.MessageSecurityMode.SignAndEncrypt
-_TRANSPORT = "http://opcfoundation.org/UA-Profile/Transport/uatcp-uasc-uabinary"
-_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 Update = tuple[Variable, Value, int, int]
 
@@ -48,16 +48,49 @@ class HardenedServer:
 
     Make it with :meth:`create`, add nodes, then ``async with`` it or call :meth:`start` and
     :meth:`stop`.
+
+    Attributes
+    ----------
+    ua
+        asyncua's server, for importing node sets and making events; it never listens.
+    namespace_index
+        Index of the namespace of the server's own nodes.
     """
 
     def __init__(self, settings: ServerSettings, clock: Clock | None = None) -> None:
+        seams.install()
         self.settings = settings
-        self._clock = clock or SystemClock()
-        self._inside = GuardedInternalServer(settings, self._take_write)
-        self.ua = Server(iserver=self._inside)
-        self._listener: GuardedBinaryServer | None = None
-        self._certificate: x509.Certificate | None = None
         self.namespace_index = 0
+        self._clock = clock or SystemClock()
+        self._inside = InsideServer(settings.cache)
+        self.ua = Server(iserver=self._inside)
+        self._variables: dict[ua.NodeId, Variable] = {}
+        self._methods: dict[ua.NodeId, Method] = {}
+        self._port: int | None = None
+        limits, aspace = settings.limits, self._inside.aspace
+        self._subscriptions = Subscriptions(aspace, limits, self._utc_ticks)
+        self._inside.hand_events_to(self._subscriptions)
+        self._sessions = Sessions(limits, self._clock, self._subscriptions.end)
+        self._view = View(aspace, limits)
+        self._attributes = Attributes(
+            aspace,
+            self._variables,
+            self._methods,
+            self._take_write,
+            lambda: instant(self._clock.now()),
+        )
+        self._services = Services(
+            limits,
+            self._clock,
+            self._attributes,
+            self._view,
+            self._subscriptions,
+            self._inside.history_manager,
+        )
+        self._announcements = Announcements(
+            aspace, self._write_data_value, self._clock.now, settings, self._summary
+        )
+        self._listener: Listener | None = None
 
     @classmethod
     async def create(cls, settings: ServerSettings, clock: Clock | None = None) -> Self:
@@ -67,21 +100,16 @@ class HardenedServer:
         ------
         ConfigurationError
             if the settings contradict each other.
-        CertificateError
-            if certificate or key cannot be had.
         """
         _check(settings)
         server = cls(settings, clock)
-        server.ua.name = settings.application_name
-        server.ua.product_uri = settings.product_uri
-        server.ua.manufacturer_name = "valvemap"
         await server.ua.init()
         await server.ua.set_application_uri(settings.application_uri)
         server.namespace_index = await server.namespace(settings.namespace_uri)
         return server
 
     @property
-    def session(self) -> GuardedSession:
+    def session(self) -> InternalSession:
         """The server's own session, which may do everything."""
         return self._inside.isession
 
@@ -89,23 +117,33 @@ class HardenedServer:
     def url(self) -> str:
         """Where the server listens; with port 0 known once it is started."""
         parsed = urlparse(self.settings.url)
-        port = self._listener.port if self._listener else parsed.port
+        port = parsed.port if self._port is None else self._port
         return parsed._replace(netloc=f"{_bracketed(parsed.hostname or '')}:{port}").geturl()
+
+    @property
+    def lost_notifications(self) -> int:
+        """Notifications that were discarded because a client's queue was full."""
+        return self._subscriptions.ledger.lost
+
+    @property
+    def session_count(self) -> int:
+        """How many sessions there are."""
+        return len(self._sessions)
 
     async def namespace(self, uri: str) -> int:
         """Return the index of a namespace, registering it if it is new."""
-        return await self.ua.register_namespace(uri)
+        return int(await self.ua.register_namespace(uri))
 
     def register_variable(self, variable: Variable, value: Value) -> None:
         """Take a variable into care (called by ``add_variable``)."""
-        self._inside.variables[variable.id] = variable
+        self._variables[variable.id] = variable
         waiting = ua.StatusCodes.BadWaitingForInitialData
         code = waiting if value is None else ua.StatusCodes.Good
         self.write([(variable, value, code, self._clock.now())])
 
     def register_method(self, method: Method) -> None:
         """Take a method into care (called by ``add_method``)."""
-        self._inside.methods[method.id] = method
+        self._methods[method.id] = method
 
     def write(self, updates: Iterable[Update]) -> None:
         """Publish values: in order, all within one turn of the event loop.
@@ -116,25 +154,31 @@ class HardenedServer:
             Tuples (variable, value, status code, source time in UTC ns). With a Bad status the
             value is dropped, as OPC UA Part 4, 7.7.1 demands; Uncertain keeps it.
         """
-        server_time = _time(self._clock.now())
-        for variable, value, code, source_time in updates:
-            data = _data_value(variable, value, code, _time(source_time), server_time)
-            _drive(
-                self._inside.aspace.write_attribute_value(variable.id, ua.AttributeIds.Value, data)
+        server_time = instant(self._clock.now())
+        stamp, source_time = None, server_time
+        for variable, value, code, nanoseconds_ in updates:
+            if nanoseconds_ != stamp:
+                stamp, source_time = nanoseconds_, instant(nanoseconds_)
+            content = (
+                ua.Variant()
+                if code & 0x8000_0000
+                else as_variant(variable.type, value, array=variable.array)
             )
+            data = ua.DataValue(content, ua.StatusCode(code), source_time, server_time)
+            self._write_data_value(variable.id, data)
 
     def mark(self, variable: Variable, code: int) -> None:
         """Change the status of a variable's value, keeping value and source time."""
         held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
+        server_time = instant(self._clock.now())
         data = dataclasses.replace(
-            held, StatusCode=ua.StatusCode(code), ServerTimestamp=_time(self._clock.now())
+            held, StatusCode=ua.StatusCode(code), ServerTimestamp=server_time
         )
-        _drive(self._inside.aspace.write_attribute_value(variable.id, ua.AttributeIds.Value, data))
+        self._write_data_value(variable.id, data)
 
-    @property
-    def lost_notifications(self) -> int:
-        """Notifications that were discarded because a client's queue was full."""
-        return 0
+    def set_service_level(self, level: int) -> None:
+        """Say how well the server can serve: 255 best, 0 not at all."""
+        self._announcements.set_service_level(level)
 
     async def start(self) -> None:
         """Listen.
@@ -146,37 +190,41 @@ class HardenedServer:
         CertificateError
             if certificate or key cannot be had.
         """
-        parsed = urlparse(self.settings.url)
-        limits = self.settings.limits
-        self._listener = GuardedBinaryServer(
-            self._inside,
-            (parsed.hostname or "").strip("[]"),
-            parsed.port or 0,
-            TransportLimits(
-                max_recv_buffer=limits.chunk_bytes,
-                max_send_buffer=limits.chunk_bytes,
-                max_chunk_count=limits.chunks,
-                max_message_size=limits.message_bytes,
-            ),
+        settings = self.settings
+        certificate, key = _certificate(settings)
+        if warning := expiry_warning(certificate):
+            _log.warning("%s", warning)
+        listener = Listener(
+            settings.limits,
+            self._clock,
+            settings.users,
+            settings.pki,
+            self._sessions,
+            self._services,
+            anonymous_allowed=settings.none_on_loopback or settings.anonymous_observer,
         )
-        self._load_certificate()
-        self._listener.set_policies(self._policies())
+        listener.certificate_der = certificate.public_bytes(serialization.Encoding.DER)
+        listener.key = key
+        listener.policies = offered_policies(settings, certificate, key)
+        self._view.forget_types()
+        parsed = urlparse(settings.url)
         try:
-            await self._listener.start()
+            self._port = await listener.start(parsed.hostname or "", parsed.port or 0)
         except OSError as error:
-            self._listener = None
-            raise ServerError(
-                f"{self.settings.url}: cannot listen there: {error.strerror or error}"
-            ) from error
-        self._announce_endpoints()
-        await self._inside.start()
-        if self.settings.none_on_loopback:
+            reason = error.strerror or str(error)
+            raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
+        self._listener = listener
+        listener.announce(offered_endpoints(settings, self.url, listener.certificate_der))
+        self._announcements.announce()
+        self._announcements.start()
+        if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)
 
     async def stop(self) -> None:
         """Stop listening and close every session; safe to call twice."""
         listener, self._listener = self._listener, None
         if listener is not None:
+            self._announcements.stop()
             await listener.stop()
             await self._inside.stop()
 
@@ -192,96 +240,49 @@ class HardenedServer:
     ) -> None:
         await self.stop()
 
+    def _write_data_value(self, nodeid: ua.NodeId, data: ua.DataValue) -> None:
+        held = self._inside.aspace[nodeid].attributes[ua.AttributeIds.Value]
+        held.value = data
+        held.value_callback = None
+        if held.datachange_callbacks:
+            for handle, callback in list(held.datachange_callbacks.items()):
+                outcome = callback(handle, data)
+                if isinstance(outcome, Coroutine):  # of the server's own session
+                    _drive(outcome)
+
     def _take_write(self, variable: Variable, value: Value, at: dt.datetime | None) -> None:
-        now = self._clock.now()
-        source = now if at is None else (at - _EPOCH) // dt.timedelta(microseconds=1) * 1000
+        source = self._clock.now() if at is None else nanoseconds(at)
         self.write([(variable, value, ua.StatusCodes.Good, source)])
 
-    def _load_certificate(self) -> None:
-        settings = self.settings
-        names = settings.host_names or ("localhost", "127.0.0.1")
-        if settings.pki is None:
-            key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
-            certificate = make_certificate(
-                key, settings.application_uri, names, settings.application_name
-            )
-        else:
-            file_name = "".join(c if c.isalnum() else "-" for c in settings.application_name)
-            own = ensure_certificate(settings.pki, settings.application_uri, names, file_name)
-            certificate = load_certificate(own.certificate)
-            loaded = serialization.load_pem_private_key(own.key.read_bytes(), None)
-            assert isinstance(loaded, rsa.RSAPrivateKey)  # noqa: S101 - ensure_certificate checked
-            key = loaded
-        if warning := expiry_warning(certificate):
-            _log.warning("%s", warning)
-        self._inside.certificate, self._inside.private_key = certificate, key
+    def _utc_ticks(self) -> int:
+        return ticks_of_ns(self._clock.now())
 
-    def _policies(self) -> list[security_policies.SecurityPolicyFactory]:
-        key, certificate = self._inside.private_key, self._inside.certificate
-        factories = []
-        if self.settings.pki is not None:
-            factories += [
-                security_policies.SecurityPolicyFactory(policy, _MODE, certificate, key)
-                for policy, _ in _SECURED
-            ]
-        if self.settings.none_on_loopback:
-            factories.append(
-                security_policies.SecurityPolicyFactory(
-                    security_policies.SecurityPolicyNone,
-                    ua.MessageSecurityMode.None_,
-                    certificate,
-                    key,
-                )
-            )
-        return factories
-
-    def _announce_endpoints(self) -> None:
-        self._inside.endpoints.clear()
-        if self.settings.pki is not None:
-            for policy, level in _SECURED:
-                self._announce(policy.URI, _MODE, level)
-        if self.settings.none_on_loopback:
-            uri = security_policies.SecurityPolicyNone.URI
-            self._announce(uri, ua.MessageSecurityMode.None_, 0)
-
-    def _announce(self, policy: str, mode: ua.MessageSecurityMode, level: int) -> None:
-        settings = self.settings
-        description = ua.ApplicationDescription(
-            ApplicationUri=settings.application_uri,
-            ProductUri=settings.product_uri,
-            ApplicationName=ua.LocalizedText(settings.application_name),
-            ApplicationType=ua.ApplicationType.Server,
-            DiscoveryUrls=[self.url],
-        )
-        password_policy = security_policies.SecurityPolicyBasic256Sha256.URI
-        tokens = [
-            ua.UserTokenPolicy(
-                PolicyId="username",
-                TokenType=ua.UserTokenType.UserName,
-                SecurityPolicyUri=password_policy,
-            )
-        ]
-        if settings.none_on_loopback or settings.anonymous_observer:
-            tokens.insert(
-                0, ua.UserTokenPolicy(PolicyId="anonymous", TokenType=ua.UserTokenType.Anonymous)
-            )
-        self._inside.add_endpoint(
-            ua.EndpointDescription(
-                EndpointUrl=self.url,
-                Server=description,
-                ServerCertificate=uacrypto.der_from_x509(self._inside.certificate),
-                SecurityMode=mode,
-                SecurityPolicyUri=policy,
-                UserIdentityTokens=tokens,
-                TransportProfileUri=_TRANSPORT,
-                SecurityLevel=level,
-            )
-        )
+    def _summary(self) -> dict[str, int]:
+        totals, listener = self._sessions.totals, self._listener
+        refused = listener.refused_requests if listener is not None else 0
+        for_security = listener.refused_for_security if listener is not None else 0
+        intervals = {s.timing.interval_s for s in self._subscriptions.by_number.values()}
+        return {
+            "CurrentSessionCount": len(self._sessions),
+            "CumulatedSessionCount": totals.created,
+            "SecurityRejectedSessionCount": totals.refused_for_security,
+            "RejectedSessionCount": totals.refused + totals.refused_for_security,
+            "SessionTimeoutCount": totals.timed_out,
+            "PublishingIntervalCount": len(intervals),
+            "CurrentSubscriptionCount": len(self._subscriptions.by_number),
+            "CumulatedSubscriptionCount": self._subscriptions.created,
+            "SecurityRejectedRequestsCount": for_security,
+            "RejectedRequestsCount": refused,
+        }
 
 
 def _check(settings: ServerSettings) -> None:
     parsed = urlparse(settings.url)
-    if parsed.scheme != "opc.tcp" or not parsed.hostname or parsed.port is None:
+    try:
+        complete = parsed.scheme == "opc.tcp" and parsed.hostname and parsed.port is not None
+    except ValueError:
+        complete = False
+    if not complete:
         raise ConfigurationError(
             f"{settings.url}: an endpoint like opc.tcp://127.0.0.1:4840/path/ is needed"
         )
@@ -293,20 +294,18 @@ def _check(settings: ServerSettings) -> None:
         raise ConfigurationError(f"{settings.url}: a server on the network needs a PKI folder")
 
 
-def _data_value(
-    variable: Variable,
-    value: Value,
-    code: int,
-    source_time: dt.datetime,
-    server_time: dt.datetime,
-) -> ua.DataValue:
-    bad = code & 0x8000_0000
-    return ua.DataValue(
-        ua.Variant() if bad else as_variant(variable.type, value, array=variable.array),
-        ua.StatusCode(code),
-        source_time,
-        server_time,
-    )
+def _certificate(settings: ServerSettings) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
+    names = settings.host_names or ("localhost", "127.0.0.1")
+    uri, name = settings.application_uri, settings.application_name
+    if settings.pki is None:  # only to encrypt passwords on the way to the demo's open endpoint
+        key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
+        return make_certificate(key, uri, names, name), key
+    file_name = "".join(c if c.isalnum() else "-" for c in name)
+    own = ensure_certificate(settings.pki, uri, names, file_name)
+    loaded = serialization.load_pem_private_key(own.key.read_bytes(), None)
+    if not isinstance(loaded, rsa.RSAPrivateKey):
+        raise CertificateError(f"{own.key}: an RSA key is needed")
+    return load_certificate(own.certificate), loaded
 
 
 def _drive(coroutine: Coroutine[Any, Any, Any]) -> None:
@@ -317,10 +316,6 @@ def _drive(coroutine: Coroutine[Any, Any, Any]) -> None:
         return
     coroutine.close()
     raise RuntimeError("a data change callback waits")
-
-
-def _time(nanoseconds: int) -> dt.datetime:
-    return _EPOCH + dt.timedelta(microseconds=nanoseconds // 1000)
 
 
 def _bracketed(host: str) -> str:

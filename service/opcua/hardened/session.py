@@ -1,252 +1,286 @@
-"""A session that checks ownership, roles and limits before it lets asyncua act."""
+"""Sessions of peers: made, activated, moved to another channel, ended (Part 4, 5.7)."""
 
-import inspect
 import logging
+import math
 import secrets
-from collections.abc import Callable, Iterable
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
-from asyncua.crypto.permission_rules import User, UserRole
-from asyncua.server.internal_session import InternalSession
-from typing_extensions import override
 
-from service.errors import CommandRejected
-from service.opcua.hardened import nodes
+from service.clock import Clock
+from service.opcua.hardened.encoding import ticks_of_ns
+from service.opcua.hardened.identity import ANONYMOUS, Principal
+from service.opcua.hardened.publish_queue import PublishQueue, PublishRequest
+from service.opcua.hardened.settings import Limits
+from service.opcua.hardened.subscription import Message, Subscription
 from service.opcua.hardened.users import Role
-
-if TYPE_CHECKING:
-    from service.opcua.hardened.internal import GuardedInternalServer
+from service.opcua.hardened.view import Continuations
 
 _log = logging.getLogger(__name__)
-_audit = logging.getLogger("valvemap.audit")
 _Codes = ua.StatusCodes
 
 
-@dataclass
-class Principal(User):
-    """Who acts, and in which role of ours; never asyncua's Admin, who may write everything."""
-
-    role: UserRole = UserRole.User
-    name: str | None = None
-    level: Role = Role.OBSERVER
-
-    def __str__(self) -> str:
-        return f"{self.name or 'anonymous'} ({self.level.name.lower()})"
-
-
-class GuardedSession(InternalSession):
-    """A session of a peer: only its own subscriptions, only what its role allows."""
-
-    iserver: "GuardedInternalServer"
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - asyncua's signature
-        super().__init__(*args, **kwargs)
-        self.peer_certificate: bytes | None = None
-        self.peer: str = str(self.name)
-        self.session_id = ua.NodeId(secrets.randbits(31) | 1, 1)
-        if self.external:
-            self.iserver.unregister_external_session(self)
-            token = secrets.token_bytes(32)
-            self.auth_token = ua.NodeId(token, 0, ua.NodeIdType.ByteString)
-            self.iserver.register_external_session(self)
+class Line(Protocol):
+    """The connection that a session is bound to."""
 
     @property
-    def level(self) -> Role:
-        """The role of who is logged in."""
-        return self.user.level if isinstance(self.user, Principal) else Role.SECURITY_ADMIN
+    def host(self) -> str:
+        """Address of the peer."""
 
-    async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
-        """Read; what depends on the user is answered for this user."""
-        found = await super().read(params)
-        if not self.external:
-            return found
-        return [
-            self._for_this_user(wanted, value)
-            for wanted, value in zip(params.NodesToRead, found, strict=True)
-        ]
+    @property
+    def peer_certificate(self) -> bytes | None:
+        """Certificate of the secure channel (DER), None without security."""
 
-    async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Write values of variables that are writable for this user; nothing else."""
-        if not self.external:
-            return await super().write(params)
-        return [ua.StatusCode(await self._write(item)) for item in params.NodesToWrite]
+    @property
+    def writable(self) -> bool:
+        """Tell whether the peer reads what it is sent."""
 
-    async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Call methods that this user may call."""
-        return [await self._call(request) for request in params]
+    def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
+        """Send a publish response."""
 
-    async def create_subscription(
-        self,
-        params: ua.CreateSubscriptionParameters,
-        callback: Callable[..., Any],
-        request_callback: Callable[..., Any] | None = None,
-    ) -> ua.CreateSubscriptionResult:
-        """Create a subscription within the limits; its intervals are revised truthfully."""
-        if self.external:
-            limits = self.iserver.limits
-            if len(self._own_subscriptions()) >= limits.subscriptions_per_session:
-                raise ServiceError(_Codes.BadTooManySubscriptions)
-            requested = params.RequestedPublishingInterval
-            if not requested >= limits.publishing_interval_ms:  # NaN too
-                requested = limits.publishing_interval_ms
-            params.RequestedPublishingInterval = min(
-                requested, limits.longest_publishing_interval_ms
-            )
-        return await super().create_subscription(params, callback, request_callback)
+    def refuse(self, request_id: int, handle: int, code: int) -> None:
+        """Send a fault."""
 
-    async def create_monitored_items(
-        self, params: ua.CreateMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemCreateResult]:
-        """Create monitored items in a subscription of this session."""
-        self._check_owner(params.SubscriptionId)
-        return await super().create_monitored_items(params)
 
-    async def modify_monitored_items(
-        self, params: ua.ModifyMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemModifyResult]:
-        """Modify monitored items in a subscription of this session."""
-        self._check_owner(params.SubscriptionId)
-        return await super().modify_monitored_items(params)
+@dataclass
+class Counters:
+    """What a session has done, for its diagnostics."""
 
-    async def delete_monitored_items(
-        self, params: ua.DeleteMonitoredItemsParameters
-    ) -> list[ua.StatusCode]:
-        """Delete monitored items in a subscription of this session."""
-        self._check_owner(params.SubscriptionId)
-        return await super().delete_monitored_items(params)
+    requests: int = 0
+    refused: int = 0
+    publishes: int = 0
+    notifications: int = 0
 
-    async def set_monitoring_mode(
-        self, params: ua.SetMonitoringModeParameters
-    ) -> list[ua.StatusCode]:
-        """Set the monitoring mode in a subscription of this session."""
-        self._check_owner(params.SubscriptionId)
-        return await super().set_monitoring_mode(params)
 
-    async def set_publishing_mode(
-        self, params: ua.SetPublishingModeParameters
-    ) -> list[ua.StatusCode]:
-        """Set the publishing mode of subscriptions of this session."""
-        for number in params.SubscriptionIds:
-            self._check_owner(number)
-        return await super().set_publishing_mode(params)
+class Session:
+    """A session: its user, its subscriptions, its publish requests."""
 
-    async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        """Delete subscriptions of this session."""
-        for number in ids:
-            self._check_owner(number)
-        return await super().delete_subscriptions(ids)
-
-    def modify_subscription(
-        self, params: ua.ModifySubscriptionParameters
-    ) -> ua.ModifySubscriptionResult:
-        """Modify a subscription of this session."""
-        self._check_owner(params.SubscriptionId)
-        return super().modify_subscription(params)
-
-    def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
-        """Send a message of a subscription of this session again."""
-        self._check_owner(params.SubscriptionId)
-        return super().republish(params)
-
-    def publish(
-        self, acks: Iterable[ua.SubscriptionAcknowledgement] | None = None
-    ) -> tuple[int, list[ua.StatusCode]]:
-        """Take acknowledgements for subscriptions of this session."""
-        acks = list(acks or [])
-        for ack in acks:
-            self._check_owner(ack.SubscriptionId)
-        return super().publish(acks)
-
-    @override
-    async def transfer_subscriptions(
-        self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
-    ) -> list[ua.TransferResult]:
-        """Refused until ownership can be proven."""
-        raise ServiceError(_Codes.BadServiceUnsupported)
-
-    def _own_subscriptions(self) -> list[Any]:
-        return [
-            subscription
-            for subscription in self.subscription_service.subscriptions.values()
-            if subscription.session_id == self.session_id
-        ]
-
-    def _check_owner(self, number: int) -> None:
-        subscription = self.subscription_service.subscriptions.get(number)
-        if self.external and subscription and subscription.session_id != self.session_id:
-            raise ServiceError(_Codes.BadSubscriptionIdInvalid)
-
-    def _for_this_user(self, wanted: ua.ReadValueId, value: ua.DataValue) -> ua.DataValue:
-        if wanted.AttributeId == ua.AttributeIds.UserAccessLevel:
-            variable = self.iserver.variables.get(wanted.NodeId)
-            if variable and variable.writable_by and self.level < variable.writable_by:
-                level = value.Value.Value & ~(1 << ua.AccessLevel.CurrentWrite)
-                return ua.DataValue(ua.Variant(level, ua.VariantType.Byte))
-        if wanted.AttributeId == ua.AttributeIds.UserExecutable:
-            method = self.iserver.methods.get(wanted.NodeId)
-            if method is not None:
-                return ua.DataValue(ua.Variant(self.level >= method.required))
-        return value
-
-    async def _write(self, item: ua.WriteValue) -> int:
-        code = await self._try_write(item)
-        _audit.info(
-            "write %s by %s at %s: %s",
-            item.NodeId.to_string(),
-            self.user,
-            self.peer,
-            ua.StatusCode(code).name,
+    def __init__(
+        self, line: Line, name: str, timeout_s: float, limits: Limits, clock: Clock
+    ) -> None:
+        self.id = ua.NodeId(secrets.token_bytes(16), 1, ua.NodeIdType.ByteString)
+        self.token = ua.NodeId(secrets.token_bytes(32), 0, ua.NodeIdType.ByteString)
+        self.name = name
+        self.timeout_s = timeout_s
+        self.line: Line | None = line
+        self.host = line.host
+        self.peer_certificate = line.peer_certificate
+        self.application_uri = ""
+        self.principal: Principal | None = None
+        self.nonce = secrets.token_bytes(32)
+        self.max_response_bytes = 0
+        self.subscriptions: dict[int, Subscription] = {}
+        self.continuations: Continuations = OrderedDict()
+        self.counters = Counters()
+        self.created = clock.now()
+        self._clock = clock
+        self.last_seen = clock.monotonic()
+        self.closed = False
+        self._queue = PublishQueue(
+            limits.publish_requests,
+            self._answer,
+            self._refuse,
+            self._is_ready,
+            clock.monotonic,
+            lambda: ticks_of_ns(clock.now()),
         )
-        return code
 
-    async def _try_write(self, item: ua.WriteValue) -> int:  # noqa: PLR0911 - one per reason
-        held = self.aspace.read_attribute_value(item.NodeId, item.AttributeId)
-        if held.StatusCode.value in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid):
-            return int(held.StatusCode.value)
-        variable = self.iserver.variables.get(item.NodeId)
-        if item.AttributeId != ua.AttributeIds.Value or not variable or not variable.writable_by:
-            return _Codes.BadNotWritable
-        if self.level < variable.writable_by:
-            return _Codes.BadUserAccessDenied
-        if item.IndexRange or not item.Value.StatusCode.is_good():
-            return _Codes.BadWriteNotSupported
-        code = nodes.check(variable, item.Value.Value)
-        if code != _Codes.Good:
-            return code
-        value = nodes.plain(item.Value.Value)
-        try:
-            if variable.on_write is not None:
-                outcome = variable.on_write(value)
-                if inspect.isawaitable(outcome):
-                    await outcome
-        except CommandRejected as error:
-            _log.warning("%s: write refused: %s", item.NodeId.Identifier, error)
-            return nodes.rejection_code(error)
-        self.iserver.take_write(variable, value, item.Value.SourceTimestamp)
-        return _Codes.Good
+    @property
+    def active(self) -> bool:
+        """Tell whether somebody is logged in."""
+        return self.principal is not None and not self.closed
 
-    async def _call(self, request: ua.CallMethodRequest) -> ua.CallMethodResult:
-        method = self.iserver.methods.get(request.MethodId)
-        owner = self.aspace.get(request.ObjectId)
-        result = ua.CallMethodResult()
-        if owner is None or request.MethodId not in self.aspace:
-            result.StatusCode = ua.StatusCode(_Codes.BadNodeIdUnknown)
-        elif not any(ref.NodeId == request.MethodId and ref.IsForward for ref in owner.references):
-            result.StatusCode = ua.StatusCode(_Codes.BadMethodInvalid)
-        elif method is None:
-            result.StatusCode = ua.StatusCode(_Codes.BadNotImplemented)
-        elif self.level < method.required:
-            result.StatusCode = ua.StatusCode(_Codes.BadUserAccessDenied)
-        else:
-            result = await nodes.call(method, request.InputArguments or [])
-        _audit.info(
-            "call %s by %s at %s: %s",
-            request.MethodId.to_string(),
-            self.user,
-            self.peer,
-            result.StatusCode.name,
+    @property
+    def role(self) -> Role:
+        """Return the role of who is logged in."""
+        if self.principal is None:
+            raise ServiceError(_Codes.BadSessionNotActivated)
+        return self.principal.role
+
+    def touch(self) -> None:
+        """Note that the client lives."""
+        self.last_seen = self._clock.monotonic()
+
+    def new_nonce(self) -> bytes:
+        """Make the nonce that the next activation must be bound to."""
+        self.nonce = secrets.token_bytes(32)
+        return self.nonce
+
+    def bind(self, line: Line) -> None:
+        """Move to another connection; publish requests of the old one are gone."""
+        self._queue.lose_connection()
+        self.line = line
+        self.host = line.host
+
+    def unbind(self, line: Line) -> None:
+        """Lose a connection; the session lives on for its time-out."""
+        if self.line is line:
+            self._queue.lose_connection()
+            self.line = None
+            self.touch()
+
+    def is_same_client(self, other: object) -> bool:
+        """Tell whether another session acts for the same user of the same application.
+
+        Anonymous users of a channel without security cannot prove to be the same.
+        """
+        if not isinstance(other, Session) or self.principal is None:
+            return False
+        if other is self:
+            return True
+        proven = self.peer_certificate is not None or self.principal.name != ANONYMOUS
+        return (
+            proven
+            and self.principal == other.principal
+            and self.peer_certificate == other.peer_certificate
         )
-        return result
+
+    def add_publish_request(self, request: PublishRequest) -> None:
+        """Take a publish request."""
+        for subscription in self.subscriptions.values():
+            subscription.heard_of()
+        self._queue.add(request)
+
+    def publish(self, subscription: Subscription) -> bool:
+        """Send what a subscription has, as far as publish requests go."""
+        return self._queue.publish(subscription)
+
+    def has_publish_requests(self) -> bool:
+        """Tell whether a publish request waits."""
+        return len(self._queue) > 0
+
+    def serve_late(self) -> None:
+        """Serve late subscriptions: the connection takes more again."""
+        self._queue.serve()
+
+    def drop_expired_requests(self) -> None:
+        """Answer publish requests whose time is over."""
+        self._queue.drop_expired()
+
+    def lose(self, subscription: Subscription, code: int | None = None) -> None:
+        """Lose a subscription: it ended, or moved to another session (then tell the client)."""
+        self.subscriptions.pop(subscription.number, None)
+        self._queue.forget(subscription)
+        if code is not None:
+            self._queue.tell(subscription.number, code)
+        if not self.subscriptions:
+            self._queue.refuse_all(_Codes.BadNoSubscription)
+
+    def close(self) -> None:
+        """End: publish requests are answered, the token is void."""
+        self.closed = True
+        self._queue.refuse_all(_Codes.BadSessionClosed)
+        self.continuations.clear()
+
+    def _answer(self, request: PublishRequest, number: int, message: Message) -> None:
+        self.counters.publishes += 1
+        if self.line is not None:
+            self.line.answer_publish(request, number, message)
+
+    def _refuse(self, request: PublishRequest, code: int) -> None:
+        if self.line is not None:
+            self.line.refuse(request.request_id, request.handle, code)
+
+    def _is_ready(self) -> bool:
+        return self.line is not None and self.line.writable
+
+
+@dataclass
+class SessionTotals:
+    """What all sessions have done, for the server's diagnostics."""
+
+    created: int = 0
+    timed_out: int = 0
+    refused: int = 0
+    refused_for_security: int = 0
+
+
+class Sessions:
+    """All sessions, found by their token."""
+
+    def __init__(
+        self, limits: Limits, clock: Clock, end_subscription: Callable[[Subscription], None]
+    ) -> None:
+        self.totals = SessionTotals()
+        self._limits = limits
+        self._clock = clock
+        self._end_subscription = end_subscription
+        self._by_token: dict[bytes, Session] = {}
+
+    def __iter__(self) -> Iterator[Session]:
+        return iter(list(self._by_token.values()))
+
+    def __len__(self) -> int:
+        return len(self._by_token)
+
+    def create(self, line: Line, params: ua.CreateSessionParameters) -> Session:
+        """Make a session; where there are too many, one that nobody uses gives way."""
+        limits = self._limits
+        of_host = [session for session in self if session.host == line.host]
+        if len(of_host) >= limits.sessions_per_host:
+            self._give_way(of_host)
+        if len(self) >= limits.sessions:
+            self._give_way(list(self))
+        wish = params.RequestedSessionTimeout
+        wish = wish if math.isfinite(wish) and wish > 0 else limits.session_timeout_ms
+        timeout = min(max(wish, limits.shortest_session_timeout_ms), limits.session_timeout_ms)
+        session = Session(
+            line, (params.SessionName or "")[:200], timeout / 1e3, limits, self._clock
+        )
+        session.max_response_bytes = params.MaxResponseMessageSize
+        session.application_uri = (params.ClientDescription.ApplicationUri or "")[:500]
+        self._by_token[session.token.Identifier] = session
+        self.totals.created += 1
+        return session
+
+    def find(self, token: ua.NodeId) -> Session:
+        """Find a session by its token.
+
+        Raises
+        ------
+        ServiceError
+            BadSessionIdInvalid.
+        """
+        key = token.Identifier
+        session = self._by_token.get(key) if isinstance(key, bytes) else None
+        if session is None or token.NamespaceIndex != 0:
+            raise ServiceError(_Codes.BadSessionIdInvalid)
+        return session
+
+    def close(self, session: Session, *, keep_subscriptions: bool = False) -> None:
+        """End a session; subscriptions that are kept can be transferred until they expire."""
+        self._by_token.pop(session.token.Identifier, None)
+        if not keep_subscriptions:
+            for subscription in list(session.subscriptions.values()):
+                self._end_subscription(subscription)
+        session.close()
+
+    def drop_timed_out(self) -> None:
+        """End the sessions that were not heard of for their time-out."""
+        now = self._clock.monotonic()
+        for session in self:
+            patience = session.timeout_s if session.active else self._limits.handshake_seconds
+            if now - session.last_seen > patience:
+                self.totals.timed_out += 1
+                self.close(session)
+            else:
+                session.drop_expired_requests()
+
+    def lose_line(self, line: Line) -> None:
+        """Unbind the sessions of a connection that is gone; unused ones end."""
+        for session in self:
+            if session.line is line:
+                session.unbind(line)
+                if not session.active:
+                    self.close(session)
+
+    def _give_way(self, candidates: list[Session]) -> None:
+        unused = [session for session in candidates if not session.active or session.line is None]
+        if not unused:
+            self.totals.refused += 1
+            raise ServiceError(_Codes.BadTooManySessions)
+        self.close(min(unused, key=lambda session: (session.active, session.last_seen)))

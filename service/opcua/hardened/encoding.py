@@ -1,0 +1,199 @@
+"""Values and notifications in OPC UA binary (Part 6, 5.2), fast for plain numbers.
+
+asyncua's generic encoder takes 13-15 µs for a notification; a number here takes about one.
+Times keep the 100 ns of OPC UA, where Python's ``datetime`` alone would cut them to 1 µs.
+"""
+
+import datetime as dt
+import struct
+from collections.abc import Sequence
+
+from asyncua import ua
+from asyncua.ua import ua_binary
+
+TICKS_1970 = 116_444_736_000_000_000  # 100 ns from 1601 to 1970
+_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+_MICROSECOND = dt.timedelta(microseconds=1)
+_VALUE, _STATUS, _SOURCE, _SERVER, _SOURCE_PS, _SERVER_PS = 1, 2, 4, 8, 16, 32
+_ARRAY = 0x80
+
+_FORMATS = {
+    ua.VariantType.Boolean: "?",
+    ua.VariantType.SByte: "b",
+    ua.VariantType.Byte: "B",
+    ua.VariantType.Int16: "h",
+    ua.VariantType.UInt16: "H",
+    ua.VariantType.Int32: "i",
+    ua.VariantType.UInt32: "I",
+    ua.VariantType.Int64: "q",
+    ua.VariantType.UInt64: "Q",
+    ua.VariantType.Float: "f",
+    ua.VariantType.Double: "d",
+}
+# good value with both times: mask, type, value, source time, server time
+_PLAIN = {kind: struct.Struct(f"<BB{letter}qq") for kind, letter in _FORMATS.items()}
+_PLAIN_MASK = _VALUE | _SOURCE | _SERVER
+
+DATA_CHANGE = 811
+EVENTS = 916
+STATUS_CHANGE = 820
+_NO_DIAGNOSTICS = b"\xff\xff\xff\xff"
+
+
+class Instant(dt.datetime):
+    """A time with the full resolution of OPC UA: ``ticks`` of 100 ns since 1601."""
+
+    ticks: int
+
+
+def instant(nanoseconds: int) -> Instant:
+    """Make a time of UTC ns since 1970.
+
+    >>> instant(1_500).ticks - TICKS_1970
+    15
+    """
+    moment = _EPOCH + dt.timedelta(microseconds=nanoseconds // 1000)
+    made = Instant(
+        moment.year,
+        moment.month,
+        moment.day,
+        moment.hour,
+        moment.minute,
+        moment.second,
+        moment.microsecond,
+        dt.UTC,
+    )
+    made.ticks = ticks_of_ns(nanoseconds)
+    return made
+
+
+def ticks_of_ns(nanoseconds: int) -> int:
+    """100 ns since 1601, from UTC ns since 1970."""
+    return TICKS_1970 + nanoseconds // 100
+
+
+def ticks(moment: dt.datetime) -> int:
+    """100 ns since 1601, from our own times exactly, from others to 1 µs."""
+    if type(moment) is Instant:
+        return moment.ticks
+    return ua.datetime_to_win_epoch(moment)
+
+
+def nanoseconds(moment: dt.datetime) -> int:
+    """UTC ns since 1970."""
+    return (ticks(moment) - TICKS_1970) * 100
+
+
+def encode_data_value(value: ua.DataValue, stamps: ua.TimestampsToReturn) -> bytes:
+    """Encode a DataValue with the timestamps that were asked for."""
+    variant, status = value.Value, value.StatusCode
+    code = status.value if status is not None else 0
+    source, server = value.SourceTimestamp, value.ServerTimestamp
+    if (
+        code == 0
+        and stamps == ua.TimestampsToReturn.Both
+        and not variant.is_array
+        and source is not None
+        and server is not None
+        and (packer := _PLAIN.get(variant.VariantType)) is not None
+    ):
+        return packer.pack(
+            _PLAIN_MASK, variant.VariantType, variant.Value, ticks(source), ticks(server)
+        )
+    mask, parts = 0, [b""]
+    if variant is not None and variant.VariantType != ua.VariantType.Null:
+        mask |= _VALUE
+        parts.append(encode_variant(variant))
+    if code:
+        mask |= _STATUS
+        parts.append(code.to_bytes(4, "little"))
+    if source is not None and stamps in _WITH_SOURCE:
+        mask |= _SOURCE
+        parts.append(ticks(source).to_bytes(8, "little", signed=True))
+    if server is not None and stamps in _WITH_SERVER:
+        mask |= _SERVER
+        parts.append(ticks(server).to_bytes(8, "little", signed=True))
+    parts[0] = bytes((mask,))
+    return b"".join(parts)
+
+
+_WITH_SOURCE = (ua.TimestampsToReturn.Source, ua.TimestampsToReturn.Both)
+_WITH_SERVER = (ua.TimestampsToReturn.Server, ua.TimestampsToReturn.Both)
+
+
+def encode_variant(variant: ua.Variant) -> bytes:
+    """Encode a Variant; arrays of numbers in one go."""
+    letter = _FORMATS.get(variant.VariantType)
+    if letter is not None and variant.is_array and variant.Dimensions is None:
+        values = variant.Value or ()
+        return struct.pack(
+            f"<Bi{len(values)}{letter}", variant.VariantType | _ARRAY, len(values), *values
+        )
+    return ua_binary.variant_to_binary(variant)
+
+
+def encode_data_changes(records: Sequence[bytes]) -> bytes:
+    """Encode a DataChangeNotification of records: client handle, then value."""
+    body = b"".join((len(records).to_bytes(4, "little"), *records, _NO_DIAGNOSTICS))
+    return _extension_object(DATA_CHANGE, body)
+
+
+def encode_events(events: Sequence[tuple[int, Sequence[ua.Variant]]]) -> bytes:
+    """Encode an EventNotificationList of (client handle, fields)."""
+    parts = [len(events).to_bytes(4, "little")]
+    for handle, event_fields in events:
+        parts.append(struct.pack("<Ii", handle, len(event_fields)))
+        parts.extend(encode_variant(field) for field in event_fields)
+    return _extension_object(EVENTS, b"".join(parts))
+
+
+def encode_status_change(code: int) -> bytes:
+    """Encode a StatusChangeNotification without diagnostics."""
+    return _extension_object(STATUS_CHANGE, code.to_bytes(4, "little") + b"\x00")
+
+
+def encode_message(sequence: int, publish_time: int, notifications: Sequence[bytes]) -> bytes:
+    """Encode a NotificationMessage; the time in 100 ns since 1601."""
+    head = struct.pack("<Iqi", sequence, publish_time, len(notifications))
+    return b"".join((head, *notifications))
+
+
+def encode_publish_response(
+    request_handle: int,
+    now: int,
+    subscription: int,
+    available: Sequence[int],
+    more: bool,  # noqa: FBT001 - a field of the response
+    message: bytes,
+    results: Sequence[int],
+) -> bytes:
+    """Encode a PublishResponse around an encoded NotificationMessage."""
+    return b"".join(
+        (
+            _response_head(829, request_handle, now),
+            struct.pack(f"<Ii{len(available)}I?", subscription, len(available), *available, more),
+            message,
+            struct.pack(f"<i{len(results)}I", len(results), *results),
+            _NO_DIAGNOSTICS,
+        )
+    )
+
+
+def encode_republish_response(request_handle: int, now: int, message: bytes) -> bytes:
+    """Encode a RepublishResponse around an encoded NotificationMessage."""
+    return _response_head(835, request_handle, now) + message
+
+
+def encode_read_response(request_handle: int, now: int, values: Sequence[bytes]) -> bytes:
+    """Encode a ReadResponse of encoded DataValues."""
+    head = _response_head(634, request_handle, now)
+    return b"".join((head, len(values).to_bytes(4, "little"), *values, _NO_DIAGNOSTICS))
+
+
+def _response_head(type_id: int, request_handle: int, now: int) -> bytes:
+    # TypeId (four-byte), time, handle, Good, no diagnostics, no strings, no additional header
+    return struct.pack("<BBHqIIBiBBB", 1, 0, type_id, now, request_handle, 0, 0, -1, 0, 0, 0)
+
+
+def _extension_object(type_id: int, body: bytes) -> bytes:
+    return struct.pack("<BBHBi", 1, 0, type_id, 1, len(body)) + body

@@ -1,0 +1,229 @@
+"""What is answered before somebody is logged in: channel, discovery, sessions (Part 4, 5.5-5.7)."""
+
+import logging
+import re
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlparse
+
+from asyncua import ua
+from asyncua.common.utils import Buffer, ServiceError
+from asyncua.crypto import uacrypto
+from asyncua.ua import ua_binary
+from cryptography.exceptions import InvalidSignature
+
+from service.opcua.hardened import seams
+from service.opcua.hardened.identity import Challenge, identify
+from service.opcua.hardened.session import Session
+from service.opcua.hardened.trust import application_uris
+
+if TYPE_CHECKING:
+    from service.opcua.hardened.connection import Connection
+    from service.opcua.hardened.listener import Listener
+
+_log = logging.getLogger(__name__)
+_audit = logging.getLogger("valvemap.audit")
+_Codes = ua.StatusCodes
+_Ids = ua.ObjectIds
+
+_CREATE = _Ids.CreateSessionRequest_Encoding_DefaultBinary
+_ACTIVATE = _Ids.ActivateSessionRequest_Encoding_DefaultBinary
+_CLOSE = _Ids.CloseSessionRequest_Encoding_DefaultBinary
+_ENDPOINTS = _Ids.GetEndpointsRequest_Encoding_DefaultBinary
+_SERVERS = _Ids.FindServersRequest_Encoding_DefaultBinary
+_DISCOVERY = (_ENDPOINTS, _SERVERS)
+_SMALLEST_NONCE = 32
+_HOST = re.compile(r"[A-Za-z0-9._\-\[\]:]{1,255}")
+
+
+class Handshake:
+    """Opens the channel and logs people in, for one connection."""
+
+    def __init__(self, listener: "Listener", connection: "Connection") -> None:
+        self.done = False
+        self._listener = listener
+        self._connection = connection
+
+    def open_channel(self, message: ua.Message) -> None:
+        """Open the secure channel, or renew it."""
+        channel = self._connection.channel
+        algorithm = message.SecurityHeader()
+        request = ua_binary.struct_from_binary(ua.OpenSecureChannelRequest, message.body())
+        if not channel.is_open():
+            channel.select_policy(
+                algorithm.SecurityPolicyURI,
+                algorithm.SenderCertificate,
+                request.Parameters.SecurityMode,
+            )
+        response = ua.OpenSecureChannelResponse()
+        response.Parameters = channel.open(request.Parameters, self._listener)
+        response.ResponseHeader.RequestHandle = request.RequestHeader.RequestHandle
+        self._connection.send_open(message.SequenceHeader().RequestId, response)
+
+    def answers(self, service: object) -> bool:
+        """Tell whether a service needs no active session."""
+        return service in (_CREATE, _ACTIVATE, _CLOSE, *_DISCOVERY)
+
+    def session_of(self, header: ua.RequestHeader) -> Session:
+        """Find the active session of a request.
+
+        Raises
+        ------
+        ServiceError
+            BadSessionIdInvalid, BadSessionNotActivated, BadSecureChannelIdInvalid.
+        """
+        self._check_policy()
+        session = self._listener.sessions.find(header.AuthenticationToken)
+        if session.line is not self._connection:
+            raise ServiceError(_Codes.BadSecureChannelIdInvalid)
+        if not session.active:
+            raise ServiceError(_Codes.BadSessionNotActivated)
+        return session
+
+    async def answer(
+        self, service: object, header: ua.RequestHeader, body: Buffer, budget: seams.Budget
+    ) -> Any:  # noqa: ANN401 - any response
+        """Answer a request that needs no active session.
+
+        Raises
+        ------
+        ServiceError
+        """
+        if service not in _DISCOVERY:
+            self._check_policy()
+        if service == _ENDPOINTS:
+            asked = seams.decode(ua.GetEndpointsParameters, body, budget)
+            return ua.GetEndpointsResponse(Endpoints=self._endpoints(asked))
+        if service == _SERVERS:
+            wanted = seams.decode(ua.FindServersParameters, body, budget)
+            return ua.FindServersResponse(Servers=self._servers(wanted))
+        if service == _CREATE:
+            return self._create(seams.decode(ua.CreateSessionParameters, body, budget))
+        if service == _ACTIVATE:
+            activate = seams.decode(ua.ActivateSessionParameters, body, budget)
+            return await self._activate(header, activate)
+        keep = not ua_binary.Primitives.Boolean.unpack(body)
+        return self._close(header, keep_subscriptions=keep)
+
+    def _check_policy(self) -> None:
+        if self._connection.channel.discovery_only:
+            raise ServiceError(_Codes.BadSecurityPolicyRejected)
+
+    def _create(self, params: ua.CreateSessionParameters) -> ua.CreateSessionResponse:
+        channel, listener = self._connection.channel, self._listener
+        policy = channel.security_policy
+        certificate = channel.peer_certificate
+        if certificate is not None:
+            if params.ClientCertificate != certificate:
+                raise ServiceError(_Codes.BadSecurityChecksFailed)
+            if len(params.ClientNonce or b"") < _SMALLEST_NONCE:
+                raise ServiceError(_Codes.BadNonceInvalid)
+            shown = uacrypto.x509_from_der(certificate)
+            if params.ClientDescription.ApplicationUri not in application_uris(shown):
+                raise ServiceError(_Codes.BadCertificateUriInvalid)
+        session = listener.sessions.create(self._connection, params)
+        asked = ua.GetEndpointsParameters(EndpointUrl=params.EndpointUrl)
+        response = ua.CreateSessionResponse()
+        result = response.Parameters
+        result.SessionId = session.id
+        result.AuthenticationToken = session.token
+        result.RevisedSessionTimeout = session.timeout_s * 1e3
+        result.ServerNonce = session.nonce
+        result.ServerCertificate = listener.certificate_der
+        result.ServerEndpoints = self._endpoints(asked)
+        result.MaxRequestMessageSize = listener.limits.message_bytes
+        if certificate is not None:
+            proof = certificate + (params.ClientNonce or b"")
+            result.ServerSignature.Signature = policy.asymmetric_cryptography.signature(proof)
+            result.ServerSignature.Algorithm = policy.AsymmetricSignatureURI
+        _audit.info("session created by %s at %s", _shown(session.application_uri), session.host)
+        return response
+
+    async def _activate(
+        self, header: ua.RequestHeader, params: ua.ActivateSessionParameters
+    ) -> ua.ActivateSessionResponse:
+        listener, connection = self._listener, self._connection
+        session = listener.sessions.find(header.AuthenticationToken)
+        moves = session.line is not connection
+        if connection.peer_certificate != session.peer_certificate:
+            raise ServiceError(_Codes.BadSecurityChecksFailed)
+        self._verify(session, params.ClientSignature)
+        challenge = Challenge(listener.certificate_der, listener.key, session.nonce)
+        try:
+            principal = await connection.outside(
+                identify(
+                    params.UserIdentityToken,
+                    params.UserTokenSignature,
+                    challenge,
+                    listener.users,
+                    session.host,
+                    listener.guesses,
+                    anonymous_allowed=listener.anonymous_allowed,
+                )
+            )
+        except ServiceError as error:
+            reason = ua.StatusCode(error.code).name
+            _audit.warning("log-in refused at %s: %s", session.host, reason)
+            raise
+        if moves and (not session.active or principal != session.principal):
+            raise ServiceError(_Codes.BadIdentityTokenRejected)
+        if session.closed:
+            raise ServiceError(_Codes.BadSessionIdInvalid)
+        session.principal = principal
+        if moves:
+            session.bind(connection)
+        session.touch()
+        self.done = True
+        connection.log_in()
+        _audit.info("session activated by %s at %s", principal, session.host)
+        response = ua.ActivateSessionResponse()
+        response.Parameters.ServerNonce = session.new_nonce()
+        return response
+
+    def _close(
+        self, header: ua.RequestHeader, *, keep_subscriptions: bool
+    ) -> ua.CloseSessionResponse:
+        session = self._listener.sessions.find(header.AuthenticationToken)
+        if session.line is not self._connection:
+            raise ServiceError(_Codes.BadSecureChannelIdInvalid)
+        self._listener.sessions.close(session, keep_subscriptions=keep_subscriptions)
+        _audit.info("session closed by %s at %s", session.principal, session.host)
+        return ua.CloseSessionResponse()
+
+    def _verify(self, session: Session, signature: ua.SignatureData) -> None:
+        """Check that whoever activates holds the key of the channel's certificate."""
+        channel = self._connection.channel
+        if channel.is_plain:
+            return
+        proof = self._listener.certificate_der + session.nonce
+        try:
+            channel.security_policy.asymmetric_cryptography.verify(
+                proof, signature.Signature or b""
+            )
+        except (InvalidSignature, uacrypto.InvalidSignature) as error:
+            raise ServiceError(_Codes.BadApplicationSignatureInvalid) from error
+
+    def _endpoints(self, params: ua.GetEndpointsParameters) -> list[ua.EndpointDescription]:
+        profiles = params.ProfileUris or []
+        return [
+            endpoint
+            for endpoint in self._listener.endpoints(self._reached_as(params.EndpointUrl))
+            if not profiles or endpoint.TransportProfileUri in profiles
+        ]
+
+    def _servers(self, params: ua.FindServersParameters) -> list[ua.ApplicationDescription]:
+        endpoints = self._listener.endpoints(self._reached_as(params.EndpointUrl))
+        server = endpoints[0].Server
+        wanted = params.ServerUris or []
+        return [server] if not wanted or server.ApplicationUri in wanted else []
+
+    def _reached_as(self, url: str | None) -> str | None:
+        """Return host and port under which the peer reaches us, if it says so sensibly."""
+        try:
+            found = urlparse(url or "").netloc
+        except ValueError:
+            return None
+        return found if _HOST.fullmatch(found) else None
+
+
+def _shown(text: str) -> str:
+    return ascii(text)[1:121]

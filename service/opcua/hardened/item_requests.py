@@ -1,0 +1,235 @@
+"""Requests for monitored items: checked and revised (Part 4, 5.13.2)."""
+
+import logging
+import math
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.address_space import AddressSpace
+from asyncua.server.monitored_item_service import WhereClauseEvaluator
+
+from service.opcua.hardened.data_change import DataChangeFilter, FilterRefused, change_rule
+from service.opcua.hardened.index_range import IndexRangeError, Ranges, parse_index_range
+from service.opcua.hardened.monitored_item import DataItem, EventItem, Item, Monitoring
+from service.opcua.hardened.settings import Limits
+from service.opcua.hardened.subscription import Subscription
+
+_log = logging.getLogger(__name__)
+_Codes = ua.StatusCodes
+_HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
+_MAX_SELECT_CLAUSES = 100
+_MAX_WHERE_ELEMENTS = 20
+
+
+class ItemRefused(Exception):  # noqa: N818 - it is an answer
+    """An item cannot be monitored as wanted; ``code`` says why."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def data_item(
+    aspace: AddressSpace,
+    limits: Limits,
+    subscription: Subscription,
+    number: int,
+    request: ua.MonitoredItemCreateRequest,
+    stamps: ua.TimestampsToReturn,
+) -> tuple[DataItem, ua.MonitoredItemCreateResult]:
+    """Make an item that monitors an attribute.
+
+    Raises
+    ------
+    ItemRefused
+    """
+    wanted = request.ItemToMonitor
+    _check_attribute(aspace, wanted)
+    ranges = _ranges(wanted)
+    monitoring = _monitoring(
+        aspace, limits, subscription, wanted, request.RequestedParameters, stamps
+    )
+    item = DataItem(subscription, number, wanted, request.MonitoringMode, monitoring, ranges)
+    return item, ua.MonitoredItemCreateResult(
+        MonitoredItemId=number,
+        RevisedSamplingInterval=monitoring.interval_s * 1e3,
+        RevisedQueueSize=monitoring.queue_size,
+    )
+
+
+def event_item(
+    aspace: AddressSpace,
+    limits: Limits,
+    subscription: Subscription,
+    number: int,
+    request: ua.MonitoredItemCreateRequest,
+) -> tuple[EventItem, WhereClauseEvaluator | None, ua.MonitoredItemCreateResult]:
+    """Make an item that monitors events.
+
+    Raises
+    ------
+    ItemRefused
+    """
+    wanted, asked = request.ItemToMonitor, request.RequestedParameters
+    held = aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.EventNotifier)
+    if held.StatusCode.value in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid):
+        raise ItemRefused(held.StatusCode.value)
+    if not held.Value.Value & (1 << ua.EventNotifier.SubscribeToEvents):
+        raise ItemRefused(_Codes.BadNotSupported)
+    wish = asked.Filter
+    if not isinstance(wish, ua.EventFilter):
+        raise ItemRefused(_Codes.BadEventFilterInvalid)
+    where = _where(aspace, wish)
+    size = max(1, min(asked.QueueSize or limits.event_queue_size, limits.event_queue_size))
+    item = EventItem(
+        subscription,
+        number,
+        wanted,
+        request.MonitoringMode,
+        asked.ClientHandle,
+        size,
+        discard_oldest=bool(asked.DiscardOldest),
+    )
+    selected = [ua.StatusCode() for _ in wish.SelectClauses]
+    return (
+        item,
+        where,
+        ua.MonitoredItemCreateResult(
+            MonitoredItemId=number,
+            RevisedSamplingInterval=0.0,
+            RevisedQueueSize=size,
+            FilterResult=ua.EventFilterResult(SelectClauseResults=selected),
+        ),
+    )
+
+
+def modified(
+    aspace: AddressSpace,
+    limits: Limits,
+    subscription: Subscription,
+    item: Item,
+    asked: ua.MonitoringParameters,
+    stamps: ua.TimestampsToReturn,
+) -> ua.MonitoredItemModifyResult:
+    """Give an item new parameters.
+
+    Raises
+    ------
+    ItemRefused
+    """
+    if isinstance(item, EventItem):
+        raise ItemRefused(_Codes.BadMonitoredItemFilterUnsupported)
+    monitoring = _monitoring(aspace, limits, subscription, item.wanted, asked, stamps)
+    item.modify(monitoring)
+    return ua.MonitoredItemModifyResult(
+        RevisedSamplingInterval=monitoring.interval_s * 1e3,
+        RevisedQueueSize=monitoring.queue_size,
+    )
+
+
+def _monitoring(
+    aspace: AddressSpace,
+    limits: Limits,
+    subscription: Subscription,
+    wanted: ua.ReadValueId,
+    asked: ua.MonitoringParameters,
+    stamps: ua.TimestampsToReturn,
+) -> Monitoring:
+    if stamps not in tuple(ua.TimestampsToReturn)[:4]:
+        raise ItemRefused(_Codes.BadTimestampsToReturnInvalid)
+    is_value = wanted.AttributeId == ua.AttributeIds.Value
+    kind = _value_kind(aspace, wanted.NodeId) if is_value else None
+    span = _eu_span(aspace, wanted.NodeId) if is_value else None
+    try:
+        rule = change_rule(asked.Filter, kind, span)
+    except FilterRefused as refused:
+        raise ItemRefused(refused.code) from refused
+    if asked.Filter is not None and not is_value and isinstance(asked.Filter, DataChangeFilter):
+        raise ItemRefused(_Codes.BadFilterNotAllowed)
+    return Monitoring(
+        client_handle=asked.ClientHandle,
+        rule=rule,
+        queue_size=max(1, min(asked.QueueSize, limits.queue_size)),
+        discard_oldest=bool(asked.DiscardOldest),
+        interval_s=_sampling_interval(asked.SamplingInterval, limits, subscription),
+        stamps=stamps,
+    )
+
+
+def _sampling_interval(wish: float, limits: Limits, subscription: Subscription) -> float:
+    """Revise it: -1 is the publishing interval, short ones mean every change."""
+    if math.isnan(wish):
+        return 0.0
+    seconds = subscription.timing.interval_s if wish < 0.0 else wish / 1e3
+    if seconds * 1e3 <= limits.publishing_interval_ms:
+        return 0.0
+    return min(seconds, limits.longest_publishing_interval_ms / 1e3)
+
+
+def _check_attribute(aspace: AddressSpace, wanted: ua.ReadValueId) -> None:
+    held = aspace.read_attribute_value(wanted.NodeId, wanted.AttributeId)
+    if held.StatusCode.value in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid):
+        raise ItemRefused(held.StatusCode.value)
+    encoding = wanted.DataEncoding
+    if encoding is not None and encoding.Name:
+        raise ItemRefused(_Codes.BadDataEncodingInvalid)
+    if wanted.AttributeId == ua.AttributeIds.Value:
+        level = aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.AccessLevel)
+        if not level.Value.Value & (1 << ua.AccessLevel.CurrentRead):
+            raise ItemRefused(_Codes.BadNotReadable)
+
+
+def _ranges(wanted: ua.ReadValueId) -> Ranges | None:
+    if not wanted.IndexRange:
+        return None
+    try:
+        return parse_index_range(wanted.IndexRange)
+    except IndexRangeError as error:
+        raise ItemRefused(_Codes.BadIndexRangeInvalid) from error
+
+
+def _value_kind(aspace: AddressSpace, nodeid: ua.NodeId) -> ua.VariantType | None:
+    data_type = aspace.read_attribute_value(nodeid, ua.AttributeIds.DataType)
+    found = data_type.Value.Value if data_type.Value is not None else None
+    if (
+        isinstance(found, ua.NodeId)
+        and found.NamespaceIndex == 0
+        and isinstance(found.Identifier, int)
+        and found.Identifier <= 25
+    ):
+        return ua.VariantType(found.Identifier)
+    held = aspace.read_attribute_value(nodeid, ua.AttributeIds.Value).Value
+    return None if held is None else held.VariantType
+
+
+def _eu_span(aspace: AddressSpace, nodeid: ua.NodeId) -> float | None:
+    for reference in aspace[nodeid].references:
+        if (
+            reference.IsForward
+            and reference.ReferenceTypeId == _HAS_PROPERTY
+            and reference.BrowseName.Name == "EURange"
+        ):
+            held = aspace.read_attribute_value(reference.NodeId, ua.AttributeIds.Value).Value
+            found: Any = held.Value if held is not None else None
+            return None if found is None else float(found.High - found.Low)
+    return None
+
+
+def _where(aspace: AddressSpace, wish: ua.EventFilter) -> WhereClauseEvaluator | None:
+    if not wish.SelectClauses or len(wish.SelectClauses) > _MAX_SELECT_CLAUSES:
+        raise ItemRefused(_Codes.BadEventFilterInvalid)
+    elements = wish.WhereClause.Elements if wish.WhereClause is not None else None
+    if not elements:
+        return None
+    if len(elements) > _MAX_WHERE_ELEMENTS:
+        raise ItemRefused(_Codes.BadEventFilterInvalid)
+    used: set[int] = set()
+    for number, element in enumerate(elements):
+        for operand in element.FilterOperands or ():
+            if not isinstance(operand, ua.ElementOperand):
+                continue
+            # forward and once, so that the evaluation ends, and soon (Part 4, 7.7.4.2)
+            if not number < operand.Index < len(elements) or operand.Index in used:
+                raise ItemRefused(_Codes.BadEventFilterInvalid)
+            used.add(operand.Index)
+    return WhereClauseEvaluator(_log, aspace, wish.WhereClause)

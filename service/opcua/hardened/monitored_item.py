@@ -1,0 +1,316 @@
+"""Monitored items: what they sample, what they queue, what they lose (Part 4, 5.13)."""
+
+import dataclasses
+from collections import deque
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from asyncua import ua
+
+from service.opcua.hardened.data_change import ChangeRule
+from service.opcua.hardened.encoding import encode_data_value
+from service.opcua.hardened.index_range import Ranges, select
+
+if TYPE_CHECKING:
+    from service.opcua.hardened.subscription import Subscription
+
+_OVERFLOW = 0x0480  # InfoType DataValue, Overflow (Part 4, 7.39.1)
+
+
+class _Done:
+    """Awaiting it takes no time: asyncua awaits its callbacks, ours are done when they return."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield from ()
+
+
+_DONE = _Done()
+
+
+@dataclass
+class Ledger:
+    """What all queues hold and have lost."""
+
+    capacity: int
+    queued: int = 0
+    lost: int = 0
+
+
+@dataclass
+class Monitoring:
+    """What a client may modify: the parameters of an item, as revised."""
+
+    client_handle: int
+    rule: ChangeRule
+    queue_size: int
+    discard_oldest: bool
+    interval_s: float  # 0: every change
+    stamps: ua.TimestampsToReturn
+
+
+class DataItem:
+    """Monitors one attribute of one node."""
+
+    __slots__ = (
+        "_due",
+        "_ledger",
+        "_pending",
+        "_queue",
+        "_reported",
+        "_subscription",
+        "callback_handle",
+        "links",
+        "mode",
+        "monitoring",
+        "number",
+        "ranges",
+        "wanted",
+    )
+
+    def __init__(
+        self,
+        subscription: "Subscription",
+        number: int,
+        wanted: ua.ReadValueId,
+        mode: ua.MonitoringMode,
+        monitoring: Monitoring,
+        ranges: Ranges | None,
+    ) -> None:
+        self.number = number
+        self.wanted = wanted
+        self.mode = mode
+        self.monitoring = monitoring
+        self.ranges = ranges
+        self.callback_handle = 0
+        self.links: set[int] = set()
+        self._subscription = subscription
+        self._ledger = subscription.ledger
+        self._queue: deque[ua.DataValue] = deque()
+        self._reported: ua.DataValue | None = None
+        self._pending: ua.DataValue | None = None
+        self._due = 0.0
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def __bool__(self) -> bool:
+        return True
+
+    @property
+    def client_handle(self) -> int:
+        """The client's own number of the item."""
+        return self.monitoring.client_handle
+
+    def __call__(
+        self, _handle: int, value: ua.DataValue | None, error: ua.StatusCode | None = None
+    ) -> _Done:
+        """Take a change (asyncua's callback)."""
+        if self.mode != ua.MonitoringMode.Disabled:
+            self._sample(ua.DataValue(StatusCode=error) if value is None else value)
+        return _DONE
+
+    def start(self, value: ua.DataValue) -> None:
+        """Sample for the first time, or again after the item was disabled."""
+        self._due = 0.0
+        self._reported = None
+        self._sample(value)
+
+    def repeat(self, value: ua.DataValue) -> None:
+        """Report the value even if it was reported before (for a new owner)."""
+        if self.mode != ua.MonitoringMode.Disabled and not self._queue:
+            self.start(value)
+
+    def sample_pending(self, now: float) -> bool:
+        """Take the value that waited for its sampling time; tell whether it still waits."""
+        if self._pending is None:
+            return False
+        if now < self._due:
+            return True
+        value, self._pending = self._pending, None
+        self._sample(value)
+        return False
+
+    def set_mode(self, mode: ua.MonitoringMode) -> bool:
+        """Change the mode; tell whether a first sample is due."""
+        was_disabled = self.mode == ua.MonitoringMode.Disabled
+        self.mode = mode
+        if mode == ua.MonitoringMode.Disabled:
+            self.clear()
+            return False
+        if mode == ua.MonitoringMode.Reporting and self._queue:
+            self._subscription.has_news(self)
+        return was_disabled
+
+    def modify(self, monitoring: Monitoring) -> None:
+        """Take new parameters; a shorter queue loses its surplus."""
+        self.monitoring = monitoring
+        while len(self._queue) > monitoring.queue_size:
+            if monitoring.discard_oldest:
+                self._queue.popleft()
+            else:
+                self._queue.pop()
+            self._ledger.queued -= 1
+            self._ledger.lost += 1
+
+    def take(self, most: int) -> list[bytes]:
+        """Take up to ``most`` notifications out of the queue, encoded."""
+        monitoring, queue = self.monitoring, self._queue
+        handle = monitoring.client_handle.to_bytes(4, "little")
+        stamps = monitoring.stamps
+        count = min(most, len(queue))
+        self._ledger.queued -= count
+        return [handle + encode_data_value(queue.popleft(), stamps) for _ in range(count)]
+
+    def clear(self) -> None:
+        """Forget what is queued."""
+        self._ledger.queued -= len(self._queue)
+        self._queue.clear()
+        self._pending = None
+
+    def _sample(self, value: ua.DataValue) -> None:
+        interval = self.monitoring.interval_s
+        if interval > 0.0:
+            now = self._subscription.time()
+            if self._pending is not None and now >= self._due:
+                self._report(self._pending)
+                self._due += interval
+            if now < self._due:
+                self._pending = value
+                self._subscription.has_pending(self)
+                return
+            # on a grid, so that jitter does not thin out a signal of just that rate
+            grid = self._due + interval
+            self._due = grid if grid > now else now + interval
+        self._pending = None
+        self._report(value)
+
+    def _report(self, value: ua.DataValue) -> None:
+        if self.ranges is not None:
+            value = _cut(value, self.ranges)
+        if self.monitoring.rule.is_change(self._reported, value):
+            self._reported = value
+            self._push(value)
+
+    def _push(self, value: ua.DataValue) -> None:
+        queue, ledger, size = self._queue, self._ledger, self.monitoring.queue_size
+        if len(queue) < size and (ledger.queued < ledger.capacity or not queue):
+            queue.append(value)
+            ledger.queued += 1
+        elif len(queue) == 1 == size:
+            queue[0] = value  # a queue of one holds the newest value; no overflow is told of it
+        elif self.monitoring.discard_oldest:
+            ledger.lost += 1
+            queue.popleft()
+            queue.append(value)
+            queue[0] = _overflown(queue[0])
+        else:
+            ledger.lost += 1
+            queue[-1] = _overflown(value)
+        if self.mode == ua.MonitoringMode.Reporting:
+            self._subscription.has_news(self)
+        if self.links:
+            self._subscription.trigger(self)
+
+
+Event = tuple[int, Sequence[ua.Variant]]  # client handle, fields
+
+
+class EventItem:
+    """Monitors the events of one object."""
+
+    __slots__ = (
+        "_ledger",
+        "_queue",
+        "_subscription",
+        "callback_handle",
+        "client_handle",
+        "discard_oldest",
+        "links",
+        "mode",
+        "number",
+        "queue_size",
+        "wanted",
+    )
+
+    def __init__(
+        self,
+        subscription: "Subscription",
+        number: int,
+        wanted: ua.ReadValueId,
+        mode: ua.MonitoringMode,
+        client_handle: int,
+        queue_size: int,
+        *,
+        discard_oldest: bool,
+    ) -> None:
+        self.number = number
+        self.wanted = wanted
+        self.mode = mode
+        self.client_handle = client_handle
+        self.queue_size = queue_size
+        self.discard_oldest = discard_oldest
+        self.callback_handle = 0
+        self.links: set[int] = set()
+        self._subscription = subscription
+        self._ledger = subscription.ledger
+        self._queue: deque[Sequence[ua.Variant]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def __bool__(self) -> bool:
+        return True
+
+    def notify(self, event_fields: Sequence[ua.Variant]) -> None:
+        """Queue an event."""
+        if self.mode == ua.MonitoringMode.Disabled:
+            return
+        if len(self._queue) < self.queue_size and self._ledger.queued < self._ledger.capacity:
+            self._queue.append(event_fields)
+            self._ledger.queued += 1
+        else:
+            self._ledger.lost += 1
+            if self.discard_oldest and self._queue:
+                self._queue.popleft()
+                self._queue.append(event_fields)
+        if self.mode == ua.MonitoringMode.Reporting and self._queue:
+            self._subscription.has_news(self)
+
+    def set_mode(self, mode: ua.MonitoringMode) -> bool:
+        """Change the mode; events have no first sample."""
+        self.mode = mode
+        if mode == ua.MonitoringMode.Disabled:
+            self.clear()
+        elif mode == ua.MonitoringMode.Reporting and self._queue:
+            self._subscription.has_news(self)
+        return False
+
+    def take(self, most: int) -> list[Event]:
+        """Take up to ``most`` events out of the queue."""
+        count = min(most, len(self._queue))
+        self._ledger.queued -= count
+        return [(self.client_handle, self._queue.popleft()) for _ in range(count)]
+
+    def clear(self) -> None:
+        """Forget what is queued."""
+        self._ledger.queued -= len(self._queue)
+        self._queue.clear()
+
+
+Item = DataItem | EventItem
+
+
+def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:
+    if value.StatusCode is not None and value.StatusCode.is_bad():
+        return value
+    piece = select(value.Value, ranges)
+    if piece is None:
+        code = ua.StatusCode(ua.StatusCodes.BadIndexRangeNoData)
+        return dataclasses.replace(value, Value=ua.Variant(), StatusCode=code)
+    return dataclasses.replace(value, Value=piece)
+
+
+def _overflown(value: ua.DataValue) -> ua.DataValue:
+    code = value.StatusCode.value if value.StatusCode is not None else 0
+    return dataclasses.replace(value, StatusCode=ua.StatusCode(code | _OVERFLOW))

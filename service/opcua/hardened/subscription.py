@@ -1,0 +1,251 @@
+"""One subscription: when it publishes, what it keeps for Republish (Part 4, 5.14)."""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from asyncua import ua
+
+from service.opcua.hardened.encoding import (
+    encode_data_changes,
+    encode_events,
+    encode_message,
+    encode_status_change,
+)
+from service.opcua.hardened.monitored_item import DataItem, Event, Item, Ledger
+
+_LAST_SEQUENCE = 2**32 - 1
+
+
+class Owner(Protocol):
+    """The session that a subscription publishes to."""
+
+    def publish(self, subscription: "Subscription") -> bool:
+        """Send the subscription's next message if a publish request waits, else remember it."""
+
+    def has_publish_requests(self) -> bool:
+        """Tell whether a publish request waits."""
+
+    def lose(self, subscription: "Subscription", code: int | None = None) -> None:
+        """Lose a subscription; tell the client why if there is a code."""
+
+
+@dataclass
+class Timing:
+    """Revised parameters of a subscription."""
+
+    interval_s: float
+    keep_alive_count: int
+    lifetime_count: int
+    notifications_per_publish: int
+    priority: int
+
+
+@dataclass(frozen=True)
+class Message:
+    """What goes into one publish response."""
+
+    sequence: int
+    content: bytes
+    available: tuple[int, ...]
+    more: bool
+
+
+@dataclass
+class RepublishStore:
+    """Room for unacknowledged messages, shared by all subscriptions."""
+
+    messages: int
+    capacity: int
+    held: int = 0
+
+
+class Subscription:
+    """Collects what its items report and publishes it in its own rhythm."""
+
+    def __init__(
+        self,
+        number: int,
+        owner: Owner,
+        timing: Timing,
+        ledger: Ledger,
+        store: RepublishStore,
+        utc_ticks: Callable[[], int],
+        expired: Callable[["Subscription"], None],
+        *,
+        publishing: bool,
+    ) -> None:
+        self.number = number
+        self.owner = owner
+        self.timing = timing
+        self.ledger = ledger
+        self.publishing = publishing
+        self.items: dict[int, Item] = {}
+        self.waiting_since: float | None = None
+        self.republished = 0
+        self.late_cycles = 0
+        self._store = store
+        self._utc_ticks = utc_ticks
+        self._expired = expired
+        self._news: dict[int, Item] = {}
+        self._pending: dict[int, DataItem] = {}
+        self._status_changes: list[int] = []
+        self._unacknowledged: OrderedDict[int, bytes] = OrderedDict()
+        self._sequence = 1
+        self._silent_cycles = timing.keep_alive_count  # the first cycle always sends a message
+        self._unheard_cycles = 0
+        self._loop = asyncio.get_running_loop()
+        self._next_cycle = self._loop.time() + timing.interval_s
+        self._timer = self._loop.call_at(self._next_cycle, self._cycle)
+
+    def time(self) -> float:
+        """Return the event loop's time, s."""
+        return self._loop.time()
+
+    def has_news(self, item: Item) -> None:
+        """Note that an item has something to report."""
+        self._news[item.number] = item
+
+    def has_pending(self, item: DataItem) -> None:
+        """Note that an item holds a value back until its sampling time."""
+        self._pending[item.number] = item
+
+    def trigger(self, item: Item) -> None:
+        """Report what the items linked to this one have sampled."""
+        for number in item.links:
+            linked = self.items.get(number)
+            if linked is not None and len(linked):
+                self._news[number] = linked
+
+    def tell_status(self, code: int) -> None:
+        """Tell the client of the end of the subscription, or of its transfer."""
+        self._status_changes.append(code)
+
+    def has_message(self) -> bool:
+        """Tell whether something is to be sent now."""
+        if self._status_changes or (self.publishing and self._news):
+            return True
+        return self._silent_cycles >= self.timing.keep_alive_count
+
+    def next_message(self) -> Message:
+        """Take the next message: notifications, or a keep-alive if there are none."""
+        self._silent_cycles = 0
+        self._unheard_cycles = 0
+        notifications = self._take_notifications()
+        sequence = self._sequence
+        content = encode_message(sequence, self._utc_ticks(), notifications)
+        if notifications:
+            self._sequence = 1 if sequence == _LAST_SEQUENCE else sequence + 1
+            self._keep(sequence, content)
+        more = self.publishing and bool(self._news)
+        return Message(sequence, content, tuple(self._unacknowledged), more)
+
+    def heard_of(self) -> None:
+        """Note that the client still asks: the lifetime starts anew."""
+        self._unheard_cycles = 0
+
+    def acknowledge(self, sequence: int) -> int:
+        """Drop a message the client has; a status code."""
+        content = self._unacknowledged.pop(sequence, None)
+        if content is None:
+            return ua.StatusCodes.BadSequenceNumberUnknown
+        self._store.held -= len(content)
+        return ua.StatusCodes.Good
+
+    def republish(self, sequence: int) -> bytes | None:
+        """Return a message that was sent and not acknowledged."""
+        self.heard_of()
+        content = self._unacknowledged.get(sequence)
+        self.republished += content is not None
+        return content
+
+    @property
+    def available(self) -> list[int]:
+        """Sequence numbers that can be asked for again."""
+        return list(self._unacknowledged)
+
+    def retime(self, timing: Timing) -> None:
+        """Take revised parameters; the rhythm starts anew."""
+        self.timing = timing
+        self.heard_of()
+        self._timer.cancel()
+        self._next_cycle = self._loop.time() + timing.interval_s
+        self._timer = self._loop.call_at(self._next_cycle, self._cycle)
+
+    def forget(self, item: Item) -> None:
+        """Drop an item and what it had queued."""
+        item.clear()
+        self.items.pop(item.number, None)
+        self._news.pop(item.number, None)
+        self._pending.pop(item.number, None)
+        for other in self.items.values():
+            other.links.discard(item.number)
+
+    def stop(self) -> None:
+        """End the rhythm and free what is held."""
+        self._timer.cancel()
+        for item in self.items.values():
+            item.clear()
+        self._news.clear()
+        self._pending.clear()
+        self._store.held -= sum(map(len, self._unacknowledged.values()))
+        self._unacknowledged.clear()
+
+    def _cycle(self) -> None:
+        now = self._loop.time()
+        interval = self.timing.interval_s
+        missed = max(0, int((now - self._next_cycle) / interval))
+        self._next_cycle += (missed + 1) * interval
+        self._timer = self._loop.call_at(self._next_cycle, self._cycle)
+        if self._pending:
+            self._pending = {
+                number: item for number, item in self._pending.items() if item.sample_pending(now)
+            }
+        if self.owner.has_publish_requests():
+            self._unheard_cycles = 0
+        else:
+            self._unheard_cycles += 1
+            if self._unheard_cycles >= self.timing.lifetime_count:
+                self._expired(self)
+                return
+        if not self.has_message():
+            self._silent_cycles += 1
+        if self.has_message() and not self.owner.publish(self):
+            self.late_cycles += 1
+
+    def _take_notifications(self) -> list[bytes]:
+        if self._status_changes:
+            return [encode_status_change(self._status_changes.pop(0))]
+        if not self.publishing or not self._news:
+            return []
+        room = self.timing.notifications_per_publish
+        changes: list[bytes] = []
+        events: list[Event] = []
+        for number, item in list(self._news.items()):
+            if room <= 0:
+                break
+            before = len(item)
+            if isinstance(item, DataItem):
+                changes += item.take(room)
+            else:
+                events += item.take(room)
+            room -= before - len(item)
+            if not len(item):
+                del self._news[number]
+        notifications = []
+        if changes:
+            notifications.append(encode_data_changes(changes))
+        if events:
+            notifications.append(encode_events(events))
+        return notifications
+
+    def _keep(self, sequence: int, content: bytes) -> None:
+        self._unacknowledged[sequence] = content
+        self._store.held += len(content)
+        while len(self._unacknowledged) > self._store.messages or (
+            self._store.held > self._store.capacity and len(self._unacknowledged) > 1
+        ):
+            _, dropped = self._unacknowledged.popitem(last=False)
+            self._store.held -= len(dropped)
