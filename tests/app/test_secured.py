@@ -1,0 +1,122 @@
+"""Rig and service as one installs them: init, certificates, users; no door is open."""
+
+import asyncio
+
+import pytest
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import (
+    SecurityPolicyAes256Sha256RsaPss,
+    SecurityPolicyBasic256Sha256,
+)
+from support.processes import free_port, rig_url, run, running, service_url, wait_for
+
+from service.opcua.hardened import Pki, ensure_certificate
+
+POLICIES = [SecurityPolicyBasic256Sha256, SecurityPolicyAes256Sha256RsaPss]
+CLIENT_URI = "urn:test:client"
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plant")
+    data = folder / "data"
+    env = {"VALVEMAP_OPERATOR_PASSWORD": "a long enough password", "VALVEMAP_DATA": str(data)}
+    made = run("init", env=env)
+    assert made.returncode == 0, made.stderr
+    assert "a long enough password" not in made.stdout
+    rig, service = rig_url(free_port()), service_url(free_port())
+    env |= {"VALVEMAP_RIG_URL": rig, "VALVEMAP_SOURCE__URL": rig, "VALVEMAP_SERVER__URL": service}
+    rig_log, service_log = folder / "rig.log", folder / "service.log"
+    with running("rig", "--scenario", "demo", env=env, log=rig_log) as rig_process:
+        wait_for(rig_log, rig, rig_process)
+        serve = ["serve", "--config", str(data / "service.toml")]
+        with running(*serve, env=env, log=service_log) as process:
+            wait_for(service_log, "source connected", process)
+            yield {"rig": rig, "service": service, "data": data, "env": env}
+        assert process.returncode == 0
+    assert "a long enough password" not in service_log.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A client's certificate that the service learns to trust the way a person teaches it."""
+    pki = Pki(tmp_path_factory.mktemp("client"))
+    return ensure_certificate(pki, CLIENT_URI, ("localhost",), "client")
+
+
+async def connected(plant, own, policy=SecurityPolicyBasic256Sha256, user="operator"):
+    client = Client(plant["service"])
+    client.application_uri = CLIENT_URI
+    if user:
+        client.set_user(user)
+        client.set_password("a long enough password")
+    await client.set_security(policy, str(own.certificate), str(own.key))
+    return client
+
+
+async def test_an_unknown_client_is_refused_until_it_is_trusted(plant, own):
+    client = await connected(plant, own)
+    with pytest.raises((ua.UaError, OSError, asyncio.TimeoutError)):
+        async with client:
+            pass
+    rejected = run("trust", env=plant["env"]).stdout.split()
+    assert len(rejected) == 1
+    assert run("trust", rejected[0], env=plant["env"]).returncode in (0, 1)
+    trusted = run("trust", str(own.certificate), env=plant["env"])
+    assert trusted.returncode == 0, trusted.stderr
+
+
+@pytest.mark.parametrize("policy", POLICIES, ids=lambda policy: policy.__name__)
+async def test_a_trusted_client_reads_results_under_either_policy(plant, own, policy):
+    run("trust", str(own.certificate), env=plant["env"])
+    async with await connected(plant, own, policy) as client:
+        index = await client.get_namespace_index("urn:valvemap:service")
+        node = client.get_node(ua.NodeId("Valvistor.RLS.ParameterVector", index))
+        async with asyncio.timeout(20):
+            while True:
+                data = await node.read_data_value(raise_on_bad_status=False)
+                if data.StatusCode.is_good():
+                    break
+                await asyncio.sleep(0.1)
+        assert len(data.Value.Value) == 5
+
+
+async def test_nobody_gets_in_without_security_or_without_a_name(plant, own):
+    run("trust", str(own.certificate), env=plant["env"])
+    for url in (plant["rig"], plant["service"]):
+        with pytest.raises((ua.UaError, OSError, asyncio.TimeoutError)):
+            async with Client(url, timeout=2):
+                pass
+    nameless = await connected(plant, own, user="")
+    with pytest.raises((ua.UaError, OSError, asyncio.TimeoutError)):
+        async with nameless:
+            pass
+
+
+async def test_only_sealed_endpoints_are_offered(plant):
+    for url in (plant["rig"], plant["service"]):
+        endpoints = await Client(url).connect_and_get_server_endpoints()
+        modes = {endpoint.SecurityMode for endpoint in endpoints}
+        assert modes == {ua.MessageSecurityMode.SignAndEncrypt}
+        assert len(endpoints) == 2
+
+
+def test_a_second_init_keeps_what_is_there(plant):
+    before = (plant["data"] / "users.json").read_bytes()
+    assert run("init", env=plant["env"]).returncode == 0
+    assert (plant["data"] / "users.json").read_bytes() == before
+
+
+def test_a_service_that_the_rig_does_not_trust_says_so(plant, tmp_path):
+    env = {**plant["env"], "VALVEMAP_SECURITY__PKI": str(tmp_path / "pki")}
+    env |= {
+        "VALVEMAP_SERVER__URL": service_url(free_port()),
+        "VALVEMAP_STATE__FILE": str(tmp_path / "state.sqlite"),
+        "VALVEMAP_SOURCE__STARTUP_TIMEOUT_S": "3",
+    }
+    answer = run("serve", "--config", str(plant["data"] / "service.toml"), env=env)
+    assert answer.returncode == 1
+    last = answer.stderr.strip().splitlines()[-1]
+    assert last.startswith("valvemap: ")
+    assert "certificate" in last
+    assert "Traceback" not in answer.stderr
