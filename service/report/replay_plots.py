@@ -49,6 +49,8 @@ class ReplayPlots:
         """
         for valve, thinned in self._valves.items():
             kept = thinned.columns
+            if not len(kept["t"]):  # not one good sample
+                continue
             residuals = {n.removeprefix("e "): e for n, e in kept.items() if n.startswith("e ")}
             agreement = self._folder / f"{valve}-agreement.png"
             plot_agreement(agreement, kept["Q"], {n: kept["Q"] - e for n, e in residuals.items()})
