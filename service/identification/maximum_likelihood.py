@@ -226,9 +226,9 @@ def recursive_maximum_likelihood(
     na: int,
     nb: int | Sequence[int],
     nd: int,
-    *,
-    lam: float = 1.0,
+    forgetting: float = 1.0,
     p0: float = 1e4,
+    *,
     theta0: ArrayLike | None = None,
     radius: float = 0.995,
 ) -> MaximumLikelihoodResult:
@@ -245,10 +245,10 @@ def recursive_maximum_likelihood(
         Inputs; where one is missing theta is held until it has left the lags.
     na, nb, nd : int
         Orders; ``nb`` may be a sequence, one order per input.
-    lam : float
-        Forgetting factor in (0, 1] that the schedule rises to.
+    forgetting : float
+        λ of exponential forgetting, in (0, 1].
     p0 : float
-        P(0) = p0·I for a and b; for d it is 0.1 over the noise variance.
+        P(0) = p0·I for a and b, > 0, beyond 1e20 as 1e20; for d it is 0.1 over the noise variance.
     theta0 : (n,), optional
         Initial parameters; an unstable D is contracted.
     radius : float
@@ -281,7 +281,7 @@ def recursive_maximum_likelihood(
     orders = np.array([na, *lags, nd], np.int64)
     if (orders < 0).any() or orders.sum() == 0:
         raise ValueError(f"orders must be >= 0, and one > 0, not na={na}, nb={nb}, nd={nd}")
-    _check_settings(nd, lam, p0, radius)
+    _check_settings(nd, forgetting, p0, radius)
 
     state = _initial_state(orders, p0)
     n = len(state.theta)
@@ -295,7 +295,7 @@ def recursive_maximum_likelihood(
     X, use = _delayed(inputs, max(lags, default=0))
     use &= np.isfinite(output)
     history = np.empty((len(output), n))
-    rule = kernel.Rule(kernel.EXPONENTIAL, float(lam), float(radius))
+    rule = kernel.Rule(kernel.EXPONENTIAL, float(forgetting), float(radius))
     run = _run(state, rule, orders, X, output, use.astype(np.uint8), history)
     return MaximumLikelihoodResult(
         theta=run.state.theta,
@@ -356,13 +356,14 @@ def _memory(state: MaximumLikelihoodState) -> kernel.Memory:
 def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
     n, nd = int(orders.sum()), int(orders[-1])
     ns = n - nd
-    unknown = max(float(p0), kernel.OPEN)
+    p0 = min(float(p0), kernel.BOUNDLESS)
+    unknown = max(p0, kernel.OPEN)
     channels = (len(orders), max(1, int(orders.max())))
     monitor = np.zeros(kernel.PLACES)
     monitor[kernel.RAMP] = kernel.RAMP_START if nd > 0 else 1.0
     return MaximumLikelihoodState(
         theta=np.zeros(n),
-        factor=np.diag(np.append(np.full(ns, float(p0)), np.zeros(nd))),
+        factor=np.diag(np.append(np.full(ns, p0), np.zeros(nd))),
         spread=np.zeros((n, n)),
         prior=np.append(np.full(ns, unknown), np.zeros(nd)),
         rls_theta=np.zeros(ns),
@@ -414,8 +415,8 @@ def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:
     if not 0 <= nd <= 8:
         raise ValueError(f"nd is {nd}; 0 to 8 is allowed")
     if not 0 < lam <= 1:
-        raise ValueError(f"lam is {lam}; 0 < lam <= 1 is allowed")
-    if not 0 < p0 <= 1e20:
-        raise ValueError(f"p0 is {p0}; 0 < p0 <= 1e20 is allowed")
+        raise ValueError(f"forgetting factor is {lam}; 0 < lam <= 1 is allowed")
+    if not p0 > 0:
+        raise ValueError(f"p0 is {p0}; a positive number is allowed")
     if not 0 < radius < 1:
         raise ValueError(f"radius is {radius}; 0 < radius < 1 is allowed")

@@ -19,7 +19,7 @@ from service.identification.samples import Quality, Samples, Status
 
 A, B, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -1.0, 0.2]
 TRUTH = np.array([-1.5, 0.7, 1.0, 0.5, -1.0, 0.2])
-PRIORS = (0.1, 1.0, 100.0, 1e4)
+PRIORS = (0.1, 1.0, 100.0, 1e4, np.inf)
 
 
 def armax(seed, N=2000):
@@ -164,7 +164,7 @@ def test_absurd_input_never_leaves_the_range_of_numbers():
         spoilt_y, spoilt_u = y.copy(), u.copy()
         spoilt_y[100:1000:97] = value
         spoilt_u[150:1000:83] = value
-        result = recursive_maximum_likelihood(spoilt_y, spoilt_u, 2, 2, 2, lam=0.99)
+        result = recursive_maximum_likelihood(spoilt_y, spoilt_u, 2, 2, 2, 0.99)
         assert np.isfinite(result.theta_history).all()
 
 
@@ -178,7 +178,7 @@ def test_arguments_that_do_not_fit_are_named():
     ]:
         with pytest.raises(ValueError, match=word):
             recursive_maximum_likelihood(*arguments)
-    with pytest.raises(ValueError, match="lam is 0"):
+    with pytest.raises(ValueError, match="factor is 0"):
         MaximumLikelihood(lam=0)
 
 

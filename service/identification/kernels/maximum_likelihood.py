@@ -28,6 +28,7 @@ RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
 RAMP_RATE = 0.99
 NOISE_PRIOR = 0.1  # variance of d before the first sample, in units of the noise variance
 OPEN = 1e6  # least prior variance (scaled regressors) that counts as knowing nothing
+BOUNDLESS = 1e20  # stands for an infinite prior variance
 UNDETERMINED = 1e-2  # share of the prior variance above which a direction counts as unknown
 LARGEST = 1e30  # input beyond it is held off
 LARGEST_RESULT = 1e100  # beyond it the state itself has left the range of numbers
@@ -332,7 +333,7 @@ def _step(
 @njit(cache=True, error_model="numpy")
 def _let_noise_in(memory: Memory, ns: int) -> None:
     """Give d its prior variance, in units of the noise variance that is known by now."""
-    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], 1e20)
+    variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
     for j in range(ns, len(memory.theta)):
         memory.prior[j] = 10.0 * variance  # room for forgetting
         memory.factor[j, j] = variance

@@ -63,7 +63,7 @@ def update(
             g = w[j] * H[j]
             S += H[j] * H[j] + g * g * z * (z + math.exp(-2.0 * log_b[j]))
         error = y[t] - guess
-        predicted[t] = guess
+        predicted[t] = guess if monitor[COUNT] > 0.0 else np.nan
         step = eta * error / (1.0 + eta * S / (1.0 - alpha))
         for j in range(m):
             g = w[j] * H[j]  # before the update, as is every gradient here
