@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import ipaddress
+import logging
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,16 +14,20 @@ from asyncua import Client, ua
 from asyncua.client.ua_session import UaSession
 from asyncua.crypto import security_policies, uacrypto
 from cryptography import x509
+from cryptography.hazmat.primitives import serialization
 
 from service.errors import CertificateError, ConfigurationError, SourceLost, SourceRejected
 from service.opcua.hardened.certificates import (
     OwnCertificate,
     Pki,
-    certificate_files,
+    expiry_warning,
     load_certificate,
-    reject,
     thumbprint,
 )
+from service.opcua.hardened.trust import CertificateRefused, application_uris, check_peer
+
+_log = logging.getLogger(__name__)
+_DER = serialization.Encoding.DER
 
 _SESSION_TIMEOUT_MS = 120_000
 _CHANNEL_LIFETIME_MS = 3_600_000
@@ -263,32 +268,32 @@ async def _secure(client: Client, settings: SourceSettings) -> None:
             f"{settings.url}: does not offer {settings.security}/SignAndEncrypt; "
             f"it offers {', '.join(offered)}"
         )
-    certificate = _first_certificate(endpoint.ServerCertificate)
-    _check_trust(settings, settings.pki, certificate, endpoint.Server.ApplicationUri)
+    certificate = _trusted(settings, settings.pki, settings.own, endpoint)
     await client.set_security(
         policy,
         certificate=settings.own.certificate,
         private_key=settings.own.key,
-        server_certificate=uacrypto.CertProperties(certificate, "der"),
+        server_certificate=uacrypto.CertProperties(certificate.public_bytes(_DER), "der"),
         mode=ua.MessageSecurityMode.SignAndEncrypt,
     )
 
 
-def _check_trust(
-    settings: SourceSettings, pki: Pki, der: bytes, application_uri: str | None
-) -> None:
-    certificate = x509.load_der_x509_certificate(der)
-    if not any(load_certificate(file) == certificate for file in certificate_files(pki.trusted)):
-        reject(pki, der)
-        raise SourceRejected(
-            f"{settings.url}: its certificate {thumbprint(der)} is not trusted; it lies in "
-            f"{pki.rejected} now: compare the thumbprint, then `valvemap trust {thumbprint(der)}`"
-        )
-    if application_uri not in _uris(certificate):
-        raise SourceRejected(
-            f"{settings.url}: its certificate {thumbprint(der)} belongs to another application "
-            f"than {application_uri}"
-        )
+def _trusted(
+    settings: SourceSettings, pki: Pki, own: OwnCertificate, endpoint: ua.EndpointDescription
+) -> x509.Certificate:
+    """The server's certificate, once it has passed all checks; else it lies in ``rejected``."""
+    try:
+        certificate = check_peer(pki, endpoint.ServerCertificate, endpoint.Server.ApplicationUri)
+    except CertificateRefused as refused:
+        advice = ""
+        if refused.code == ua.StatusCodes.BadCertificateUntrusted:
+            mark = thumbprint(_first_certificate(endpoint.ServerCertificate))
+            advice = f": compare the thumbprint, then `valvemap trust {mark}`"
+        raise SourceRejected(f"{settings.url}: {refused}{advice}") from refused
+    for known in (certificate, load_certificate(own.certificate)):
+        if warning := expiry_warning(known):
+            _log.warning("%s: %s", settings.url, warning)
+    return certificate
 
 
 def _check_password_travels_safely(client: Client, settings: SourceSettings) -> None:
@@ -311,18 +316,10 @@ def _is_this_host(host: str) -> bool:
 
 
 def _uri_of(own: OwnCertificate) -> str:
-    uris = _uris(load_certificate(own.certificate))
+    uris = application_uris(load_certificate(own.certificate))
     if not uris:
         raise CertificateError(f"{own.certificate}: names no application (URI in its SAN)")
     return uris[0]
-
-
-def _uris(certificate: x509.Certificate) -> list[str]:
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return []
-    return names.get_values_for_type(x509.UniformResourceIdentifier)
 
 
 def _first_certificate(chain: bytes) -> bytes:
