@@ -21,7 +21,7 @@ from service.opcua.hardened import (
     ensure_certificate,
     rejected,
 )
-from service.opcua.hardened import trust as trust_certificate
+from service.opcua.hardened.certificates import trust as trust_certificate
 
 _HOSTS = ["localhost", "127.0.0.1"]
 

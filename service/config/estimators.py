@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, assert_never
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.identification.auto import Auto
 from service.identification.estimator import Estimator
 from service.identification.forgetting import Directional, Exponential
 from service.identification.maximum_likelihood import MaximumLikelihood
@@ -48,16 +49,25 @@ class RbfConfig(_EstimatorSection):
     alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
 
 
-EstimatorConfig = Annotated[RlsConfig | RmlConfig | RbfConfig, Field(discriminator="kind")]
+class AutoConfig(_EstimatorSection):
+    """The structure of the map chosen online."""
+
+    kind: Literal["Auto"] = "Auto"
+    name: Name = "Auto"
+    lam: Lam = 0.998
 
 
-def default_estimators() -> tuple[RlsConfig | RmlConfig | RbfConfig, ...]:
-    """The paper's three methods."""
-    return RlsConfig(), RmlConfig(), RbfConfig()
+AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig
+EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
+
+
+def default_estimators() -> tuple[AnyEstimatorConfig, ...]:
+    """The paper's three methods, and the structure chosen online."""
+    return RlsConfig(), RmlConfig(), RbfConfig(), AutoConfig()
 
 
 def build_estimator(
-    config: RlsConfig | RmlConfig | RbfConfig, U_range: Range, dp_range: Range, Q_range: Range
+    config: AnyEstimatorConfig, U_range: Range, dp_range: Range, Q_range: Range
 ) -> Estimator[Any]:
     """The estimator that a section describes, for a valve of these ranges."""
     match config:
@@ -75,5 +85,7 @@ def build_estimator(
                 dp_range=dp_range,
                 Q_scale=max(abs(Q_range[0]), abs(Q_range[1])),
             )
+        case AutoConfig():
+            return Auto(lam=config.lam)
         case _:
             assert_never(config)

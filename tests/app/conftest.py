@@ -9,8 +9,6 @@ from service.app.build import APPLICATION_NAME, APPLICATION_URI
 from service.config.loading import load_config
 from service.opcua.hardened import ServerSettings
 
-RLS_1 = {"kind": "RLS", "name": "LSM", "forgetting": "exponential", "lam": 1.0}
-
 
 @pytest.fixture
 def start_rig(tmp_path):
@@ -25,6 +23,15 @@ def start_rig(tmp_path):
             yield process
 
     return start
+
+
+@pytest.fixture
+def quick_scenario(tmp_path):
+    """The demo's scenario, ten times as fast."""
+    file = tmp_path / "quick.toml"
+    excitation = "[excitation]\nkind = 'scattered'\nhold_s = 0.02\n"
+    file.write_text(f"name = 'quick'\ntime_factor = 10\n{excitation}", encoding="utf-8")
+    return str(file)
 
 
 @pytest.fixture

@@ -45,13 +45,13 @@ async def live(config, open_server, file):
 
 
 async def test_live_and_replay_agree_to_the_bit_and_with_batch_least_squares(
-    with_plain_least_squares, open_server, start_rig, tmp_path
+    with_plain_least_squares, open_server, start_rig, quick_scenario, tmp_path
 ):
     config = with_plain_least_squares
     by_service, by_rig = tmp_path / "service.csv", tmp_path / "rig.csv"
     port = int(config.source.url.split(":")[2].split("/")[0])
     assert config.source.url == rig_url(port)
-    with start_rig(port, "--scenario", "demo", "--record", str(by_rig)):
+    with start_rig(port, "--scenario", quick_scenario, "--record", str(by_rig)):
         identification = await live(config, open_server, by_service)
     assert identification.counters(0)["gaps"] == 0
     assert identification.counters(0)["missing"] == 0
@@ -79,9 +79,11 @@ def columns(samples):
     return np.stack([samples.t, *(x.view(np.int64) for x in floats)], axis=1)
 
 
-async def test_a_restart_takes_the_states_up_again(config, open_server, start_rig, tmp_path):
+async def test_a_restart_takes_the_states_up_again(
+    config, open_server, start_rig, quick_scenario, tmp_path
+):
     port = int(config.source.url.split(":")[2].split("/")[0])
-    with start_rig(port, "--scenario", "demo"):
+    with start_rig(port, "--scenario", quick_scenario):
         first = await live(config, open_server, tmp_path / "a.csv")
         before = first.result(0).estimators["RLS"].sample_count
         second = await live(config, open_server, tmp_path / "b.csv")
