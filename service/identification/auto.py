@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from service.identification.estimator import State
 from service.identification.kernels import cells as memory
 from service.identification.kernels import surface as kernel
-from service.identification.kernels.cells import Surface
+from service.identification.kernels.surface import Surface
 from service.identification.map_shapes import MOST_S, MOST_U, NODES_T, Shape, Variety, dp_top
 from service.identification.samples import Floats, Quality, Samples, Trace
 
@@ -165,8 +165,8 @@ class Auto:
                     usable,
                     longest,
                     state.cells,
-                    surface(state, CHAMPION),
-                    surface(state, CHALLENGER),
+                    _surface(state, CHAMPION),
+                    _surface(state, CHALLENGER),
                     state.scalars,
                     state.counters,
                     trace.predicted,
@@ -188,7 +188,7 @@ class Auto:
         n = _size(_shape(state, CHAMPION), state.tops[CHAMPION])
         Q, spread = np.empty(len(U)), np.empty(len(U))
         kernel.evaluate(
-            *surface(state, CHAMPION),
+            *_surface(state, CHAMPION),
             state.inverse[:n],
             state.mixed[:n],
             state.corner,
@@ -208,6 +208,10 @@ class Auto:
         """Q at the 55 points and its standard deviation."""
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
         return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+
+    def surface(self, state: AutoState) -> Surface:
+        """Give the map itself, for its inverse."""
+        return _surface(state, CHAMPION)
 
     def describe(self, state: AutoState) -> str:
         """Which structure speaks now."""
@@ -266,8 +270,7 @@ class Auto:
         return shape
 
 
-def surface(state: AutoState, which: int) -> Surface:
-    """The map of the champion (0) or the challenger (1)."""
+def _surface(state: AutoState, which: int) -> Surface:
     shape, top = _shape(state, which), float(state.tops[which])
     spline = shape.spline(top)
     n = _size(shape, top)

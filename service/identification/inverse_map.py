@@ -12,8 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import Estimator, State
 from service.identification.inversion import InverseStatus, Inversion
-from service.identification.model_structures import FiveTerms
+from service.identification.kernels import inverse as kernel
+from service.identification.kernels.surface import T_REFERENCE, Surface
+from service.identification.model_structures import Polynomial, Structure, TensorSpline
 from service.identification.monotone_search import search
+from service.identification.recursive_least_squares import (
+    RecursiveLeastSquares,
+    parameter_covariance,
+)
 from service.identification.samples import Codes, Floats
 
 U_MAX: Final = 100.0
@@ -24,11 +30,11 @@ S = TypeVar("S", bound=State)
 
 
 @runtime_checkable
-class Chooser(Protocol):
-    """An estimator that lets the best of several speak for it."""
+class HasSurface(Protocol):
+    """An estimator whose map is a cubic tensor spline."""
 
-    def chosen(self, state: Any) -> tuple[Estimator[Any], Any]:  # noqa: ANN401 - any estimator
-        """Name the estimator that speaks now, and its state."""
+    def surface(self, state: Any) -> Surface:  # noqa: ANN401 - the estimator's own state
+        """Knots, nodes and coefficients."""
 
 
 def invert(
@@ -39,8 +45,8 @@ def invert(
     Parameters
     ----------
     estimator, state
-        Whose map is inverted. Eq. (7) has a closed form; any other map is searched through
-        ``estimator.predict``.
+        Whose map is inverted. Eq. (7), and any polynomial of first order in U, has a closed form;
+        a spline is solved cubic by cubic; any other map is searched through ``predict``.
     Q, dp, T : (N,) or scalar
         Demanded flow in l/min, pressure drop in bar, oil temperature in °C (NaN where unknown:
         harmless to a map that does not depend on it).
@@ -52,25 +58,27 @@ def invert(
         plateau U is the smallest that delivers Q; where the map rises, falls and rises again it is
         the smallest on a rising branch.
     """
-    if isinstance(estimator, Chooser):
-        return invert(*estimator.chosen(state), Q, dp, T)
     given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (Q, dp, T)))
     finite = np.isfinite(given[0]) & np.isfinite(given[1])
     demand, drop = (np.where(finite, x, 0.0) for x in given[:2])
     temperature = np.ascontiguousarray(given[2])
     with np.errstate(all="ignore"):
-        match getattr(estimator, "structure", None):
-            case FiveTerms() as structure:
+        structure = getattr(estimator, "structure", None)
+        match structure:
+            case Polynomial() if set(structure.powers_of_U) <= {0, 1}:
                 theta = _theta_of(estimator, state, structure)
-                found = _invert_five_terms(theta, demand, drop)
+                found = _invert_affine(structure, theta, demand, drop, temperature)
+            case TensorSpline() if (structure.U[0], structure.U[-1]) == (0.0, U_MAX):
+                theta = structure.coefficients(_theta_of(estimator, state, structure))
+                nodes = np.array(structure.T, np.float64)
+                found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
+            case _ if isinstance(estimator, HasSurface):
+                knots_U, knots_s, nodes, theta, _ = estimator.surface(state)
+                warm = np.where(np.isfinite(temperature), temperature, T_REFERENCE)
+                found = _invert_spline(knots_U, knots_s, nodes, theta, demand, drop, warm)
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
-        predicted, std = estimator.predict(state, np.nan_to_num(found.U), drop, temperature)
-        lacking = np.isnan(predicted) & ~np.isfinite(temperature)
-        if lacking.any():  # is it the missing temperature, or is the map not identified?
-            lacking[lacking] = np.isfinite(
-                _predict_at_any_temperature(estimator, state, drop[lacking])
-            )
+        std, lacking = _spread(estimator, state, np.nan_to_num(found.U), drop, temperature)
         return _answer(found, std, finite & ~lacking)
 
 
@@ -95,25 +103,27 @@ class _Found:
     status: Codes
 
 
-def _theta_of(estimator: Estimator[S], state: S, structure: FiveTerms) -> Floats:
+def _theta_of(estimator: Estimator[S], state: S, structure: Structure) -> Floats:
     """Pick the structure's own parameters: an estimator may have more (a noise model)."""
     theta = np.asarray(estimator.parameters(state)[0], np.float64)
-    names = estimator.parameter_names
-    return theta[[names.index(name) for name in structure.parameter_names]]
+    names = {name: place for place, name in enumerate(estimator.parameter_names)}
+    return theta[[names[name] for name in structure.parameter_names]]
 
 
-def _invert_five_terms(theta: Floats, Q: Floats, dp: Floats) -> _Found:
-    """Invert eq. (7) in closed form, which holds where dQ/dU = a2 + a4·s > 0 alone."""
-    a1, a2, a3, a4, a5 = theta
-    s = np.copysign(np.sqrt(np.abs(dp)), dp)
-    closed = a1 + a3 * s + a5 * dp
-    slope = a2 + a4 * s
+def _invert_affine(
+    structure: Polynomial, theta: Floats, Q: Floats, dp: Floats, T: Floats
+) -> _Found:
+    """Invert Q = closed + slope·U, which holds where slope = dQ/dU > 0 alone."""
+    with_U = structure.powers_of_U == 1
+    one = np.ones_like(dp)
+    terms = theta * structure.regressors(one, dp, T)
+    closed, slope = terms[:, ~with_U].sum(axis=1), terms[:, with_U].sum(axis=1)
     unclipped = (Q - closed) / slope
     # Sizes of the terms at the point or at 100 bar: what is smaller than their rounding is zero.
-    reach = np.maximum(np.abs(s), 10.0)
-    size = abs(a1) + U_MAX * abs(a2) + reach * (abs(a3) + U_MAX * abs(a4)) + abs(a5) * reach**2
+    sizes = np.abs(theta * structure.regressors(one, np.maximum(np.abs(dp), 100.0), T))
+    size = sizes[:, ~with_U].sum(axis=1) + U_MAX * sizes[:, with_U].sum(axis=1)
     tolerance = ROUNDING * (size + np.abs(Q))
-    plateau = U_MAX * (np.abs(a2) + np.abs(a4 * s)) <= ROUNDING * size
+    plateau = U_MAX * np.abs(terms[:, with_U]).sum(axis=1) <= ROUNDING * size
     unclipped = np.where(plateau, np.sign(Q - closed) * np.inf, unclipped)
     delivers = plateau & (np.abs(Q - closed) <= tolerance)
     unclipped[delivers] = 0.0
@@ -127,6 +137,16 @@ def _invert_five_terms(theta: Floats, Q: Floats, dp: Floats) -> _Found:
     return _Found(np.clip(unclipped, 0.0, U_MAX), unclipped, slope, status)
 
 
+def _invert_spline(
+    knots_U: Floats, knots_s: Floats, nodes: Floats, theta: Floats, Q: Floats, dp: Floats, T: Floats
+) -> _Found:
+    U, unclipped, slope = np.empty_like(Q), np.empty_like(Q), np.empty_like(Q)
+    status = np.empty(len(Q), np.uint8)
+    theta = np.ascontiguousarray(theta)
+    kernel.invert(knots_U, knots_s, nodes, theta, Q, dp, T, U, unclipped, slope, status)
+    return _Found(U, unclipped, slope, status)
+
+
 def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats) -> _Found:
     def flow(U: Floats, points: NDArray[np.intp]) -> Floats:
         return estimator.predict(state, U, dp[points], T[points])[0]
@@ -138,8 +158,28 @@ def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats)
     return _Found(U, np.where(outside, U + beyond, U), slope, status)
 
 
-def _predict_at_any_temperature(estimator: Estimator[S], state: S, dp: Floats) -> Floats:
-    return estimator.predict(state, np.zeros_like(dp), dp, np.full_like(dp, 40.0))[0]
+def _spread(
+    estimator: Estimator[S], state: S, U: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Standard deviation of Q̂, infinite where unknown, and whether T is what is missing."""
+    match estimator, getattr(estimator, "structure", None):
+        case RecursiveLeastSquares(), TensorSpline() as structure if (
+            not structure.T or np.isfinite(T).all()
+        ):
+            covariance = parameter_covariance(state, estimator.forgetting)
+            nodes, variance = np.array(structure.T, np.float64), np.empty_like(U)
+            kernel.variances(
+                *structure.knots, nodes, covariance, structure.held, U, dp, T, variance
+            )
+            return np.sqrt(variance), np.zeros(len(U), np.bool_)
+        case _:
+            predicted, std = estimator.predict(state, U, dp, T)
+            unknown = np.isnan(predicted)
+            lacking = unknown & ~np.isfinite(T)
+            if lacking.any():  # is it the missing temperature, or is the map not identified?
+                at, warm = dp[lacking], np.full(int(lacking.sum()), T_REFERENCE)
+                lacking[lacking] = np.isfinite(estimator.predict(state, 0.0 * at, at, warm)[0])
+            return np.where(unknown, np.inf, std), lacking
 
 
 def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:

@@ -108,9 +108,9 @@ class Polynomial:
         return self.names or self.terms
 
     @property
-    def order_in_U(self) -> int:
-        """Highest power of U."""
-        return int(self._table[:, 0].max())
+    def powers_of_U(self) -> NDArray[np.int64]:
+        """Exponent of U in each term."""
+        return self._table[:, 0]
 
     def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Rows (N, n): the terms at N points."""
@@ -241,13 +241,19 @@ class TensorSpline:
     def sites(self) -> tuple[Floats, Floats]:
         """Greville points of the functions in U and s: the means of three inner knots."""
         U, s = ((k[1:-3] + k[2:-2] + k[3:-1]) / 3.0 for k in self.knots)
-        return U, s[self._without :]
+        return U, s[self.held :]
 
     def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
         """Rows (N, n) with at most 16 (with T: 32) elements that are not zero."""
         knots_U, knots_s = self.knots
         nodes = np.array(self.T, np.float64)
-        return np.asarray(spline.tensor_rows(U, dp, T, knots_U, knots_s, nodes, self._without))
+        return np.asarray(spline.tensor_rows(U, dp, T, knots_U, knots_s, nodes, self.held))
+
+    def coefficients(self, theta: Floats) -> Floats:
+        """Theta (n,) as the kernels take it: (n_U, n_s, n_T), held parameters included."""
+        sites_U, sites_s = self.sites
+        table = theta.reshape(len(sites_U), len(sites_s), -1)
+        return np.pad(table, ((0, 0), (self.held, 0), (0, 0)))
 
     def prior(self) -> tuple[Floats, Floats]:
         """Rows that ask each theta to lie on the line between its neighbours; values 0."""
@@ -268,7 +274,7 @@ class TensorSpline:
         """The prior's rows along U (R, n_U) and along s (R, n_s)."""
         sites_s = self.sites[1]
         anchored = sites_s if self.at_rest == "free" else np.concatenate([self.s[:1], sites_s])
-        along_s = _bends(anchored)[:, self._without :]
+        along_s = _bends(anchored)[:, self.held :]
         return self.smoothness * self._bends_and_plateaus(), self.smoothness * along_s
 
     @property
@@ -285,7 +291,8 @@ class TensorSpline:
         return np.concatenate([_bends(sites)[inside], np.diff(np.eye(len(sites)), axis=0)[beyond]])
 
     @property
-    def _without(self) -> int:
+    def held(self) -> int:
+        """Functions of s that are left out."""
         return int(self.at_rest == "zero")
 
 

@@ -13,10 +13,13 @@ from hypothesis.extra.numpy import arrays
 from service.identification.estimator import State
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus
-from service.identification.model_structures import FiveTerms
+from service.identification.model_structures import FiveTerms, Polynomial, TensorSpline
+from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Floats, Samples, Trace
 
 Q_MAX = 200.0
+POWERS = Polynomial(terms=("s", "U^5", "U^2*s", "U*s"))
+WARM = Polynomial(terms=("1", "U*T", "U*s"))
 THETA = np.array([-2.0, 0.03, 0.1, 0.14, -0.02])
 STATE = State()
 ANYTHING = st.floats(width=64)
@@ -50,7 +53,7 @@ class KnownTheta(KnownMap):
     """An estimator that has learnt eq. (7), with a noise model's parameter beside it."""
 
     theta: tuple[float, ...] = tuple(THETA)
-    structure: FiveTerms = field(default_factory=FiveTerms)
+    structure: Polynomial | TensorSpline = field(default_factory=FiveTerms)
     parameter_names: tuple[str, ...] = ("d1", "a1", "a2", "a3", "a4", "a5")
 
     def predict(self, state, U, dp, T):
@@ -62,8 +65,22 @@ class KnownTheta(KnownMap):
         return theta, np.full_like(theta, 0.1)
 
 
+def known(structure, theta, std=0.5) -> KnownTheta:
+    names = ("d1", *structure.parameter_names)
+    return KnownTheta(np.exp, std, names, theta=tuple(theta), structure=structure)
+
+
 def five_terms(*theta: float, std: float = 0.5) -> KnownTheta:
     return KnownTheta(np.exp, std, theta=theta or tuple(THETA))
+
+
+def spline(structure, valve, std=0.5) -> KnownTheta:
+    """A spline that follows a valve (its parameters are the valve's flow at their sites)."""
+    sites_U, sites_s = structure.sites
+    T = np.array(structure.T or (40.0,))
+    theta = valve(sites_U[:, None, None], sites_s[None, :, None] ** 2, T[None, None, :])
+    theta = np.broadcast_to(theta, (len(sites_U), len(sites_s), len(T))).ravel()
+    return known(structure, theta, std)
 
 
 def dead_band_and_saturation(U, dp, T):
@@ -72,6 +89,15 @@ def dead_band_and_saturation(U, dp, T):
 
 MAPS = {
     "eq. (7)": five_terms(),
+    "fifth order": known(POWERS, (0.2, 1e-9, 1e-3, 0.1)),
+    "affine with temperature": known(WARM, (-0.5, 0.01, 0.2)),
+    "spline": spline(TensorSpline.uniform(6, 4), lambda U, dp, T: U * np.sqrt(dp) / 10 + dp / 50),
+    "kinked spline with temperature": spline(
+        TensorSpline(
+            (0, 30, 100), (0, 2, 15), (20, 60), dead_band=8, saturation=91, at_rest="zero"
+        ),
+        lambda U, dp, T: np.clip(U - 7, 1, 80) * np.sqrt(dp) * (1 - 0.002 * (T - 40)) / 10,
+    ),
     "s-shaped": KnownMap(lambda U, dp, T: 100 / (1 + np.exp(-(U - 50) / 9)) * np.sqrt(dp / 100)),
     "dead band": KnownMap(dead_band_and_saturation),
     "with temperature": KnownMap(lambda U, dp, T: U * np.sqrt(dp) * (1 - 0.002 * (T - 40)) / 10),
@@ -231,6 +257,70 @@ def test_the_table_has_the_axes_shape_and_is_blank_where_the_flow_cannot_be_had(
     assert table.shape == (3, 2)
     assert np.isnan(table[2]).all()
     assert table[1, 1] == invert(five_terms(), STATE, 50.0, 100.0, 40.0).U
+
+
+def a_spline_learnt_by_rls(noise=0.4, **spline_options):
+    rng = np.random.default_rng(3)
+    U, dp, T = rng.uniform(0, 100, 3000), rng.uniform(0, 200, 3000), rng.uniform(20, 60, 3000)
+    Q = dead_band_and_saturation(U, dp, T) * (1 + 0.001 * (T - 40)) + noise * rng.normal(size=3000)
+    rls = RecursiveLeastSquares(structure=TensorSpline.uniform(6, 4, **spline_options))
+    state, _ = rls.update(rls.initial_state(), Samples.of(np.arange(3000), U, dp, 0 * dp, Q, T))
+    return rls, state
+
+
+@pytest.mark.parametrize("T", [(), (20.0, 40.0, 60.0)])
+def test_the_interval_of_a_spline_is_that_of_its_prediction(T):
+    rls, state = a_spline_learnt_by_rls(T=T)
+    dp, warm = np.array([20.0, 90.0, 180.0]), np.array([30.0, 40.0, 45.0])
+    answer = invert(rls, state, [20.0, 60.0, 100.0], dp, warm)
+    h = 1e-4
+    slope = (
+        rls.predict(state, answer.U + h, dp, warm)[0]
+        - rls.predict(state, answer.U - h, dp, warm)[0]
+    ) / (2 * h)
+    std = rls.predict(state, answer.U, dp, warm)[1]
+    np.testing.assert_allclose(answer.upper - answer.U, 1.959964 * std / slope, rtol=1e-4)
+    np.testing.assert_allclose(answer.U - answer.lower, 1.959964 * std / slope, rtol=1e-4)
+
+
+def test_a_learnt_spline_is_inverted_as_the_search_through_its_predictions_would():
+    rls, state = a_spline_learnt_by_rls()
+    rng = np.random.default_rng(4)
+    Q, dp = rng.uniform(-10, 170, 300), rng.uniform(0.5, 200, 300)
+    exact = invert(rls, state, Q, dp, 40.0)
+    searched = invert(
+        KnownMap(lambda U, dp, T: rls.predict(state, U, dp, T)[0]), STATE, Q, dp, 40.0
+    )
+    same = exact.status == searched.status
+    assert same.mean() > 0.97  # features narrower than the search's grid are seen by one alone
+    both = same & (exact.status == InverseStatus.OK) & (np.abs(exact.U - searched.U) < 1.0)
+    np.testing.assert_allclose(exact.U[both], searched.U[both], atol=1e-8)
+    assert both[same & (exact.status == InverseStatus.OK)].mean() > 0.97
+
+
+@given(
+    theta=arrays(float, 24, elements=st.floats(-200, 200)),
+    Q=arrays(float, 6, elements=st.floats(-300, 300)),
+)
+def test_whatever_a_spline_looks_like_its_inverse_delivers_or_says_why_not(theta, Q):
+    structure = TensorSpline((0, 25, 50, 100), (0, 14))
+    estimator = known(structure, theta)
+    dp, T = np.full(6, 50.0), np.full(6, 40.0)
+    answer = invert(estimator, STATE, Q, dp, T)
+    ok = answer.status == InverseStatus.OK
+    delivered = estimator.predict(STATE, answer.U[ok], dp[ok], T[ok])[0]
+    np.testing.assert_allclose(delivered, Q[ok], rtol=0, atol=1e-9 * Q_MAX)
+    levels = estimator.predict(STATE, np.linspace(0, 100, 2001), *np.full((2, 2001), 50.0))[0]
+    crossed = (levels[:-1, None] < Q - 1e-9) & (levels[1:, None] > Q + 1e-9)
+    assert ok[crossed.any(axis=0)].all()
+    first = np.linspace(0, 100, 2001)[1:][crossed.argmax(axis=0)]
+    assert (answer.U[crossed.any(axis=0)] <= first[crossed.any(axis=0)] + 1e-9).all()
+
+
+def test_a_spline_that_does_not_span_all_of_U_is_searched():
+    part = spline(TensorSpline((20, 80), (0, 15)), lambda U, dp, T: U * np.sqrt(dp) / 10 + 0 * T)
+    answer = invert(part, STATE, 9.0, 100.0, 40.0)
+    assert answer.U.tolist() == pytest.approx([9.0])
 
 
 def test_no_points_are_no_trouble():

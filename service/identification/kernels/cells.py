@@ -1,12 +1,11 @@
 """The memory of a map: a grid of cells, each with the mean of the samples that fell into it."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from service.identification.kernels.surface import T_REFERENCE, value
+from service.identification.kernels.surface import T_REFERENCE, Surface, value
 from service.identification.samples import Floats, Status
 
 CELLS_U, CELLS_S, CELLS_T = 40, 20, 3
@@ -32,16 +31,6 @@ EXCITED = 3.0
 
 _OK, _WARMING_UP, _UNEXCITED = int(Status.OK), int(Status.WARMING_UP), int(Status.UNEXCITED)
 _REJECTED, _HELD = int(Status.REJECTED), int(Status.HELD)
-
-
-class Surface(NamedTuple):
-    """A map for the kernels: knots, nodes, coefficients (n_U, n_s, n_T), half the play in %."""
-
-    knots_U: Floats
-    knots_s: Floats
-    nodes_T: Floats
-    theta: Floats
-    play: float
 
 
 @njit(cache=True, error_model="numpy")

@@ -7,6 +7,7 @@ trend with temperature.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,6 +23,16 @@ FIVE_TERMS = 5
 RIDGE = 1e-6
 BORDER_RIDGE = 1e-9
 TREND_RIDGE = 1e-3
+
+
+class Surface(NamedTuple):
+    """A map for the kernels: knots, nodes, coefficients (n_U, n_s, n_T), half the play in %."""
+
+    knots_U: Floats
+    knots_s: Floats
+    nodes_T: Floats
+    theta: Floats
+    play: float
 
 
 @njit(cache=True, error_model="numpy")
