@@ -93,7 +93,7 @@ class Listener:
         if self._server is not None:
             self._server.close()
         for session in self.sessions:
-            self.sessions.close(session)
+            self.sessions.close(session, code=ua.StatusCodes.BadServerHalted)
         for connection in list(self._connections):
             connection.close()
         if self._server is not None:

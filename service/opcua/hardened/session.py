@@ -132,11 +132,17 @@ class Session:
             return False
         if other is self:
             return True
-        proven = self.peer_certificate is not None or self.principal.name != ANONYMOUS
         return (
-            proven
+            self.is_proven
             and self.principal == other.principal
             and self.peer_certificate == other.peer_certificate
+        )
+
+    @property
+    def is_proven(self) -> bool:
+        """Tell whether the client has proven who it is, by password or certificate."""
+        return self.principal is not None and (
+            self.peer_certificate is not None or self.principal.name != ANONYMOUS
         )
 
     def add_publish_request(self, request: PublishRequest) -> None:
@@ -170,10 +176,10 @@ class Session:
         if not self.subscriptions:
             self._queue.refuse_all(_Codes.BadNoSubscription)
 
-    def close(self) -> None:
-        """End: publish requests are answered, the token is void."""
+    def close(self, code: int) -> None:
+        """End: publish requests are answered with the code, the token is void."""
         self.closed = True
-        self._queue.refuse_all(_Codes.BadSessionClosed)
+        self._queue.refuse_all(code)
         self.continuations.clear()
 
     def _answer(self, request: PublishRequest, number: int, message: Message) -> None:
@@ -251,13 +257,19 @@ class Sessions:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         return session
 
-    def close(self, session: Session, *, keep_subscriptions: bool = False) -> None:
+    def close(
+        self,
+        session: Session,
+        *,
+        code: int = _Codes.BadSessionClosed,
+        keep_subscriptions: bool = False,
+    ) -> None:
         """End a session; subscriptions that are kept can be transferred until they expire."""
         self._by_token.pop(session.token.Identifier, None)
+        session.close(code)
         if not keep_subscriptions:
             for subscription in list(session.subscriptions.values()):
                 self._end_subscription(subscription)
-        session.close()
 
     def drop_timed_out(self) -> None:
         """End the sessions that were not heard of for their time-out."""
@@ -266,7 +278,7 @@ class Sessions:
             patience = session.timeout_s if session.active else self._limits.handshake_seconds
             if now - session.last_seen > patience:
                 self.totals.timed_out += 1
-                self.close(session)
+                self.close(session, keep_subscriptions=session.is_proven)
             else:
                 session.drop_expired_requests()
 
