@@ -97,8 +97,8 @@ async def test_anyone_may_ask_for_a_flow_and_for_the_voltage_that_gives_it(servi
     )
     assert status == 0
     assert lower <= U <= upper
-    Q, std, _ = await (await node(service, "Valvistor.RLS")).call_method(
-        await node(service, "Valvistor.RLS.Predict"), U, 100.0, 40.0
+    Q, std, _ = await (await node(service, "Valvistor.Auto")).call_method(
+        await node(service, "Valvistor.Auto.Predict"), U, 100.0, 40.0
     )
     assert abs(Q - 60.0) < 0.5  # the map moves on between the two calls
     assert std > 0
@@ -109,7 +109,7 @@ async def test_nobody_without_a_name_writes_or_commands(service):
     with pytest.raises(ua.UaStatusCodeError):
         await demand.write_value(50.0)
     with pytest.raises(ua.UaStatusCodeError):
-        await (await node(service, "Valvistor.RLS")).call_method(
+        await (await node(service, "Valvistor.Auto")).call_method(
             await node(service, "Valvistor.RLS.Reset")
         )
 

@@ -66,7 +66,7 @@ def test_a_rig_whose_port_is_in_use_names_it(prepared):
         (["replay", "none.csv"], "none.csv"),
         (["rig", "--scenario", "none"], "none"),
         (["rig", "--data", "nowhere"], "nowhere"),
-        (["demo", "--duration", "soon"], "soon"),
+        (["demo", "--duration", "soon"], "--duration"),
         (["trust", "nobody"], "nobody"),
     ],
 )
