@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+import structlog
+
 from service.app.build import (
     build_identification,
     build_live_settings,
@@ -23,6 +25,8 @@ from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.supervisor import supervise
 
+log = structlog.get_logger(__name__)
+
 SampleTap = Callable[[str, Samples], None]
 
 
@@ -31,7 +35,9 @@ async def serve(
     stop: asyncio.Event,
     server_settings: ServerSettings | None = None,
     identification: Identification | None = None,
-    on_samples: SampleTap = lambda _valve, _samples: None,
+    on_samples: log = structlog.get_logger(__name__)
+
+SampleTap = lambda _valve, _samples: None,
 ) -> None:
     """Identify and publish until ``stop`` is set; keep all states at the end.
 
@@ -59,6 +65,8 @@ async def serve(
     identification = identification or build_identification(config)
     source = build_source(config)
     with CheckpointFile(config.state.file) as store:
+        if store.set_aside is not None:
+            log.warning("damaged state file set aside", file=str(store.set_aside))
         server = ResultsServer(settings, identification.descriptions(), identification)
         live = LiveService(
             identification, source, server, store, clock, build_live_settings(config), on_samples

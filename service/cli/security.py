@@ -44,10 +44,10 @@ def init(
     ] = None,
 ) -> None:
     """Make certificates, users and configuration."""
+    _make_users(data, operator_password)
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
     of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
     _trust_each_other(data, service, of_rig)
-    _make_users(data, operator_password)
     _make_configuration(data, service_host or [])
     typer.echo(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
 
@@ -92,6 +92,8 @@ def _make_users(data: Path, operator_password: str | None) -> None:
     users.add("operator", Role.OPERATOR, password)
     link = secrets.token_urlsafe(24)
     users.add("service", Role.OPERATOR, link)
+    with _naming(data):
+        data.mkdir(parents=True, exist_ok=True)
     _write_secret(data / "source-password", link)
     users.save(file)
     typer.echo(f"users: {file}")

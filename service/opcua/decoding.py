@@ -129,6 +129,22 @@ def decode_publish_response(data: bytes) -> PublishResponse:
     return PublishResponse(service_result, subscription_id, available, more, message, acknowledged)
 
 
+def decode_data_changes(body: bytes) -> DataChanges:
+    """Decode the body of one DataChangeNotification (Part 4, 7.25.2); times are UTC ns.
+
+    Raises
+    ------
+    DecodeError
+        if the bytes are no such notification.
+
+    Examples
+    --------
+    >>> len(decode_data_changes(bytes(4) + b"\\xff" * 4))
+    0
+    """
+    return _data_changes(Reader(body), 0).changes
+
+
 def decode_republish_response(data: bytes) -> Message:
     """Decode the body of a RepublishResponse message, from its TypeId on.
 
