@@ -35,9 +35,7 @@ async def serve(
     stop: asyncio.Event,
     server_settings: ServerSettings | None = None,
     identification: Identification | None = None,
-    on_samples: log = structlog.get_logger(__name__)
-
-SampleTap = lambda _valve, _samples: None,
+    on_samples: SampleTap = lambda _valve, _samples: None,
 ) -> None:
     """Identify and publish until ``stop`` is set; keep all states at the end.
 

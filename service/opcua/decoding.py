@@ -130,7 +130,7 @@ def decode_publish_response(data: bytes) -> PublishResponse:
 
 
 def decode_data_changes(body: bytes) -> DataChanges:
-    """Decode the body of one DataChangeNotification (Part 4, 7.25.2); times are UTC ns.
+    r"""Decode the body of one DataChangeNotification (Part 4, 7.25.2); times are UTC ns.
 
     Raises
     ------
