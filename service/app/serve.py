@@ -71,6 +71,7 @@ async def serve(
         )
         async with server:
             await live.start()
+            log.info("results served", url=server.url)
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:
