@@ -24,7 +24,11 @@ from service.opcua.hardened.certificates import (
     load_certificate,
     thumbprint,
 )
-from service.opcua.hardened.trust import CertificateRefused, application_uris, check_peer
+from service.opcua.hardened.peer_certificates import (
+    CertificateRefused,
+    application_uris,
+    check_peer,
+)
 
 _log = logging.getLogger(__name__)
 _DER = serialization.Encoding.DER

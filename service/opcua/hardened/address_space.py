@@ -2,7 +2,6 @@
 
 import asyncio
 import gc
-import logging
 import os
 import pickle
 import stat
@@ -16,9 +15,10 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeManagementService
 from asyncua.server.standard_address_space import standard_address_space
 
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.users import write_owner_only
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _FORMAT = 1  # raise it when the preparation below changes
 
 

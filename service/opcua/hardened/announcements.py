@@ -2,7 +2,6 @@
 
 import asyncio
 import datetime as dt
-import logging
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -11,9 +10,10 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
 from service.opcua.hardened.encoding import instant
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.settings import ServerSettings
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Ids = ua.ObjectIds
 _Types = ua.VariantType
 _UINT32 = _Types.UInt32

@@ -2,7 +2,6 @@
 
 import dataclasses
 import inspect
-import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,10 +11,11 @@ from asyncua.server.address_space import AddressSpace
 from service.errors import CommandRejected
 from service.opcua.hardened import nodes
 from service.opcua.hardened.index_range import IndexRangeError, parse_index_range, select
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.nodes import Method, Outside, Variable
 from service.opcua.hardened.users import Role
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 _UNKNOWN = (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid)
 _WRITE_BIT = 1 << ua.AccessLevel.CurrentWrite

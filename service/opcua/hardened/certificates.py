@@ -3,7 +3,6 @@
 import datetime as dt
 import hashlib
 import ipaddress
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +12,10 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from service.errors import CertificateError
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.users import write_owner_only
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 
 KEY_BITS = 2048
 VALID_DAYS = 730

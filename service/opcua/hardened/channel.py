@@ -1,6 +1,5 @@
 """Secure channels: opened only with a policy on offer, by peers we trust, and kept in time."""
 
-import logging
 import time
 from typing import Any, Protocol
 
@@ -12,9 +11,10 @@ from asyncua.ua import ua_binary
 from typing_extensions import override
 
 from service.opcua.hardened.certificates import Pki
-from service.opcua.hardened.trust import CertificateRefused, check_peer
+from service.opcua.hardened.logs import bounded_logger
+from service.opcua.hardened.peer_certificates import CertificateRefused, check_peer
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 _SHORTEST_LIFETIME_MS, _LONGEST_LIFETIME_MS = 10_000, 3_600_000
 _MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer has proven anything

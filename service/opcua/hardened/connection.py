@@ -1,7 +1,6 @@
 """One TCP connection: frames, channel, sessions; what it may send before it is believed."""
 
 import asyncio
-import logging
 from collections import deque
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +15,7 @@ from service.opcua.hardened import seams
 from service.opcua.hardened.channel import Channel
 from service.opcua.hardened.encoding import encode_publish_response, ticks_of_ns
 from service.opcua.hardened.handshake import Handshake
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.publish_queue import PublishRequest
 from service.opcua.hardened.services import Request
 from service.opcua.hardened.subscription import Message
@@ -24,7 +24,7 @@ from service.opcua.hardened.turns import Account
 if TYPE_CHECKING:
     from service.opcua.hardened.listener import Listener
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 T = TypeVar("T")
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
@@ -310,6 +310,7 @@ class Connection(asyncio.Protocol):
         request_id = message.SequenceHeader().RequestId
         body = message.body()
         budget = self._budget()
+        self.listener.requests += 1
         with seams.decoding(budget):
             service = ua_binary.nodeid_from_binary(body)
             header = ua_binary.struct_from_binary(ua.RequestHeader, body)

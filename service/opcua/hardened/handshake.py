@@ -1,6 +1,5 @@
 """What is answered before somebody is logged in: channel, discovery, sessions (Part 4, 5.5-5.7)."""
 
-import logging
 import re
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlparse
@@ -13,15 +12,16 @@ from cryptography.exceptions import InvalidSignature
 
 from service.opcua.hardened import seams
 from service.opcua.hardened.identity import Challenge, identify
+from service.opcua.hardened.logs import audit_logger, bounded_logger
+from service.opcua.hardened.peer_certificates import application_uris
 from service.opcua.hardened.session import Session
-from service.opcua.hardened.trust import application_uris
 
 if TYPE_CHECKING:
     from service.opcua.hardened.connection import Connection
     from service.opcua.hardened.listener import Listener
 
-_log = logging.getLogger(__name__)
-_audit = logging.getLogger("valvemap.audit")
+_log = bounded_logger(__name__)
+_audit = audit_logger()
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
 

@@ -1,6 +1,5 @@
 """asyncua's internal server, for what stays its own: the address space and the server's session."""
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,10 @@ from asyncua.server.user_managers import UserManager
 from typing_extensions import override
 
 from service.opcua.hardened.address_space import load_standard_address_space
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.subscription_service import Subscriptions
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 
 
 class InsideServer(InternalServer):

@@ -1,6 +1,5 @@
 """Requests for monitored items: checked and revised (Part 4, 5.13.2)."""
 
-import logging
 import math
 from typing import Any
 
@@ -10,11 +9,12 @@ from asyncua.server.monitored_item_service import WhereClauseEvaluator
 
 from service.opcua.hardened.data_change import DataChangeFilter, FilterRefused, change_rule
 from service.opcua.hardened.index_range import IndexRangeError, Ranges, parse_index_range
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.monitored_item import DataItem, EventItem, Item, Monitoring
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import Subscription
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
 _MAX_SELECT_CLAUSES = 100

@@ -2,7 +2,6 @@
 
 import asyncio
 import copy
-import logging
 import secrets
 from collections import Counter, deque
 from typing import Any
@@ -14,13 +13,14 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from service.clock import Clock
 from service.opcua.hardened.certificates import Pki
 from service.opcua.hardened.connection import Connection
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.services import Services
 from service.opcua.hardened.session import Sessions
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.turns import Turns
 from service.opcua.hardened.users import UserStore
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _REAP_S = 1.0
 _GUESSES_AT_ONCE = 2
 _BACKLOG = 100
@@ -57,6 +57,7 @@ class Listener:
         self.policies: list[Any] = []
         self.certificate_der = b""
         self.key: rsa.RSAPrivateKey
+        self.requests = 0
         self.refused_requests = 0
         self.refused_for_security = 0
         self.refused_connections = 0

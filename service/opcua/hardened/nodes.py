@@ -1,7 +1,6 @@
 """Objects, variables and methods of a hardened server's own namespace."""
 
 import inspect
-import logging
 import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
@@ -11,13 +10,14 @@ from asyncua import ua
 from asyncua.common.node import Node
 
 from service.errors import CommandRejected, ServerError
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.units import Unit
 from service.opcua.hardened.users import Role
 
 if TYPE_CHECKING:
     from service.opcua.hardened.server import HardenedServer
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 
 Range = tuple[float, float]
 Value = Any  # what a variable holds: bool, int, float, str, or a list or array of them

@@ -3,7 +3,6 @@
 import dataclasses
 import datetime as dt
 import ipaddress
-import logging
 from collections.abc import Coroutine, Iterable
 from types import TracebackType
 from typing import Any, Self
@@ -31,6 +30,7 @@ from service.opcua.hardened.encoding import instant, nanoseconds, ticks_of_ns
 from service.opcua.hardened.endpoints import offered_endpoints, offered_policies
 from service.opcua.hardened.internal import InsideServer
 from service.opcua.hardened.listener import Listener
+from service.opcua.hardened.logs import bound_asyncua, bounded_logger
 from service.opcua.hardened.nodes import Method, Value, Variable, as_variant
 from service.opcua.hardened.services import Services
 from service.opcua.hardened.session import Sessions
@@ -38,7 +38,7 @@ from service.opcua.hardened.settings import ServerSettings
 from service.opcua.hardened.subscription_service import Subscriptions
 from service.opcua.hardened.view import View
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 
 Update = tuple[Variable, Value, int, int]
 
@@ -59,6 +59,7 @@ class HardenedServer:
 
     def __init__(self, settings: ServerSettings, clock: Clock | None = None) -> None:
         seams.install()
+        bound_asyncua()
         self.settings = settings
         self.namespace_index = 0
         self._clock = clock or SystemClock()

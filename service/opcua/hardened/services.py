@@ -1,6 +1,5 @@
 """The services of a session: each request is checked, answered and counted (Part 4, 5)."""
 
-import logging
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -17,13 +16,14 @@ from service.opcua.hardened.encoding import (
     encode_republish_response,
     ticks_of_ns,
 )
+from service.opcua.hardened.logs import audit_logger
 from service.opcua.hardened.publish_queue import PublishRequest
 from service.opcua.hardened.session import Session
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription_service import Subscriptions
 from service.opcua.hardened.view import View
 
-_audit = logging.getLogger("valvemap.audit")
+_audit = audit_logger()
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
 _GET_MONITORED_ITEMS = ua.NodeId(_Ids.Server_GetMonitoredItems)

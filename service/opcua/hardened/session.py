@@ -1,6 +1,5 @@
 """Sessions of peers: made, activated, moved to another channel, ended (Part 4, 5.7)."""
 
-import logging
 import math
 import secrets
 from collections import OrderedDict
@@ -14,13 +13,14 @@ from asyncua.common.utils import ServiceError
 from service.clock import Clock
 from service.opcua.hardened.encoding import ticks_of_ns
 from service.opcua.hardened.identity import ANONYMOUS, Principal
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.publish_queue import PublishQueue, PublishRequest
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import Message, Subscription
 from service.opcua.hardened.users import Role
 from service.opcua.hardened.view import Continuations
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 
 

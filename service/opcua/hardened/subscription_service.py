@@ -1,7 +1,6 @@
 """The subscriptions of all sessions: created, modified, moved and ended within the limits."""
 
 import itertools
-import logging
 import math
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from service.opcua.hardened.item_requests import (
     event_item,
     modified,
 )
+from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.monitored_item import DataItem, EventItem, Item, Ledger
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import RepublishStore, Subscription, Timing
@@ -23,7 +23,7 @@ from service.opcua.hardened.subscription import RepublishStore, Subscription, Ti
 if TYPE_CHECKING:
     from service.opcua.hardened.session import Session
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 
 

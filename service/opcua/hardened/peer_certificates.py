@@ -2,7 +2,6 @@
 
 import datetime as dt
 import functools
-import logging
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -20,8 +19,9 @@ from service.opcua.hardened.certificates import (
     reject,
     thumbprint,
 )
+from service.opcua.hardened.logs import bounded_logger
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 _MAX_CHAIN = 5
 _MAX_BYTES = 16 * 1024
