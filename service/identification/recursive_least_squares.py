@@ -1,18 +1,31 @@
 """Recursive least squares with forgetting, eqs. (17)-(28), in exact and bounded arithmetic."""
 
 from dataclasses import dataclass, replace
-from typing import Self, assert_never
+from typing import Self, TypeVar, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from service.identification.estimator import State
-from service.identification.forgetting import Directional, Exponential, Forgetting, with_lam
-from service.identification.kernels import recursion
+from service.identification.forgetting import (
+    Adaptive,
+    Directional,
+    Exponential,
+    Forgetting,
+    Resetting,
+    SlidingWindow,
+    Subspace,
+    Variable,
+    with_lam,
+)
+from service.identification.kernels import change_detection, recursion
+from service.identification.kernels.change_detection import Counts
 from service.identification.kernels.factors import covariance, rotate_in
-from service.identification.kernels.recursion import Counts, Memory, Rule
+from service.identification.kernels.recursion import Batch, Memory, Rule
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
-from service.identification.samples import Codes, Floats, Quality, Samples, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Times, Trace
+
+A = TypeVar("A", Floats, Times)
 
 
 @dataclass(frozen=True)
@@ -29,13 +42,19 @@ class RlsState(State):
     rhs : (n,)
         z of R·theta = z; unused once theta is determined.
     spread : (n, n)
-        Lower triangle of the covariance of theta over σ²; unused with λ = 1, where it is P.
+        What the noise has made of theta, over σ²: with rules that divide P by λ the covariance Z
+        of P⁻¹·theta (that of theta is P·Z·P), with the others the covariance of theta.
     scale : (n,)
         Largest |Xⱼ| so far: thresholds are in its units.
-    noise : (3,)
-        Weight and value of the estimate of σ², trace of P in units of the scales.
-    counters : (2,)
-        Samples used; 1 once theta is determined.
+    noise : (4,)
+        Sum of the weights and of their squares, estimate of σ², trace of P in units of the scales.
+    counters : (6,)
+        Samples used; 1 once theta is determined; place and fill of the window; 1 if P holds samples
+        from before it; sample number at which the memory was last opened.
+    window : (length, n + 1)
+        The last samples of a sliding window, X and y; no rows with other rules.
+    detector, history, score, previous : (10,), (5,), (n,), (n,)
+        Change detection, see :mod:`service.identification.kernels.change_detection`.
     """
 
     theta: Floats
@@ -45,6 +64,33 @@ class RlsState(State):
     scale: Floats
     noise: Floats
     counters: Counts
+    window: Floats
+    detector: Floats
+    history: Counts
+    score: Floats
+    previous: Floats
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the plant that :class:`~service.identification.forgetting.Adaptive` found.
+
+    Attributes
+    ----------
+    count : int
+        How many changes were found so far, this one included.
+    sample : int
+        Number of the first sample (of those used, from 0) after the change, as estimated.
+    t : int
+        Time of the last sample before it, UTC ns.
+    size : float
+        Mean innovation from the change to its detection, l/min.
+    """
+
+    count: int
+    sample: int
+    t: int
+    size: float
 
 
 @dataclass(frozen=True)
@@ -116,14 +162,17 @@ class RecursiveLeastSquares:
     def initial_state(self) -> RlsState:
         """State before the first sample."""
         prior = self.structure.prior() if isinstance(self.structure, StructureWithPrior) else None
-        return initial_state(len(self.parameter_names), self.p0, prior)
+        return initial_state(len(self.parameter_names), self.forgetting, self.p0, prior)
 
     def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
         """Take N samples in, one after another."""
         X = self.structure.regressors(samples.U, samples.dp, samples.T)
         usable = (samples.quality != Quality.BAD).astype(np.uint8)
-        state, trace, _ = _update(state, X, samples.Q, usable, self.forgetting, keep_history=False)
-        return state, trace
+        n, none = len(state.theta), 0
+        return _run(
+            state, self.forgetting, samples.t, X, samples.Q, usable,
+            np.empty((none, n)), np.empty((none, 3)),
+        )  # fmt: skip
 
     def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min; NaN if unknown."""
@@ -135,7 +184,21 @@ class RecursiveLeastSquares:
         if not state.counters[recursion.DETERMINED]:
             values, _ = predict(state, np.eye(len(theta)), self.forgetting)
             theta[np.isnan(values)] = np.nan
-        return theta, np.sqrt(np.diag(parameter_covariance(state, self.forgetting)))
+        return theta, np.sqrt(
+            np.maximum(np.diag(parameter_covariance(state, self.forgetting)), 0.0)
+        )
+
+    def last_change(self, state: RlsState) -> Change | None:
+        """Return the last change of the plant that was found, None if there was none."""
+        history = state.history.tolist()
+        if not history[change_detection.CHANGES]:
+            return None
+        return Change(
+            count=history[change_detection.CHANGES],
+            sample=history[change_detection.SAMPLE] - 1,
+            t=history[change_detection.TIME],
+            size=float(state.detector[change_detection.SIZE]),
+        )
 
 
 @dataclass(frozen=True)
@@ -154,6 +217,9 @@ class RlsResult:
         Covariance of theta (σ² estimated from the innovations); NaN while not determined.
     status : (N,)
         :class:`~service.identification.samples.Status`.
+    changes : (C, 3)
+        A row per detected change of the plant (`Adaptive` only): sample of the alarm, first sample
+        after the change as estimated, mean innovation from there to the alarm.
     """
 
     theta: Floats
@@ -161,6 +227,7 @@ class RlsResult:
     innovations: Floats
     covariance: Floats
     status: Codes
+    changes: Floats
 
 
 def recursive_least_squares(
@@ -198,22 +265,30 @@ def recursive_least_squares(
     rule = Exponential(float(forgetting)) if isinstance(forgetting, int | float) else forgetting
     if not p0 > 0.0:
         raise ValueError(f"p0 = {p0!r} is not positive")
-    usable = np.ones(len(output), np.uint8)
-    state = initial_state(regressors.shape[1], p0)
-    state, trace, history = _update(state, regressors, output, usable, rule, keep_history=True)
+    N, n = regressors.shape
+    state = initial_state(n, rule, p0)
+    thetas, changes = np.empty((N, n)), np.empty((N // change_detection.EVERY + 1, 3))
+    state, trace = _run(
+        state, rule, np.arange(N), regressors, output, np.ones(N, np.uint8), thetas, changes
+    )
     return RlsResult(
         theta=state.theta,
-        theta_history=history,
+        theta_history=thetas,
         innovations=trace.residual,
         covariance=parameter_covariance(state, rule),
         status=trace.status,
+        changes=changes[: state.history[change_detection.CHANGES]],
     )
 
 
 def initial_state(
-    n: int, p0: float = np.inf, prior: tuple[Floats, Floats] | None = None
+    n: int,
+    forgetting: Forgetting,
+    p0: float = np.inf,
+    prior: tuple[Floats, Floats] | None = None,
 ) -> RlsState:
     """State of n parameters before the first sample; ``prior``: rows (R, n) and values (R,)."""
+    length = forgetting.length if isinstance(forgetting, SlidingWindow) else 0
     memory = Memory(
         theta=np.zeros(n),
         factor=np.eye(n) / np.sqrt(p0),
@@ -222,37 +297,48 @@ def initial_state(
         scale=np.zeros(n),
         noise=np.zeros(recursion.PLACES_OF_NOISE),
         counters=np.zeros(recursion.PLACES_OF_COUNTERS, np.int64),
+        window=np.zeros((length, n + 1)),
+        detector=np.zeros(change_detection.PLACES_OF_DETECTOR),
+        history=np.zeros(change_detection.PLACES_OF_HISTORY, np.int64),
+        score=np.zeros(n),
+        previous=np.zeros(n),
     )
     if prior is not None:
         rows, values = prior
+        memory.spread[:] = rows.T @ rows + np.eye(n) / p0
         np.max(np.abs(rows), axis=0, initial=0.0, out=memory.scale)
         for i, (row, value) in enumerate(zip(rows, values, strict=True)):
             rotate_in(memory.factor, memory.rhs, row.copy(), value, 1.0, memory.scale, i)
-    recursion.determine(memory)
+    recursion.determine(memory, _rule(forgetting))
     return RlsState(**memory._asdict())
 
 
 def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats, Floats]:
     """Xᵀ·theta (N,) at N rows of X and its standard deviation (N,); NaN if unknown."""
     values, variances = np.empty(len(X)), np.empty(len(X))
-    memory = _memory(replace(state, spread=np.tril(_spread(state, forgetting))))
+    memory = _memory(replace(state, spread=_spread(state, forgetting)))
     recursion.evaluate(memory, np.ascontiguousarray(X, np.float64), values, variances)
     return values, np.sqrt(variances * _noise_variance(state))
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta (n, n): σ² from the innovations; NaN while not determined."""
-    spread = _spread(state, forgetting)
-    if not state.counters[recursion.DETERMINED]:
-        spread = np.full_like(spread, np.nan)
-    return spread * _noise_variance(state)
+    return _spread(state, forgetting) * _noise_variance(state)
 
 
 def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta over σ²."""
-    if state.counters[recursion.DETERMINED] and forgetting == Exponential(1.0):
-        return np.asarray(covariance(state.factor))
-    return np.asarray(state.spread + np.tril(state.spread, -1).T)
+    if not state.counters[recursion.DETERMINED]:
+        return np.full_like(state.factor, np.nan)
+    equal_weights = state.noise[recursion.WEIGHT] == state.noise[recursion.SQUARES]
+    match forgetting:
+        case Directional() | Subspace() | Adaptive():
+            return state.spread
+        case Exponential() | Variable() | Resetting() if not equal_weights:
+            P = covariance(state.factor)
+            return np.asarray(P @ state.spread @ P)
+        case _:
+            return np.asarray(covariance(state.factor))
 
 
 def _noise_variance(state: RlsState) -> float:
@@ -260,31 +346,37 @@ def _noise_variance(state: RlsState) -> float:
     return float(state.noise[recursion.VARIANCE]) if state.noise[recursion.WEIGHT] else np.nan
 
 
-def _update(
+def _run(
     state: RlsState,
+    forgetting: Forgetting,
+    t: Times,
     X: Floats,
     y: Floats,
     usable: Codes,
-    forgetting: Forgetting,
-    *,
-    keep_history: bool,
-) -> tuple[RlsState, Trace, Floats]:
-    N, n = X.shape
+    thetas: Floats,
+    changes: Floats,
+) -> tuple[RlsState, Trace]:
+    N = len(y)
     memory = _memory(state)
-    trace = Trace(predicted=np.empty(N), residual=np.empty(N), status=np.empty(N, np.uint8))
-    history = np.empty((N if keep_history else 0, n))
-    recursion.run(
-        memory,
-        _rule(forgetting),
-        np.ascontiguousarray(X),
-        y,
-        usable,
-        trace.predicted,
-        trace.residual,
-        trace.status,
-        history,
+    batch = Batch(
+        t=_writable(t),
+        X=_writable(X),
+        y=_writable(y),
+        usable=usable,
+        predicted=np.empty(N),
+        residual=np.empty(N),
+        status=np.empty(N, np.uint8),
+        thetas=thetas,
+        changes=changes,
     )
-    return RlsState(**memory._asdict()), trace, history
+    recursion.run(memory, _rule(forgetting), batch)
+    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
+    return RlsState(**memory._asdict()), trace
+
+
+def _writable(array: A) -> A:
+    """The array or a copy: the kernel is compiled once, for plain writable arrays."""
+    return np.require(array, requirements=["C", "W", "A"])
 
 
 def _memory(state: RlsState) -> Memory:
@@ -295,8 +387,19 @@ def _memory(state: RlsState) -> Memory:
 def _rule(forgetting: Forgetting) -> Rule:
     match forgetting:
         case Exponential(lam):
-            return Rule(recursion.EXPONENTIAL, lam)
+            rule = Rule(recursion.EXPONENTIAL, lam)
+        case Variable(lam, least):
+            rule = Rule(recursion.VARIABLE, lam, least)
+        case Resetting(lam, information):
+            rule = Rule(recursion.RESETTING, lam, information)
         case Directional(lam):
-            return Rule(recursion.DIRECTIONAL, lam)
+            rule = Rule(recursion.DIRECTIONAL, lam)
+        case Subspace(lam):
+            rule = Rule(recursion.SUBSPACE, lam)
+        case SlidingWindow():
+            rule = Rule(recursion.WINDOW, forgetting.lam)
+        case Adaptive(lam, threshold):
+            rule = Rule(recursion.DIRECTIONAL, lam, threshold=threshold)
         case _:
             assert_never(forgetting)
+    return rule
