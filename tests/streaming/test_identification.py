@@ -27,7 +27,7 @@ def test_results_carry_the_time_of_their_sample(identification):
     for result in identification.result(0).estimators.values():
         assert result.t == samples.t[-1]
         assert result.sample_count == 300
-        assert result.residual == samples.Q[-1] - result.predicted
+        assert result.residual == pytest.approx(samples.Q[-1] - result.predicted, abs=1e-9)
 
 
 def test_before_the_first_sample_nothing_is_good(identification):

@@ -72,13 +72,20 @@ def _find(times: NDArray[np.int64], size: int, time: int) -> int:
 
 
 @njit(cache=True)
+def _copy(w: Waiting, v: int, here: int, there: int) -> None:
+    """Copy a slot, element by element: whole rows take numba seconds to compile."""
+    w.times[v, there] = w.times[v, here]
+    w.filled[v, there] = w.filled[v, here]
+    for m in range(SIGNALS):
+        w.values[v, there, m] = w.values[v, here, m]
+        w.status[v, there, m] = w.status[v, here, m]
+
+
+@njit(cache=True)
 def _open(w: Waiting, v: int, k: int, time: int) -> None:
     """Insert an empty slot at place ``k``."""
     for n in range(w.size[v], k, -1):
-        w.times[v, n] = w.times[v, n - 1]
-        w.filled[v, n] = w.filled[v, n - 1]
-        w.values[v, n] = w.values[v, n - 1]
-        w.status[v, n] = w.status[v, n - 1]
+        _copy(w, v, n - 1, n)
     w.times[v, k] = time
     w.filled[v, k] = 0
     w.size[v] += 1
@@ -89,10 +96,7 @@ def _drop(w: Waiting, v: int, count: int) -> None:
     """Take the ``count`` oldest slots away."""
     w.emitted_until[v] = w.times[v, count - 1]
     for n in range(count, w.size[v]):
-        w.times[v, n - count] = w.times[v, n]
-        w.filled[v, n - count] = w.filled[v, n]
-        w.values[v, n - count] = w.values[v, n]
-        w.status[v, n - count] = w.status[v, n]
+        _copy(w, v, n, n - count)
     w.size[v] -= count
 
 

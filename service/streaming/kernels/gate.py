@@ -80,10 +80,16 @@ def judge_samples(
 
 @njit(cache=True)
 def _median(window: NDArray[np.float64]) -> float:
-    """Median of the window; of what it holds while it still fills (NaN sorts last)."""
-    ordered = np.sort(window)
+    """Median of the window; of what it holds while it still fills (the lower of two)."""
     n = 0
-    for x in ordered:
-        if not np.isnan(x):
-            n += 1
-    return float(ordered[(n - 1) // 2])
+    for x in window:
+        n += not np.isnan(x)
+    for x in window:
+        below = 0
+        equal = 0
+        for y in window:
+            below += y < x
+            equal += y == x
+        if below <= (n - 1) // 2 < below + equal:
+            return float(x)
+    return np.nan
