@@ -1,12 +1,22 @@
 """Configuration of the estimators: a class per kind, and the one place where they are built."""
 
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, assert_never
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator
-from service.identification.forgetting import Directional, Exponential
+from service.identification.forgetting import (
+    Adaptive,
+    Directional,
+    Exponential,
+    Forgetting,
+    Resetting,
+    SlidingWindow,
+    Subspace,
+    Variable,
+)
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -14,6 +24,11 @@ from service.identification.recursive_least_squares import RecursiveLeastSquares
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
 Range = tuple[float, float]
+
+
+ForgettingRule = Literal[
+    "adaptive", "exponential", "directional", "subspace", "resetting", "variable", "window"
+]
 
 
 class _EstimatorSection(BaseModel):
@@ -25,8 +40,11 @@ class RlsConfig(_EstimatorSection):
 
     kind: Literal["RLS"] = "RLS"
     name: Name = "RLS"
-    forgetting: Literal["exponential", "directional"] = "directional"
-    lam: Lam = 0.999
+    forgetting: ForgettingRule = Field(
+        "adaptive", description="adaptive: along what is excited, and at once after a change"
+    )
+    lam: Lam = 0.998
+    window_samples: int = Field(500, ge=10, le=100_000, description="length of a window")
 
 
 class RmlConfig(_EstimatorSection):
@@ -72,8 +90,7 @@ def build_estimator(
     """The estimator that a section describes, for a valve of these ranges."""
     match config:
         case RlsConfig():
-            rule = Exponential if config.forgetting == "exponential" else Directional
-            return RecursiveLeastSquares(forgetting=rule(config.lam))
+            return RecursiveLeastSquares(forgetting=_forgetting(config))
         case RmlConfig():
             return MaximumLikelihood(nd=config.nd, lam=config.lam)
         case RbfConfig():
@@ -89,3 +106,19 @@ def build_estimator(
             return Auto(lam=config.lam)
         case _:
             assert_never(config)
+
+
+def _forgetting(config: RlsConfig) -> Forgetting:
+    if config.forgetting == "window":
+        return SlidingWindow(config.window_samples)
+    return _RULES[config.forgetting](config.lam)
+
+
+_RULES: Mapping[str, Callable[[float], Forgetting]] = {
+    "adaptive": Adaptive,
+    "exponential": Exponential,
+    "directional": Directional,
+    "subspace": Subspace,
+    "resetting": Resetting,
+    "variable": Variable,
+}

@@ -59,8 +59,9 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # max_rate_per_s = 10000
 # spike = 50
 
-# [[valves.estimators]] # without any: RLS, RML and RBF
+# [[valves.estimators]] # without any: RLS, RML, RBF and Auto
 # kind = "RLS"
 # name = "RLS"
-# lam = 0.999
+# forgetting = "adaptive" # or exponential, directional, subspace, resetting, variable, window
+# lam = 0.998
 """

@@ -120,7 +120,11 @@ class Identification:
             raise CommandRejected(f"forgetting factor {lam:g}: allowed is 0 < lam <= 1")
         if not isinstance(lane.estimator, Forgetful):
             raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
-        self._put(valve, estimator, pipeline.with_forgetting(lane, lam))
+        try:
+            other = pipeline.with_forgetting(lane, lam)
+        except ValueError as error:
+            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        self._put(valve, estimator, other)
 
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
