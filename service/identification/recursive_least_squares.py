@@ -22,6 +22,7 @@ from service.identification.kernels import change_detection, recursion
 from service.identification.kernels.change_detection import Counts
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.recursion import Batch, Memory, Rule
+from service.identification.kernels.stepwise import run_stepwise
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Times, Trace
 
@@ -309,16 +310,33 @@ def initial_state(
         np.max(np.abs(rows), axis=0, initial=0.0, out=memory.scale)
         for i, (row, value) in enumerate(zip(rows, values, strict=True)):
             rotate_in(memory.factor, memory.rhs, row.copy(), value, 1.0, memory.scale, i)
-    recursion.determine(memory, _rule(forgetting))
+    recursion.determine(
+        memory.theta,
+        memory.factor,
+        memory.rhs,
+        memory.spread,
+        memory.scale,
+        memory.noise,
+        memory.counters,
+        _rule(forgetting).kind,
+    )
     return RlsState(**memory._asdict())
 
 
 def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats, Floats]:
     """Xᵀ·theta (N,) at N rows of X and its standard deviation (N,); NaN if unknown."""
     values, variances = np.empty(len(X)), np.empty(len(X))
-    memory = _memory(replace(state, spread=_spread(state, forgetting)))
-    recursion.evaluate(memory, np.ascontiguousarray(X, np.float64), values, variances)
-    return values, np.sqrt(variances * _noise_variance(state))
+    recursion.evaluate(
+        state.theta,
+        state.factor,
+        parameter_covariance(state, forgetting),
+        state.scale,
+        state.counters,
+        _writable(X),
+        values,
+        variances,
+    )
+    return values, np.sqrt(variances)
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
@@ -369,7 +387,11 @@ def _run(
         thetas=thetas,
         changes=changes,
     )
-    recursion.run(memory, _rule(forgetting), batch)
+    match forgetting:
+        case Resetting() | Subspace() | SlidingWindow():
+            run_stepwise(memory, _rule(forgetting), batch)
+        case _:
+            recursion.run(memory, _rule(forgetting), batch)
     trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
     return RlsState(**memory._asdict()), trace
 

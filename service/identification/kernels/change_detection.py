@@ -16,9 +16,9 @@ moves. Three things keep them from accusing the plant:
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.kernels.compiled import inner
 from service.identification.kernels.factors import project
 from service.identification.samples import Floats, Times
 
@@ -41,7 +41,7 @@ ENOUGH = 10.0
 SUSPICIOUS = 20.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def has_changed(
     detector: Floats,
     history: Counts,

@@ -6,15 +6,15 @@ asymmetric or indefinite. All loops run in a fixed order: the same samples give 
 """
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 EPSILON = 2.0**-52
 ESTIMABLE = 1e-8  # part of a column's scale that may lie outside the known directions
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rotate_in(
     R: Floats, z: Floats, x: Floats, y: float, lam: float, scale: Floats, count: int
 ) -> float:
@@ -46,7 +46,7 @@ def rotate_in(
     return y
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def is_regular(R: Floats) -> bool:
     """Whether the samples in R determine theta."""
     regular = True
@@ -55,7 +55,7 @@ def is_regular(R: Floats) -> bool:
     return regular
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
     """Theta of R·theta = z; a direction without samples gets 0."""
     for i in range(len(z) - 1, -1, -1):
@@ -65,21 +65,24 @@ def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
         theta[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
-def is_estimable(R: Floats, x: Floats, scale: Floats) -> bool:
-    """Whether the samples in R fix xᵀtheta; x is destroyed."""
-    n = len(x)
-    for i in range(n):
-        if R[i, i] != 0.0:
-            w = x[i] / R[i, i]
-            for j in range(i + 1, n):
-                x[j] -= w * R[i, j]
-        elif abs(x[i]) > ESTIMABLE * scale[i]:
+@inner
+def is_estimable(R: Floats, X: Floats, i: int, scale: Floats) -> bool:
+    """Whether the samples in R fix xᵀtheta although not theta; x is row i of X."""
+    n = len(R)
+    x = np.empty(n)
+    for j in range(n):
+        x[j] = X[i, j]
+    for j in range(n):
+        if R[j, j] != 0.0:
+            w = x[j] / R[j, j]
+            for k in range(j + 1, n):
+                x[k] -= w * R[j, k]
+        elif not abs(x[j]) <= ESTIMABLE * scale[j]:
             return False
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def invert_triangle(R: Floats, ut: Floats) -> None:
     """U and D of P = (RᵀR)⁻¹ = U·D·Uᵀ, written over ``ut`` as below."""
     n = len(R)
@@ -96,7 +99,7 @@ def invert_triangle(R: Floats, ut: Floats) -> None:
             ut[j, i] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def project(ut: Floats, x: Floats, f: Floats, Px: Floats) -> float:
     """F = Uᵀx and P·x, and xᵀ·P·x.
 
@@ -117,7 +120,7 @@ def project(ut: Floats, x: Floats, f: Floats, Px: Floats) -> float:
     return r
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, growth: float) -> None:
     """P ← growth·(P - weight·P·x·xᵀ·P / (alpha + weight·xᵀ·P·x)), Bierman's recursion.
 
@@ -140,7 +143,7 @@ def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, grow
         k[j] = v
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def add_rank_one(ut: Floats, x: Floats, weight: float) -> None:
     """P ← P + weight·x·xᵀ for weight ≥ 0, Agee and Turner's recursion; x is destroyed."""
     for j in range(len(x) - 1, -1, -1):
@@ -154,7 +157,7 @@ def add_rank_one(ut: Floats, x: Floats, weight: float) -> None:
         weight *= d / d_next
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def information_along(ut: Floats, x: Floats, w: Floats) -> float:
     """Xᵀ·P⁻¹·x; ``w`` is scratch."""
     n = len(x)
@@ -168,7 +171,7 @@ def information_along(ut: Floats, x: Floats, w: Floats) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def scaled_trace(ut: Floats, scale: Floats) -> float:
     """Trace of P in units of the columns' scales."""
     n = len(scale)
@@ -182,7 +185,7 @@ def scaled_trace(ut: Floats, scale: Floats) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def covariance(ut: Floats) -> Floats:
     """P itself, one triangle computed and mirrored."""
     n = len(ut)
