@@ -1,0 +1,38 @@
+"""What the tests with programs of other stacks share; each module says which ``program`` it is."""
+
+import pytest
+import pytest_asyncio
+
+pytest.register_assert_rewrite("support.interoperation")
+
+from support.interoperation import Asking, raised  # noqa: E402 - after what it says above
+from support.peer import Peer  # noqa: E402
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def stage(tmp_path_factory):
+    async with raised(tmp_path_factory.mktemp("stage")) as stage:
+        yield stage
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def peer(program):
+    peer = await Peer.start(*program)
+    yield peer
+    await peer.stop()
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def operator(peer, stage):
+    operator = Asking(peer, "operator")
+    await operator.ask("connect", **stage.who())
+    yield operator
+    await operator.ask("disconnect")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def observer(peer, stage):
+    observer = Asking(peer, "observer")
+    await observer.ask("connect", **stage.who("observer"))
+    yield observer
+    await observer.ask("disconnect")

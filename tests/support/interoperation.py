@@ -1,0 +1,359 @@
+"""What a client of any stack must find at our results server.
+
+A test module per stack subclasses :class:`ClientInteroperation` and says how to start its program
+(see :mod:`support.peer`). Everything goes over Basic256Sha256, SignAndEncrypt.
+"""
+
+import asyncio
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from asyncua import ua
+from support.peer import PeerError
+from support.plant import plant
+from support.proxy import Proxy
+
+from service.identification.model_structures import FiveTerms
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.opcua.hardened import (
+    OwnCertificate,
+    Pki,
+    Role,
+    ServerSettings,
+    UserStore,
+    ensure_certificate,
+    load_certificate,
+    thumbprint,
+    trust,
+)
+from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.identification import Identification
+from service.streaming.pipeline import ValvePlan
+from service.streaming.quality_gate import QualityGate
+
+Codes = ua.StatusCodes
+VALVE = f"nsu={NAMESPACE};s=Valvistor"
+PASSWORD = "correct horse"
+APPLICATION_URI = "urn:test:peer"
+SAMPLES = 20  # taken in between two publishings of results
+PERIOD_S = 0.05
+
+
+@dataclass
+class Stage:
+    """A results server at work, and what a client needs to get in."""
+
+    server: ResultsServer
+    live: Identification
+    proxy: Proxy
+    pki: Pki
+    own: OwnCertificate
+    folder: Path
+
+    def who(self, user="operator", policy="Basic256Sha256", **other):
+        return {
+            "url": self.server.url,
+            "policy": policy,
+            "user": user,
+            "password": PASSWORD,
+            "certificate": str(self.own.certificate),
+            "key": str(self.own.key),
+            "applicationUri": APPLICATION_URI,
+            "server": str(self.pki.own / "service.der"),
+            "pki": str(self.folder / "theirs"),
+            **other,
+        }
+
+    def through_proxy(self):
+        return self.who(url=f"opc.tcp://127.0.0.1:{self.proxy.port}/valvemap/service/")
+
+
+def identification():
+    gate, estimators = QualityGate(), {"RLS": RecursiveLeastSquares(FiveTerms())}
+    plan = ValvePlan(name="Valvistor", gate=gate, estimators=estimators, inverse="RLS")
+    return Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+
+
+async def identify(live, server):
+    """Take samples in and show what they say, 20 times a second."""
+    first = 0
+    while True:
+        live.take_samples(0, plant(SAMPLES, seed=first + 1, first=first))
+        live.refresh_maps()
+        await server.publish([live.result(0)])
+        first += SAMPLES
+        await asyncio.sleep(PERIOD_S)
+
+
+def double(value):
+    return {"type": "Double", "value": value}
+
+
+def every_sample(node, **more):
+    return {"node": f"{VALVE}.{node}", "trigger": "StatusValueTimestamp", **more}
+
+
+def deadband(node, kind, value):
+    return {"node": f"{VALVE}.{node}", "deadband": {"type": kind, "value": value}}
+
+
+def values(changes):
+    return [change["value"] for change in changes]
+
+
+@asynccontextmanager
+async def raised(folder):
+    """Set a stage: start everything but the client."""
+    pki, theirs = Pki(folder / "server"), Pki(folder / "client")
+    own = ensure_certificate(theirs, APPLICATION_URI, ("localhost", "127.0.0.1"), "peer")
+    pki.make_folders()
+    trust(pki, own.certificate)
+    users = UserStore()
+    users.add("operator", Role.OPERATOR, PASSWORD)
+    users.add("observer", Role.OBSERVER, PASSWORD)
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/service/",
+        application_uri="urn:test:service",
+        application_name="service",
+        namespace_uri=NAMESPACE,
+        users=users,
+        pki=pki,
+    )
+    live = identification()
+    async with ResultsServer(settings, live.descriptions(), live) as server:
+        task = asyncio.create_task(identify(live, server))
+        async with Proxy(urlsplit(server.url).port) as proxy:
+            yield Stage(server, live, proxy, pki, own, folder)
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+class Asking:
+    """A peer's connection under a name of its own."""
+
+    def __init__(self, peer, name):
+        self._peer, self._name = peer, name
+
+    async def ask(self, op, **fields):
+        return await self._peer.ask(op, **{"as": self._name}, **fields)
+
+    async def read(self, node, **more):
+        return await self.ask("read", node=f"{VALVE}.{node}", **more)
+
+    async def write(self, node, value):
+        answer = await self.ask("write", node=f"{VALVE}.{node}", value=value)
+        return answer["code"]
+
+    async def call(self, owner, method, *inputs):
+        owner = f"{VALVE}.{owner}"
+        return await self.ask("call", owner=owner, method=f"{owner}.{method}", inputs=inputs)
+
+    async def subscribe(self, *items, interval=50):
+        return await self.ask("subscribe", items=items, interval=interval)
+
+    async def watch(self, seconds):
+        """Return all that came during some seconds, by item."""
+        await asyncio.sleep(seconds)
+        return await self.ask("changes")
+
+
+class ClientInteroperation:
+    """The list that every stack goes through."""
+
+    async def test_it_finds_the_valve_where_the_contract_says(self, observer):
+        path = [[NAMESPACE, "Identification"], [NAMESPACE, "Valvistor"]]
+        found = await observer.ask("follow", node="i=85", path=path)
+        assert found == {"code": Codes.Good, "targets": ["Valvistor"]}
+        astray = await observer.ask("follow", node="i=85", path=[*path, [NAMESPACE, "Nothing"]])
+        assert astray["code"] == Codes.BadNoMatch
+
+    async def test_it_browses_at_once_and_page_by_page(self, observer):
+        whole = await observer.ask("browse", node=f"{VALVE}.RLS")
+        pages = await observer.ask("browse", node=f"{VALVE}.RLS", page=3)
+        assert {"ParameterVector", "Residual", "SampleCount", "Predict"} <= set(whole["names"])
+        assert pages["names"] == whole["names"]
+        assert whole["pages"] == 1
+        assert pages["pages"] == -(-len(whole["names"]) // 3)
+
+    async def test_it_reads_engineering_units_and_enumerations(self, observer):
+        units = (await observer.read("RLS.PredictedFlow.EngineeringUnits"))["value"]
+        span = (await observer.read("RLS.PredictedFlow.EURange"))["value"]
+        names = await observer.read("RLS.Status.EnumStrings")
+        axis = (await observer.read("Inverse.Map.XAxisDefinition"))["value"]
+        assert (units["unitId"], units["displayName"]) == (19506, "l/min")
+        assert (span["low"], span["high"]) == (0, 200)
+        assert names["value"][0] == "OK"
+        assert axis["title"] == "Pressure drop"
+        assert axis["engineeringUnits"]["unitId"] == 4342098
+
+    async def test_it_reads_numbers_arrays_and_parts_of_matrices(self, observer):
+        count = await observer.read("RLS.SampleCount")
+        vector = await observer.read("RLS.ParameterVector")
+        whole = await observer.read("Inverse.Map")
+        part = await observer.read("Inverse.Map", range="19:20,0:1")
+        assert (count["type"], count["code"]) == ("UInt64", Codes.Good)
+        assert (vector["type"], len(vector["value"])) == ("Double", 5)
+        assert (whole["dimensions"], len(whole["value"])) == ([21, 20], 420)
+        assert part["dimensions"] == [2, 2]
+        table = np.array(whole["value"], float).reshape(21, 20)
+        np.testing.assert_allclose(np.array(part["value"], float), table[19:, :2].ravel(), rtol=0.1)
+
+    async def test_it_is_told_what_there_is_not(self, observer):
+        assert (await observer.read("Nothing"))["code"] == Codes.BadNodeIdUnknown
+        beyond = await observer.read("Inverse.Map", range="90:95,0:1")
+        assert beyond["code"] == Codes.BadIndexRangeNoData
+
+    async def test_it_sees_the_parameters_move_and_misses_no_result(self, operator):
+        made = await operator.subscribe(
+            every_sample("RLS.SampleCount"), every_sample("RLS.ParameterVector")
+        )
+        counts, vectors = await operator.watch(1.5)
+        await operator.ask("unsubscribe")
+        assert made["interval"] == 50.0
+        assert made["items"] == [{"code": 0, "queue": 1000, "sampling": 0.0}] * 2
+        assert len(counts) >= 15
+        assert set(np.diff(values(counts))) == {SAMPLES}
+        times = [change["time"] for change in vectors]
+        assert set(np.diff(times)) == {SAMPLES * 10}
+        assert len({tuple(vector) for vector in values(vectors)}) == len(vectors)
+        assert {change["code"] for change in vectors} == {Codes.Good}
+        a = np.array(vectors[-1]["value"])
+        np.testing.assert_allclose(a[[0, 3, 4]], [3.0, 0.1, -0.02], atol=0.2)
+
+    @pytest.mark.parametrize(("kind", "value"), [("Absolute", 30.0), ("Percent", 15.0)])
+    async def test_a_deadband_compares_with_the_last_reported_value(self, operator, kind, value):
+        node = "RLS.PredictedFlow"  # its range is 0 to 200 l/min
+        await operator.subscribe(every_sample(node), deadband(node, kind, value))
+        everything, reported = await operator.watch(2.0)
+        await operator.ask("unsubscribe")
+        expected = []
+        for change in everything:
+            started = change["time"] >= reported[0]["time"]
+            if started and (not expected or abs(change["value"] - expected[-1]) > 30.0):
+                expected.append(change["value"])
+        assert len(everything) >= 25
+        assert 2 <= len(reported) < len(everything)
+        assert values(reported) == expected
+
+    async def test_an_item_that_cannot_be_is_refused_by_name_of_the_reason(self, operator):
+        made = await operator.subscribe(
+            deadband("RLS.SampleCount", "Percent", 5.0),
+            deadband("RLS.PredictedFlow", "Percent", 101.0),
+            every_sample("RLS.Nothing"),
+            every_sample("RLS.Residual", queue=0),
+        )
+        await operator.ask("unsubscribe")
+        codes = [item["code"] for item in made["items"]]
+        assert codes[1:] == [Codes.BadDeadbandFilterInvalid, Codes.BadNodeIdUnknown, Codes.Good]
+        assert codes[0] in (Codes.BadMonitoredItemFilterUnsupported, Codes.BadFilterNotAllowed)
+        assert made["items"][3]["queue"] == 1
+
+    async def test_it_predicts_and_inverts_and_the_two_agree(self, observer):
+        inverted = await observer.call("Inverse", "Invert", double(51.0), double(100), double(40))
+        predicted = await observer.call("RLS", "Predict", double(50.0), double(100), double(40))
+        U, lower, upper, status = inverted["outputs"]
+        assert (inverted["code"], status) == (Codes.Good, 0)
+        assert lower <= U <= upper
+        assert pytest.approx(50.0, abs=0.5) == U
+        assert predicted["outputs"][0] == pytest.approx(51.0, abs=0.5)
+
+    async def test_as_operator_it_commands_an_estimator(self, operator, stage):
+        forget = await operator.call("RLS", "SetForgettingFactor", double(0.999))
+        assert forget["code"] == Codes.Good
+        assert stage.live.lane("Valvistor", "RLS").lam == 0.999
+        for command in ("Freeze", "Resume"):
+            assert (await operator.call("RLS", command))["code"] == Codes.Good
+
+    async def test_what_it_asks_wrongly_is_named(self, operator):
+        text = {"type": "String", "value": "much"}
+        wrong = await operator.call("RLS", "SetForgettingFactor", text)
+        few = await operator.call("RLS", "SetForgettingFactor")
+        elsewhere = await operator.ask(
+            "call", owner=f"{VALVE}.Inverse", method=f"{VALVE}.RLS.Reset", inputs=[]
+        )
+        assert (wrong["code"], wrong["inputs"]) == (
+            Codes.BadInvalidArgument,
+            [Codes.BadTypeMismatch],
+        )
+        assert few["code"] == Codes.BadArgumentsMissing
+        assert elsewhere["code"] == Codes.BadMethodInvalid
+
+    async def test_as_operator_it_demands_a_flow_and_reads_the_voltage_for_it(self, operator):
+        assert await operator.write("Inverse.FlowDemand", double(51.0)) == Codes.Good
+        assert await operator.write("Inverse.PressureDrop", double(100.0)) == Codes.Good
+        await asyncio.sleep(4 * PERIOD_S)
+        required = await operator.read("Inverse.RequiredU")
+        assert (required["type"], required["code"]) == ("Double", Codes.Good)
+        assert required["value"] == pytest.approx(50.0, abs=0.5)
+
+    async def test_what_it_may_not_write_is_refused_with_the_reason(self, operator):
+        assert await operator.write("Inverse.FlowDemand", double(1e6)) == Codes.BadOutOfRange
+        text = {"type": "String", "value": "much"}
+        assert await operator.write("Inverse.FlowDemand", text) == Codes.BadTypeMismatch
+        assert await operator.write("RLS.Residual", double(0.0)) == Codes.BadNotWritable
+
+    async def test_as_observer_it_may_look_but_not_touch(self, observer):
+        assert (await observer.call("RLS", "Reset"))["code"] == Codes.BadUserAccessDenied
+        denied = await observer.write("Inverse.FlowDemand", double(50.0))
+        assert denied == Codes.BadUserAccessDenied
+
+    async def test_a_cut_connection_is_made_again_and_nothing_is_missing(self, peer, stage):
+        cut = Asking(peer, "cut")
+        await cut.ask("connect", **stage.through_proxy())
+        await cut.subscribe(every_sample("RLS.SampleCount"))
+        seen = values((await cut.watch(0.5))[0])
+        for _ in range(3):
+            stage.proxy.cut()
+            newest, started = seen[-1], len(seen)
+            async with asyncio.timeout(20.0):
+                while seen[-1] < newest + 2 * SAMPLES / PERIOD_S or len(seen) == started:
+                    seen += values((await cut.watch(0.1))[0])
+        await cut.ask("disconnect")
+        assert set(np.diff(sorted(set(seen)))) == {SAMPLES}
+
+    async def test_a_stalled_line_loses_nothing(self, peer, stage):
+        stalled = Asking(peer, "stalled")
+        await stalled.ask("connect", **stage.through_proxy())
+        await stalled.subscribe(every_sample("RLS.SampleCount"))
+        (seen,) = await stalled.watch(0.5)
+        stage.proxy.stall()
+        await asyncio.sleep(1.5)
+        stage.proxy.flow()
+        seen += (await stalled.watch(1.0))[0]
+        await stalled.ask("disconnect")
+        assert len(seen) >= 40
+        assert set(np.diff(values(seen))) == {SAMPLES}
+
+    async def test_the_stronger_policy_works_too(self, peer, stage):
+        strong = Asking(peer, "strong")
+        await strong.ask("connect", **stage.who(policy="Aes256_Sha256_RsaPss"))
+        await strong.subscribe(every_sample("RLS.Residual"))
+        (residuals,) = await strong.watch(0.5)
+        assert len(residuals) >= 3
+        assert await strong.write("Inverse.FlowDemand", double(51.0)) == Codes.Good
+        await strong.ask("disconnect")
+
+    async def test_a_wrong_password_does_not_get_in(self, peer, stage):
+        with pytest.raises(PeerError) as refused:
+            await peer.ask("connect", **stage.who(password="correct hors"))
+        assert refused.value.code == Codes.BadUserAccessDenied
+
+    async def test_a_stranger_is_let_in_once_it_is_trusted(self, peer, stage):
+        folder = stage.folder / "stranger"
+        own = ensure_certificate(Pki(folder), "urn:test:stranger", ("localhost",), "stranger")
+        who = stage.who(
+            certificate=str(own.certificate), key=str(own.key), applicationUri="urn:test:stranger"
+        )
+        stranger = Asking(peer, "stranger")
+        with pytest.raises(PeerError):
+            await stranger.ask("connect", **who)
+        trust(stage.pki, thumbprint(load_certificate(own.certificate)))  # it lies in rejected
+        await stranger.ask("connect", **who)
+        assert (await stranger.read("RLS.Status"))["code"] == Codes.Good
+        await stranger.ask("disconnect")

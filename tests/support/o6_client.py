@@ -1,0 +1,252 @@
+"""o6 (Python over open62541) as a client; see :mod:`support.peer` for what it is told.
+
+A program of its own: importing o6 starts a timer that ends the process after 10 minutes.
+"""
+
+import asyncio
+import itertools
+import json
+import math
+import sys
+from datetime import datetime
+
+_URI = "http://opcfoundation.org/UA/SecurityPolicy#"
+_TRIGGERS = {"Status": 0, "StatusValue": 1, "StatusValueTimestamp": 2}
+_TYPES = {
+    "bool": "Boolean",
+    "uint8": "Byte",
+    "int32": "Int32",
+    "uint32": "UInt32",
+    "uint64": "UInt64",
+    "float32": "Float",
+    "float64": "Double",
+}
+
+
+class Connection:
+    def __init__(self, scope, client):
+        self.scope = scope
+        self.client = client
+        self.subscription = None
+        self.changes = []
+
+
+class Operations:
+    """One method per operation."""
+
+    def __init__(self):
+        import o6
+        from o6.ns import ns0
+
+        self.o6, self.types = o6, ns0.datatypes
+        self.connections = {}
+        self.scopes = itertools.count()
+
+    async def connect(self, name, step):
+        scope = f"connection{next(self.scopes)}"
+        client = self.o6.Client(
+            step["url"],
+            certificate=step["certificate"],
+            privateKey=step["key"],
+            trustList=[step["server"]],
+            securityMode=3,
+            securityPolicy=_URI + step["policy"],
+            applicationUri=step["applicationUri"],
+            username=step["user"],
+            password=step["password"],
+            name=scope,
+        )
+        await client.connect(createDefaultSubscription=False)
+        self.connections[name] = Connection(scope, client)
+        return {}
+
+    async def disconnect(self, name, _):
+        await self.connections.pop(name).client.disconnect()
+        return {}
+
+    async def follow(self, name, step):
+        path = self.types.BrowsePath()
+        path.startingNode = self._id(name, step["node"])
+        for uri, browse_name in step["path"]:
+            element = self.types.RelativePathElement()
+            element.referenceTypeId = self.o6.NodeId("i=33")
+            element.includeSubtypes = True
+            element.targetName = self.o6.QualifiedName(self._index(name, uri), browse_name)
+            path.relativePath.elements = [*path.relativePath.elements, element]
+        found = await self._client(name).translateBrowsePathsToNodeIds(path)
+        targets = [target.targetId.id for target in found.targets]
+        return {"code": int(found.statusCode), "targets": targets}
+
+    async def browse(self, name, step):
+        wanted = self.types.BrowseDescription()
+        wanted.nodeId = self._id(name, step["node"])
+        wanted.referenceTypeId = self.o6.NodeId("i=33")
+        wanted.includeSubtypes = True
+        wanted.resultMask = 63
+        request = self.types.BrowseRequest()
+        request.nodesToBrowse = [wanted]
+        request.requestedMaxReferencesPerNode = step.get("page", 0)
+        (result,) = (await self._client(name).serviceBrowse(request)).results
+        names, pages = [], 1
+        while True:
+            names += [reference.browseName.name for reference in result.references]
+            if not bytes(result.continuationPoint):
+                return {"code": int(result.statusCode), "names": names, "pages": pages}
+            following = self.types.BrowseNextRequest()
+            following.continuationPoints = [result.continuationPoint]
+            (result,) = (await self._client(name).serviceBrowseNext(following)).results
+            pages += 1
+
+    async def read(self, name, step):
+        value = await self._client(name).read(
+            self._id(name, step["node"]),
+            attr=step.get("attribute", "Value"),
+            range=step.get("range"),
+            valueOnly=False,
+            timestampsToReturn=self.types.TimestampsToReturn.BOTH,
+        )
+        return _shown(value)
+
+    async def write(self, name, step):
+        value = self._value(step["value"])
+        return {"code": int(await self._client(name).write(self._id(name, step["node"]), value))}
+
+    async def call(self, name, step):
+        wanted = self.types.CallMethodRequest()
+        wanted.objectId = self._id(name, step["owner"])
+        wanted.methodId = self._id(name, step["method"])
+        wanted.inputArguments = [self._value(value) for value in step["inputs"]]
+        request = self.types.CallRequest()
+        request.methodsToCall = [wanted]
+        (result,) = (await self._client(name).serviceCall(request)).results
+        return {
+            "code": int(result.statusCode),
+            "inputs": [int(code) for code in result.inputArgumentResults],
+            "outputs": [_plain(value) for value in result.outputArguments],
+        }
+
+    async def subscribe(self, name, step):
+        connection = self.connections[name]
+        client = connection.client
+        connection.subscription = await client.createSubscription(step["interval"], 600, 20, 0)
+        connection.changes = [[] for _ in step["items"]]
+        items = []
+        for number, wanted in enumerate(step["items"]):
+            items.append(await self._monitor(name, number, wanted))
+        return {"interval": connection.subscription.publishingInterval, "items": items}
+
+    async def changes(self, name, _):
+        connection = self.connections[name]
+        taken = connection.changes
+        connection.changes = [[] for _ in taken]
+        return [[_shown(value) for value in item] for item in taken]
+
+    async def unsubscribe(self, name, _):
+        await self.connections[name].subscription.delete()
+        return {}
+
+    async def _monitor(self, name, number, wanted):
+        connection = self.connections[name]
+        filter_ = self.types.DataChangeFilter()
+        filter_.trigger = _TRIGGERS[wanted.get("trigger", "StatusValue")]
+        deadband = wanted.get("deadband")
+        if deadband is not None:
+            filter_.deadbandType = {"Absolute": 1, "Percent": 2}[deadband["type"]]
+            filter_.deadbandValue = deadband["value"]
+        try:
+            item = await connection.client.monitor(
+                self._id(name, wanted["node"]),
+                lambda _, value: connection.changes[number].append(value),
+                0.0,
+                valueOnly=False,
+                subscription=connection.subscription,
+                filter=filter_,
+                queueSize=wanted.get("queue", 1000),
+            )
+        except self.o6.StatusCodeError as error:
+            return {"code": int(error.code)}
+        return {
+            "code": 0,
+            "queue": int(item.params.queueSize),
+            "sampling": item.params.samplingInterval,
+        }
+
+    def _client(self, name):
+        return self.connections[name].client
+
+    def _id(self, name, text):
+        uri, _, rest = text.removeprefix("nsu=").partition(";")
+        if rest:
+            text = f"ns={self._index(name, uri)};{rest}"
+        return self.o6.NodeId(text)
+
+    def _index(self, name, uri):
+        """The namespaces of each connection have numbers of their own."""
+        scope = self.connections[name].scope
+        return next(found.index for found in self.o6.ns.filter(uri=uri) if found.scope == scope)
+
+    def _value(self, value):
+        content = value["value"]
+        if value["type"] in ("Float", "Double"):
+            content = float(content)
+        return getattr(self.o6, value["type"])(content)
+
+
+def _shown(value):
+    time = value.sourceTimestamp
+    shape = getattr(value.value, "shape", ())
+    moment = None if time is None else datetime.fromisoformat(str(time)).timestamp()
+    return {
+        "type": _type_of(value.value),
+        "dimensions": list(shape) if len(shape) > 1 else None,
+        "value": _plain(value.value),
+        "code": int(value.status or 0),
+        "time": None if moment is None else round(moment * 1e3),
+    }
+
+
+def _type_of(value):
+    kind = str(getattr(value, "dtype", "object"))
+    if kind != "object":
+        return _TYPES[kind]
+    return "String" if isinstance(value, str) or hasattr(value, "dtype") else type(value).__name__
+
+
+def _plain(value):
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if hasattr(value, "tolist"):  # of numpy
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return (
+            value
+            if math.isfinite(value)
+            else {"inf": "Infinity", "-inf": "-Infinity"}.get(str(value), "NaN")
+        )
+    if isinstance(value, list):
+        return [part for item in value for part in _flat(_plain(item))]
+    for name in ("text", "name"):
+        if hasattr(value, name):
+            return getattr(value, name)
+    return {name: _plain(getattr(value, name)) for name in dir(value) if name[0] != "_"}
+
+
+def _flat(item):
+    return item if isinstance(item, list) else [item]
+
+
+async def main(out):
+    operations = Operations()
+    while line := await asyncio.to_thread(sys.stdin.readline):
+        step = json.loads(line)
+        operation = getattr(operations, step["op"])
+        try:
+            answer = {"result": await operation(step.get("as", "main"), step)}
+        except operations.o6.StatusCodeError as error:
+            answer = {"error": str(error), "code": int(error.code)}
+        print(json.dumps(answer), file=out, flush=True)
+
+
+if __name__ == "__main__":
+    answers, sys.stdout = sys.stdout, sys.stderr  # o6 has something to say at its start
+    asyncio.run(main(answers))
