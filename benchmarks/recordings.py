@@ -27,6 +27,11 @@ def rmse(error: Floats) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
+def settled_r2(Q: Floats, innovations: Floats) -> float:
+    """R² without the first minute."""
+    return r2(Q[SETTLED:], innovations[SETTLED:])
+
+
 def cooling_circuit_regressors(samples: Samples) -> Floats:
     """Rows 1, dp, T, dp·T."""
     return COOLING_CIRCUIT.regressors(samples.U, samples.dp, samples.T)
@@ -35,8 +40,7 @@ def cooling_circuit_regressors(samples: Samples) -> Floats:
 def one_step_ahead(samples: Samples, forgetting: Forgetting) -> float:
     """R² of predictions made before the sample, in chronological order."""
     X = cooling_circuit_regressors(samples)
-    innovations = recursive_least_squares(X, samples.Q, forgetting).innovations
-    return r2(samples.Q[SETTLED:], innovations[SETTLED:])
+    return settled_r2(samples.Q, recursive_least_squares(X, samples.Q, forgetting).innovations)
 
 
 @dataclass(frozen=True)
