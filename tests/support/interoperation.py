@@ -107,7 +107,7 @@ def values(changes):
 
 
 @asynccontextmanager
-async def raised(folder):
+async def raised(folder, **more):
     """Set a stage: start everything but the client."""
     pki, theirs = Pki(folder / "server"), Pki(folder / "client")
     own = ensure_certificate(theirs, APPLICATION_URI, ("localhost", "127.0.0.1"), "peer")
@@ -123,6 +123,7 @@ async def raised(folder):
         namespace_uri=NAMESPACE,
         users=users,
         pki=pki,
+        **more,
     )
     live = identification()
     async with ResultsServer(settings, live.descriptions(), live) as server:

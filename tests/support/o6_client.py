@@ -6,7 +6,6 @@ A program of its own: importing o6 starts a timer that ends the process after 10
 import asyncio
 import itertools
 import json
-import math
 import sys
 from datetime import datetime
 
@@ -213,16 +212,10 @@ def _type_of(value):
 
 
 def _plain(value):
-    if value is None or isinstance(value, (bool, int, str)):
+    if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if hasattr(value, "tolist"):  # of numpy
         return _plain(value.tolist())
-    if isinstance(value, float):
-        return (
-            value
-            if math.isfinite(value)
-            else {"inf": "Infinity", "-inf": "-Infinity"}.get(str(value), "NaN")
-        )
     if isinstance(value, list):
         return [part for item in value for part in _flat(_plain(item))]
     for name in ("text", "name"):

@@ -1,0 +1,247 @@
+// node-opcua as a client; tests/support/peer.py says what it is told and what it answers.
+const { createInterface } = require("node:readline");
+const { OPCUACertificateManager } = require("node-opcua-certificate-manager");
+const {
+  AttributeIds,
+  BrowseDirection,
+  ClientMonitoredItem,
+  ClientSubscription,
+  DataChangeFilter,
+  DataChangeTrigger,
+  DataType,
+  DeadbandType,
+  MessageSecurityMode,
+  MonitoringMode,
+  OPCUAClient,
+  SecurityPolicy,
+  StatusCodes,
+  TimestampsToReturn,
+  UserTokenType,
+  Variant,
+} = require("node-opcua-client");
+
+const connections = new Map();
+
+function shown(dataValue) {
+  const time = dataValue.sourceTimestamp;
+  const variant = dataValue.value;
+  const structure = DataType[variant?.dataType] === "ExtensionObject";
+  return {
+    type: structure ? variant.value?.schema?.name : DataType[variant?.dataType ?? 0],
+    dimensions: variant?.dimensions ?? null,
+    value: plain(variant?.value, DataType[variant?.dataType ?? 0]),
+    code: dataValue.statusCode.value,
+    time: time ? time.getTime() : null,
+  };
+}
+
+function plain(value, type) {
+  if (value === null || value === undefined) return null;
+  if (typeof value === "number") return Number.isFinite(value) ? value : String(value);
+  if (typeof value !== "object") return value;
+  if (type === "UInt64" && value.length === 2 && typeof value[0] === "number")
+    return value[0] * 2 ** 32 + value[1];
+  if (ArrayBuffer.isView(value) || Array.isArray(value))
+    return Array.from(value, (part) => plain(part, type));
+  if (value.schema?.name === "LocalizedText") return value.text;
+  if (value.schema?.name === "QualifiedName") return value.name;
+  const fields = value.schema?.fields ?? [];
+  return Object.fromEntries(fields.map(({ name }) => [name, plain(value[name])]));
+}
+
+function variant({ type, value }) {
+  return new Variant({
+    dataType: DataType[type],
+    value: type === "String" ? value : Number(value),
+  });
+}
+
+// node-opcua knows "ns=" only; our ids name the namespace.
+function id(session, text) {
+  const match = /^nsu=([^;]+);(.*)$/s.exec(text);
+  return match ? `ns=${session.getNamespaceIndex(match[1])};${match[2]}` : text;
+}
+
+function filter({ trigger = "StatusValue", deadband }) {
+  return new DataChangeFilter({
+    trigger: DataChangeTrigger[trigger === "StatusValueTimestamp" ? trigger : "StatusValue"],
+    deadbandType: DeadbandType[deadband?.type ?? "None"],
+    deadbandValue: deadband?.value ?? 0,
+  });
+}
+
+async function monitor({ session, subscription, changes }, wanted, index) {
+  const item = ClientMonitoredItem.create(
+    subscription,
+    { nodeId: id(session, wanted.node), attributeId: AttributeIds.Value },
+    {
+      samplingInterval: 0,
+      queueSize: wanted.queue ?? 1000,
+      discardOldest: true,
+      filter: filter(wanted),
+    },
+    TimestampsToReturn.Both,
+    MonitoringMode.Reporting,
+  );
+  item.on("changed", (dataValue) => changes[index].push(shown(dataValue)));
+  return new Promise((resolve) => {
+    item.on("initialized", () => {
+      const { revisedQueueSize: queue, revisedSamplingInterval: sampling } = item.result;
+      resolve({ code: 0, queue, sampling });
+    });
+    item.on("err", () => resolve({ code: item.statusCode.value }));
+  });
+}
+
+const operations = {
+  async connect(_, step) {
+    const options = {
+      applicationName: "valvemap-node-peer",
+      endpointMustExist: false,
+      keepSessionAlive: true,
+      connectionStrategy: { maxRetry: 20, initialDelay: 100, maxDelay: 500 },
+    };
+    if (step.policy) {
+      options.securityMode = MessageSecurityMode.SignAndEncrypt;
+      options.securityPolicy = SecurityPolicy[step.policy];
+      options.certificateFile = step.certificate;
+      options.privateKeyFile = step.key;
+      options.applicationUri = step.applicationUri;
+      options.clientCertificateManager = new OPCUACertificateManager({
+        rootFolder: step.pki,
+        automaticallyAcceptUnknownCertificate: true,
+      });
+    }
+    const client = OPCUAClient.create(options);
+    await client.connect(step.url);
+    try {
+      const session = await client.createSession(
+        step.user
+          ? { type: UserTokenType.UserName, userName: step.user, password: step.password }
+          : { type: UserTokenType.Anonymous },
+      );
+      await session.readNamespaceArray();
+      connections.set(step.as, { client, session });
+    } catch (error) {
+      await client.disconnect();
+      throw error;
+    }
+    return {};
+  },
+
+  async disconnect({ client, session }, step) {
+    await session.close();
+    await client.disconnect();
+    connections.delete(step.as);
+    return {};
+  },
+
+  async follow({ session }, { node, path }) {
+    const elements = path.map(([uri, name]) => ({
+      referenceTypeId: "i=33",
+      includeSubtypes: true,
+      targetName: { namespaceIndex: session.getNamespaceIndex(uri), name },
+    }));
+    const found = await session.translateBrowsePath({
+      startingNode: id(session, node),
+      relativePath: { elements },
+    });
+    const targets = (found.targets ?? []).map((target) => target.targetId.value);
+    return { code: found.statusCode.value, targets };
+  },
+
+  async browse({ session }, { node, page = 0 }) {
+    session.requestedMaxReferencesPerNode = page;
+    let result = await session.browse({
+      nodeId: id(session, node),
+      referenceTypeId: "i=33",
+      includeSubtypes: true,
+      browseDirection: BrowseDirection.Forward,
+      resultMask: 63,
+    });
+    const names = [];
+    for (let pages = 1; ; pages += 1) {
+      names.push(...(result.references ?? []).map((reference) => reference.browseName.name));
+      if (!result.continuationPoint?.length)
+        return { code: result.statusCode.value, names, pages };
+      result = await session.browseNext(result.continuationPoint, false);
+    }
+  },
+
+  async read({ session }, { node, attribute = "Value", range }) {
+    return shown(
+      await session.read({
+        nodeId: id(session, node),
+        attributeId: AttributeIds[attribute],
+        indexRange: range,
+      }),
+    );
+  },
+
+  async write({ session }, { node, value }) {
+    const code = await session.write({
+      nodeId: id(session, node),
+      attributeId: AttributeIds.Value,
+      value: { value: variant(value) },
+    });
+    return { code: code.value };
+  },
+
+  async call({ session }, { owner, method, inputs }) {
+    const result = await session.call({
+      objectId: id(session, owner),
+      methodId: id(session, method),
+      inputArguments: inputs.map(variant),
+    });
+    return {
+      code: result.statusCode.value,
+      inputs: (result.inputArgumentResults ?? []).map((code) => code.value),
+      outputs: (result.outputArguments ?? []).map((output) => plain(output.value)),
+    };
+  },
+
+  async subscribe(connection, { items, interval }) {
+    const subscription = await connection.session.createSubscription2({
+      requestedPublishingInterval: interval,
+      requestedLifetimeCount: 600,
+      requestedMaxKeepAliveCount: 20,
+      maxNotificationsPerPublish: 0,
+      publishingEnabled: true,
+      priority: 0,
+    });
+    Object.assign(connection, { subscription, changes: items.map(() => []) });
+    const made = [];
+    for (const [index, item] of items.entries()) made.push(await monitor(connection, item, index));
+    return { interval: subscription.publishingInterval, items: made };
+  },
+
+  async changes(connection) {
+    return connection.changes.map((taken) => taken.splice(0));
+  },
+
+  async unsubscribe({ subscription }) {
+    await subscription.terminate();
+    return {};
+  },
+};
+
+function codeOf(error) {
+  const name = /Bad[A-Z]\w+/.exec(String(error.message ?? error))?.[0];
+  return error.response?.responseHeader?.serviceResult?.value ?? StatusCodes[name]?.value ?? null;
+}
+
+async function run() {
+  for await (const line of createInterface({ input: process.stdin })) {
+    const step = { as: "main", ...JSON.parse(line) };
+    let answer;
+    try {
+      answer = { result: await operations[step.op](connections.get(step.as), step) };
+    } catch (error) {
+      answer = { error: String(error.message ?? error), code: codeOf(error) };
+    }
+    process.stdout.write(`${JSON.stringify(answer)}\n`);
+  }
+  process.exit(0);
+}
+
+run();
