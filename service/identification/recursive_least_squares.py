@@ -168,10 +168,12 @@ class RecursiveLeastSquares:
     def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
         """Take N samples in, one after another."""
         X = self.structure.regressors(samples.U, samples.dp, samples.T)
-        usable = (samples.quality != Quality.BAD).astype(np.uint8)
+        usable = samples.quality != Quality.BAD
+        for signal in (samples.U, samples.dp):  # a structure may clip what it is given
+            usable &= np.abs(signal) <= recursion.LARGEST
         n, none = len(state.theta), 0
         return _run(
-            state, self.forgetting, samples.t, X, samples.Q, usable,
+            state, self.forgetting, samples.t, X, samples.Q, usable.astype(np.uint8),
             np.empty((none, n)), np.empty((none, 3)),
         )  # fmt: skip
 

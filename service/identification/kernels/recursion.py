@@ -157,15 +157,18 @@ def evaluate(
         values[i] = np.nan
         variances[i] = np.nan
         if determined or is_estimable(factor, X, i, scale):
-            values[i] = 0.0
+            total = 0.0
             for j in range(n):
-                values[i] += X[i, j] * theta[j]
+                total += X[i, j] * theta[j]
+            if np.isfinite(total):
+                values[i] = total
         if determined:
             total = 0.0
             for j in range(n):
                 for k in range(n):
                     total += X[i, j] * spread[j, k] * X[i, k]
-            variances[i] = max(total, 0.0)
+            if np.isfinite(total):
+                variances[i] = max(total, 0.0)
 
 
 @kernel
@@ -292,13 +295,14 @@ def advance(
     along_x = kind == DIRECTIONAL and lam < 1.0
     for i in range(start, stop):
         # The innovation, and what P makes of X: f = Uᵀx, r = xᵀPx.
-        e = y[i]
-        within = abs(e) <= LARGEST
+        within = abs(y[i]) <= LARGEST
+        total = 0.0
         for j in range(n):
             x[j] = X[i, j]
-            e -= x[j] * theta[j]
+            total += x[j] * theta[j]
             within &= abs(x[j]) <= LARGEST
-        predicted[i] = y[i] - e
+        e = y[i] - total
+        predicted[i] = total
         residual[i] = e
         r = 0.0
         for j in range(n):
@@ -311,11 +315,7 @@ def advance(
             code = rejection(X, y, usable, i)
             status[i] = _HELD if code == _OK else code
             residual[i] = np.nan
-            if not np.isfinite(y[i]):
-                predicted[i] = 0.0
-                for j in range(n):
-                    predicted[i] += x[j] * theta[j]
-            if not np.isfinite(predicted[i]):
+            if not np.isfinite(total):
                 predicted[i] = np.nan
             if i < len(thetas):
                 for j in range(n):
