@@ -31,7 +31,7 @@ from virtual_rig.scenario import Scenario, VerificationPoints, load_scenario, ve
 
 _REFRESH_S = 1.0
 _LINE_S = 5.0
-_RIG_START_S = 60.0
+_RIG_START_S = 120.0
 
 
 def demo(
@@ -48,8 +48,7 @@ def demo(
     with TemporaryDirectory(prefix="valvemap-demo-") as folder:
         config = _demo_config(loaded, Path(folder))
         console = Console()
-        console.print("preparing (the very first start compiles for some seconds) ...")
-        warm_up(config)
+        console.print("preparing (the very first start compiles for half a minute) ...")
         asyncio.run(_demo(config, scenario, loaded, duration, console))
 
 
@@ -69,7 +68,9 @@ async def _demo(
         none_on_loopback=True,
     )
     with stop_on_signal(stop):
+        compiling = asyncio.ensure_future(asyncio.to_thread(warm_up, config))
         async with _rig_process(config.source.url, name, password) as rig_url:
+            await compiling
             serving = asyncio.ensure_future(
                 serve(config, stop, settings, identification, view.count)
             )
