@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from service.opcua.hardened.data_change import ChangeRule, FilterRefused, change_rule
 from service.opcua.hardened.encoding import instant
 from service.opcua.hardened.index_range import IndexRangeError, parse_index_range, select
-from service.opcua.hardened.monitored_item import DataItem, Ledger, Monitoring
+from service.opcua.hardened.monitored_item import DataItem, Holding, Ledger, Monitoring
 
 DOUBLE = ua.VariantType.Double
 Trigger = ua.DataChangeTrigger
@@ -30,6 +30,7 @@ class Watch:
     def __init__(self, capacity=1_000):
         self.now = 0.0
         self.ledger = Ledger(capacity)
+        self.holding = Holding(self.ledger)
         self.news = []
         self.pending = []
         self.triggered = []
@@ -206,6 +207,20 @@ def test_all_queues_together_are_bounded_and_each_item_keeps_its_newest_value():
     assert all(numbers(one)[-1] == 9.0 for one in many)
     assert watch.ledger.queued == 0
     assert watch.ledger.lost == 30 - 5
+
+
+def test_a_greedy_session_loses_its_own_notifications_and_nobody_elses():
+    greedy, modest = Watch(capacity=100), Watch()
+    modest.holding = Holding(greedy.ledger)
+    greedy.ledger.sessions = 2
+    many = [item(greedy, size=1_000) for _ in range(10)]
+    one = item(modest, size=1_000)
+    for number in range(40):
+        for other in many:
+            other(0, value(float(number)))
+        one(0, value(float(number)))
+    assert numbers(one) == [float(number) for number in range(40)]
+    assert greedy.holding.queued <= 100
 
 
 def test_a_sampling_item_queues_and_reports_when_it_may():

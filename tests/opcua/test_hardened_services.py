@@ -393,11 +393,11 @@ async def test_publishing_can_be_switched_off_and_on(server, client):
     await client.uaclient.set_publishing_mode(
         ua.SetPublishingModeParameters(False, [subscribed.id])
     )
-    show(server, [1, 2, 3], server.count)
+    show(server, [21, 22, 23], server.count)
     await asyncio.sleep(0.2)
     assert not subscribed.values
     await client.uaclient.set_publishing_mode(ua.SetPublishingModeParameters(True, [subscribed.id]))
-    await until(lambda: subscribed.seen() == [1, 2, 3])
+    await until(lambda: subscribed.seen() == [21, 22, 23])
     await subscribed.end()
 
 
@@ -495,6 +495,7 @@ async def test_a_publish_request_times_out_as_it_wished(server):
 async def test_what_belongs_to_another_session_cannot_be_touched(server, client):
     subscribed = await Subscribed.to(client, server.count.id, wish=EVERY)
     item = subscribed.items[0].MonitoredItemId
+    await until(lambda: subscribed.values)
     thief = await (await RawPeer.connect(server.url)).log_in()
     own = await _subscribe(thief, server.flow.id)
     victim = subscribed.id
@@ -520,8 +521,8 @@ async def test_what_belongs_to_another_session_cannot_be_touched(server, client)
             assert all(code >> 31 for code in codes), request
     thief.close()
     subscribed.values.clear()
-    show(server, [1, 2, 3], server.count)
-    await until(lambda: subscribed.seen() == [1, 2, 3])
+    show(server, [11, 12, 13], server.count)
+    await until(lambda: subscribed.seen() == [11, 12, 13])
     await subscribed.end()
 
 
@@ -548,16 +549,25 @@ async def test_a_client_that_reconnects_by_itself_misses_nothing_within_its_queu
     async with Proxy(port) as proxy:
         client = Client(f"opc.tcp://127.0.0.1:{proxy.port}/services/", timeout=2)
         await client.connect(auto_reconnect=True)
-        subscribed = await Subscribed.to(client, server.count.id, wish=EVERY)
-        await until(lambda: subscribed.values)
-        subscribed.values.clear()
+        seen = []
+
+        class Handler:
+            def datachange_notification(self, _, value, __):
+                seen.append(value)
+
+        show(server, [1_000], server.count)
+        subscription = await client.create_subscription(50, Handler())
+        await subscription.subscribe_data_change(
+            client.get_node(server.count.id), queuesize=1_000, sampling_interval=0
+        )
+        await until(lambda: seen)
         for number in range(200):
             show(server, [number], server.count)
             if number in (40, 120):
                 proxy.cut()
             await asyncio.sleep(0.01)
-        await until(lambda: 199 in subscribed.seen(), 15.0)
-        assert sorted(set(subscribed.seen())) == list(range(200))
+        await until(lambda: 199 in seen, 15.0)
+        assert sorted(set(seen)) == [*range(200), 1_000]
         await client.disconnect()
 
 

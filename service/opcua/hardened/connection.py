@@ -349,7 +349,8 @@ class Connection(asyncio.Protocol):
         self.idle_since = self.listener.clock.monotonic()
         session.touch()
         session.counters.requests += 1
-        params = seams.decode(services.parameters(service), body, budget)
+        kind = services.parameters(service)
+        params = await seams.decode_slowly(kind, body, budget, self.breathe)
         return await services.answer(service, Request(session, request_id, header, self), params)
 
     def _refused(self, request_id: int, header: ua.RequestHeader, code: int) -> None:

@@ -190,6 +190,17 @@ def encode_read_response(request_handle: int, now: int, values: Sequence[bytes])
     return b"".join((head, len(values).to_bytes(4, "little"), *values, _NO_DIAGNOSTICS))
 
 
+def encode_browse_response(request_handle: int, now: int, results: Sequence[bytes]) -> bytes:
+    """Encode a BrowseResponse of encoded BrowseResults."""
+    head = _response_head(530, request_handle, now)
+    return b"".join((head, len(results).to_bytes(4, "little"), *results, _NO_DIAGNOSTICS))
+
+
+def encode_structure(structure: object) -> bytes:
+    """Encode any structure."""
+    return bytes(ua_binary.struct_to_binary(structure))
+
+
 def _response_head(type_id: int, request_handle: int, now: int) -> bytes:
     # TypeId (four-byte), time, handle, Good, no diagnostics, no strings, no additional header
     return struct.pack("<BBHqIIBiBBB", 1, 0, type_id, now, request_handle, 0, 0, -1, 0, 0, 0)

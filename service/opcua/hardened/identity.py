@@ -14,6 +14,7 @@ from service.opcua.hardened.users import Role, UserStore
 
 _Codes = ua.StatusCodes
 _MAX_PASSWORD_BYTES = 4_096
+_PAUSE_AFTER_GUESS_S = 0.1  # for all: guessing must not cost the others the processor
 
 ANONYMOUS = "anonymous"
 USERNAME = "username"
@@ -75,7 +76,11 @@ async def identify(
     if isinstance(token, ua.UserNameIdentityToken):
         name, password = token.UserName or "", _password(token, challenge)
         async with gate:
-            role = await asyncio.to_thread(users.authenticate, name, password, origin)
+            role = None
+            if not users.locked(name, origin):
+                role = await asyncio.to_thread(users.authenticate, name, password, origin)
+            if role is None:
+                await asyncio.sleep(_PAUSE_AFTER_GUESS_S)
         if role is None:
             raise ServiceError(_Codes.BadUserAccessDenied)
         return Principal(name, role)

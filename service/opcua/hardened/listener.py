@@ -2,8 +2,10 @@
 
 import asyncio
 import copy
+import os
 import secrets
-from collections import Counter, deque
+import socket
+from collections import Counter
 from typing import Any
 from urllib.parse import urlparse
 
@@ -22,8 +24,9 @@ from service.opcua.hardened.users import UserStore
 
 _log = bounded_logger(__name__)
 _REAP_S = 1.0
-_GUESSES_AT_ONCE = 2
+_GUESSES_AT_ONCE = 1
 _BACKLOG = 100
+_ACCEPTED_AT_ONCE = 8  # asyncio accepts as many at a stretch as it is told the backlog is
 _SECURITY_CODES = {
     getattr(ua.StatusCodes, name)
     for name in vars(ua.StatusCodes)
@@ -63,7 +66,9 @@ class Listener:
         self.refused_connections = 0
         self._endpoints: list[ua.EndpointDescription] = []
         self._connections: set[Connection] = set()
-        self._openings: deque[tuple[float, str]] = deque(maxlen=1_000)
+        self._of_host: Counter[str] = Counter()
+        self._openings: Counter[str] = Counter()  # in this second
+        self._second = 0
         self._channel_id = secrets.randbits(16)
         self._server: asyncio.Server | None = None
         self._reaper: asyncio.Task[None] | None = None
@@ -81,9 +86,20 @@ class Listener:
         OSError
         """
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(
-            lambda: Connection(self), host, port, backlog=_BACKLOG
-        )
+        found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = found[0]
+        listening = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            if os.name == "posix":
+                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+            self._server = await loop.create_server(
+                lambda: Connection(self), sock=listening, backlog=_ACCEPTED_AT_ONCE
+            )
+        except OSError:
+            listening.close()
+            raise
+        listening.listen(_BACKLOG)
         self._reaper = asyncio.create_task(self._reap_for_ever())
         return int(self._server.sockets[0].getsockname()[1])
 
@@ -120,24 +136,32 @@ class Listener:
 
     def admit(self, connection: Connection) -> bool:
         """Take a new connection, unless there are too many of them."""
-        limits, now = self.limits, self.clock.monotonic()
-        of_host = sum(other.host == connection.host for other in self._connections)
-        self._openings.append((now, connection.host))
-        recent = sum(host == connection.host and now - at < 1.0 for at, host in self._openings)
+        limits, host = self.limits, connection.host
+        second = int(self.clock.monotonic())
+        if second != self._second:
+            self._second = second
+            self._openings.clear()
+        self._openings[host] += 1
         if (
             len(self._connections) >= limits.connections
-            or of_host >= limits.connections_per_host
-            or recent > limits.connections_per_second
+            or self._of_host[host] >= limits.connections_per_host
+            or self._openings[host] > limits.connections_per_second
         ):
             self.refused_connections += 1
-            _log.warning("%s: refused: too many connections", connection.host)
+            _log.warning("%s: refused: too many connections", host)
             return False
         self._connections.add(connection)
+        self._of_host[host] += 1
         return True
 
     def forget(self, connection: Connection) -> None:
         """Forget a connection that is gone."""
+        if connection not in self._connections:
+            return
         self._connections.discard(connection)
+        self._of_host[connection.host] -= 1
+        if not self._of_host[connection.host]:
+            del self._of_host[connection.host]
         self.sessions.lose_line(connection)
 
     def count_refusal(self, code: int) -> None:
@@ -154,11 +178,6 @@ class Listener:
             slowest = max(self._connections, key=lambda other: other.unsent)
             _log.warning("%s: disconnected: reads too slowly", slowest.host)
             slowest.abort()
-
-    @property
-    def connections(self) -> Counter[str]:
-        """How many connections each host has."""
-        return Counter(connection.host for connection in self._connections)
 
     async def _reap_for_ever(self) -> None:
         while True:

@@ -30,11 +30,38 @@ _DONE = _Done()
 
 @dataclass
 class Ledger:
-    """What all queues hold and have lost."""
+    """What all queues hold and have lost, and among how many sessions the room is shared."""
 
     capacity: int
     queued: int = 0
     lost: int = 0
+    sessions: int = 1
+
+
+class Holding:
+    """What the queues of one session hold.
+
+    While there is room, anybody may queue; once there is none, only who holds less than his share
+    of it, so that a greedy session loses its own notifications and nobody else's.
+    """
+
+    def __init__(self, ledger: Ledger) -> None:
+        self.queued = 0
+        self._ledger = ledger
+
+    def has_room(self) -> bool:
+        """Tell whether one more notification fits."""
+        ledger = self._ledger
+        return ledger.queued < ledger.capacity or self.queued * ledger.sessions < ledger.capacity
+
+    def add(self, count: int) -> None:
+        """Count what was queued, or taken out."""
+        self.queued += count
+        self._ledger.queued += count
+
+    def lose(self, count: int) -> None:
+        """Count what was discarded."""
+        self._ledger.lost += count
 
 
 @dataclass
@@ -54,7 +81,6 @@ class DataItem:
 
     __slots__ = (
         "_due",
-        "_ledger",
         "_pending",
         "_queue",
         "_reported",
@@ -85,7 +111,6 @@ class DataItem:
         self.callback_handle = 0
         self.links: set[int] = set()
         self._subscription = subscription
-        self._ledger = subscription.ledger
         self._queue: deque[ua.DataValue] = deque()
         self._reported: ua.DataValue | None = None
         self._pending: ua.DataValue | None = None
@@ -150,8 +175,8 @@ class DataItem:
                 self._queue.popleft()
             else:
                 self._queue.pop()
-            self._ledger.queued -= 1
-            self._ledger.lost += 1
+            self._subscription.holding.add(-1)
+            self._subscription.holding.lose(1)
 
     def take(self, most: int) -> list[bytes]:
         """Take up to ``most`` notifications out of the queue, encoded."""
@@ -159,12 +184,12 @@ class DataItem:
         handle = monitoring.client_handle.to_bytes(4, "little")
         stamps = monitoring.stamps
         count = min(most, len(queue))
-        self._ledger.queued -= count
+        self._subscription.holding.add(-count)
         return [handle + encode_data_value(queue.popleft(), stamps) for _ in range(count)]
 
     def clear(self) -> None:
         """Forget what is queued."""
-        self._ledger.queued -= len(self._queue)
+        self._subscription.holding.add(-len(self._queue))
         self._queue.clear()
         self._pending = None
 
@@ -193,19 +218,19 @@ class DataItem:
             self._push(value)
 
     def _push(self, value: ua.DataValue) -> None:
-        queue, ledger, size = self._queue, self._ledger, self.monitoring.queue_size
-        if len(queue) < size and (ledger.queued < ledger.capacity or not queue):
+        queue, holding, size = self._queue, self._subscription.holding, self.monitoring.queue_size
+        if len(queue) < size and (holding.has_room() or not queue):
             queue.append(value)
-            ledger.queued += 1
+            holding.add(1)
         elif len(queue) == 1 == size:
             queue[0] = value  # a queue of one holds the newest value; no overflow is told of it
         elif self.monitoring.discard_oldest:
-            ledger.lost += 1
+            holding.lose(1)
             queue.popleft()
             queue.append(value)
             queue[0] = _overflown(queue[0])
         else:
-            ledger.lost += 1
+            holding.lose(1)
             queue[-1] = _overflown(value)
         if self.mode == ua.MonitoringMode.Reporting:
             self._subscription.has_news(self)
@@ -220,7 +245,6 @@ class EventItem:
     """Monitors the events of one object."""
 
     __slots__ = (
-        "_ledger",
         "_queue",
         "_subscription",
         "callback_handle",
@@ -253,7 +277,6 @@ class EventItem:
         self.callback_handle = 0
         self.links: set[int] = set()
         self._subscription = subscription
-        self._ledger = subscription.ledger
         self._queue: deque[Sequence[ua.Variant]] = deque()
 
     def __len__(self) -> int:
@@ -266,11 +289,11 @@ class EventItem:
         """Queue an event."""
         if self.mode == ua.MonitoringMode.Disabled:
             return
-        if len(self._queue) < self.queue_size and self._ledger.queued < self._ledger.capacity:
+        if len(self._queue) < self.queue_size and self._subscription.holding.has_room():
             self._queue.append(event_fields)
-            self._ledger.queued += 1
+            self._subscription.holding.add(1)
         else:
-            self._ledger.lost += 1
+            self._subscription.holding.lose(1)
             if self.discard_oldest and self._queue:
                 self._queue.popleft()
                 self._queue.append(event_fields)
@@ -289,12 +312,12 @@ class EventItem:
     def take(self, most: int) -> list[Event]:
         """Take up to ``most`` events out of the queue."""
         count = min(most, len(self._queue))
-        self._ledger.queued -= count
+        self._subscription.holding.add(-count)
         return [(self.client_handle, self._queue.popleft()) for _ in range(count)]
 
     def clear(self) -> None:
         """Forget what is queued."""
-        self._ledger.queued -= len(self._queue)
+        self._subscription.holding.add(-len(self._queue))
         self._queue.clear()
 
 

@@ -10,8 +10,9 @@ are refused, so that clients in the same process decode what they always did.
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import typing
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from asyncua import ua
@@ -87,6 +88,49 @@ def decode(kind: type, body: Buffer, budget: Budget) -> Any:  # noqa: ANN401 - o
             raise
         except Exception as error:  # a wrong packet makes the decoder raise anything
             raise Malformed from error
+
+
+async def decode_slowly(
+    kind: type, body: Buffer, budget: Budget, breathe: Callable[[], Awaitable[None]]
+) -> Any:  # noqa: ANN401 - of that kind
+    """Decode a structure that ends with an array, letting others go first between its elements.
+
+    Raises
+    ------
+    UaStatusCodeError
+        BadDecodingError or BadEncodingLimitsExceeded.
+    """
+    head, last = _split(kind)
+    if last is None:
+        return decode(kind, body, budget)
+    name, element = last
+    try:
+        with decoding(budget):
+            values = {field: read(body) for field, read in head}
+            length = max(_length(body, 1, budget.array_length), 0)
+            _spend(length)
+        elements = []
+        for _ in range(length):
+            with decoding(budget):
+                elements.append(element(body))
+            await breathe()
+        return kind(**values, **{name: elements})
+    except (TooMuch, Malformed):
+        raise
+    except Exception as error:  # a wrong packet makes the decoder raise anything
+        raise Malformed from error
+
+
+@functools.cache
+def _split(kind: type) -> tuple[list[tuple[str, Decoder]], tuple[str, Decoder] | None]:
+    """Decoders of all fields but the last, and of the elements of the last one if it is a list."""
+    hints = ua_binary.get_safe_type_hints(kind, {"ua": ua})
+    *head, last = [(field.name, hints[field.name]) for field in fields(kind)]
+    if not (typing.get_origin(last[1]) is list and is_dataclass(typing.get_args(last[1])[0])):
+        return [], None
+    read = ua_binary._create_type_deserializer  # noqa: SLF001
+    decoders = [(name, read(hint, kind)) for name, hint in head]
+    return decoders, (last[0], read(typing.get_args(last[1])[0], type(None)))
 
 
 @contextlib.contextmanager

@@ -71,7 +71,9 @@ class HardenedServer:
         limits, aspace = settings.limits, self._inside.aspace
         self._subscriptions = Subscriptions(aspace, limits, self._utc_ticks)
         self._inside.hand_events_to(self._subscriptions)
-        self._sessions = Sessions(limits, self._clock, self._subscriptions.end)
+        self._sessions = Sessions(
+            limits, self._clock, self._subscriptions.ledger, self._subscriptions.end
+        )
         self._view = View(aspace, limits)
         self._attributes = Attributes(
             aspace,

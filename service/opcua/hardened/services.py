@@ -11,9 +11,11 @@ from asyncua.server.history import HistoryManager
 from service.clock import Clock
 from service.opcua.hardened.attributes import Attributes
 from service.opcua.hardened.encoding import (
+    encode_browse_response,
     encode_data_value,
     encode_read_response,
     encode_republish_response,
+    encode_structure,
     ticks_of_ns,
 )
 from service.opcua.hardened.logs import audit_logger
@@ -186,6 +188,7 @@ class Services:
             if size > self._limits.response_bytes:
                 raise ServiceError(_Codes.BadResponseTooLarge)
             values.append(encoded)
+            await request.turn.breathe()
         return encode_read_response(request.handle, self._ticks(), values)
 
     async def _write(self, request: Request, params: ua.WriteParameters) -> ua.WriteResponse:
@@ -261,10 +264,18 @@ class Services:
             await request.turn.breathe()
         return ua.HistoryReadResponse(Results=results)
 
-    async def _browse(self, request: Request, params: ua.BrowseParameters) -> ua.BrowseResponse:
+    async def _browse(self, request: Request, params: ua.BrowseParameters) -> bytes:
         self._check_count(params.NodesToBrowse)
-        results = self._view.browse(params, request.session.continuations)
-        return ua.BrowseResponse(Results=results)
+        continuations = request.session.continuations
+        results, size = [], 0
+        for wanted in params.NodesToBrowse:
+            result = encode_structure(self._view.browse(params, wanted, continuations))
+            size += len(result)
+            if size > self._limits.response_bytes:
+                raise ServiceError(_Codes.BadResponseTooLarge)
+            results.append(result)
+            await request.turn.breathe()
+        return encode_browse_response(request.handle, self._ticks(), results)
 
     async def _browse_next(
         self, request: Request, params: ua.BrowseNextParameters
@@ -276,10 +287,13 @@ class Services:
         return response
 
     async def _translate(
-        self, _: Request, params: ua.TranslateBrowsePathsToNodeIdsParameters
+        self, request: Request, params: ua.TranslateBrowsePathsToNodeIdsParameters
     ) -> ua.TranslateBrowsePathsToNodeIdsResponse:
         self._check_count(params.BrowsePaths)
-        results = self._view.translate(params.BrowsePaths)
+        results = []
+        for path in params.BrowsePaths:
+            results.append(self._view.translate(path))
+            await request.turn.breathe()
         return ua.TranslateBrowsePathsToNodeIdsResponse(Results=results)
 
     async def _register_nodes(
@@ -355,14 +369,28 @@ class Services:
         self, request: Request, params: ua.CreateMonitoredItemsParameters
     ) -> ua.CreateMonitoredItemsResponse:
         self._check_count(params.ItemsToCreate)
-        results = self._subscriptions.create_items(request.session, params)
+        results = []
+        for item in params.ItemsToCreate:
+            results.append(
+                self._subscriptions.create_item(
+                    request.session, params.SubscriptionId, item, params.TimestampsToReturn
+                )
+            )
+            await request.turn.breathe()
         return ua.CreateMonitoredItemsResponse(Results=results)
 
     async def _modify_items(
         self, request: Request, params: ua.ModifyMonitoredItemsParameters
     ) -> ua.ModifyMonitoredItemsResponse:
         self._check_count(params.ItemsToModify)
-        results = self._subscriptions.modify_items(request.session, params)
+        results = []
+        for item in params.ItemsToModify:
+            results.append(
+                self._subscriptions.modify_item(
+                    request.session, params.SubscriptionId, item, params.TimestampsToReturn
+                )
+            )
+            await request.turn.breathe()
         return ua.ModifyMonitoredItemsResponse(Results=results)
 
     async def _delete_items(

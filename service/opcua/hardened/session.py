@@ -14,6 +14,7 @@ from service.clock import Clock
 from service.opcua.hardened.encoding import ticks_of_ns
 from service.opcua.hardened.identity import ANONYMOUS, Principal
 from service.opcua.hardened.logs import bounded_logger
+from service.opcua.hardened.monitored_item import Holding, Ledger
 from service.opcua.hardened.publish_queue import PublishQueue, PublishRequest
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import Message, Subscription
@@ -60,7 +61,13 @@ class Session:
     """A session: its user, its subscriptions, its publish requests."""
 
     def __init__(
-        self, line: Line, name: str, timeout_s: float, limits: Limits, clock: Clock
+        self,
+        line: Line,
+        name: str,
+        timeout_s: float,
+        limits: Limits,
+        clock: Clock,
+        ledger: Ledger,
     ) -> None:
         self.id = ua.NodeId(secrets.token_bytes(16), 1, ua.NodeIdType.ByteString)
         self.token = ua.NodeId(secrets.token_bytes(32), 0, ua.NodeIdType.ByteString)
@@ -76,6 +83,7 @@ class Session:
         self.subscriptions: dict[int, Subscription] = {}
         self.continuations: Continuations = OrderedDict()
         self.counters = Counters()
+        self.holding = Holding(ledger)
         self.created = clock.now()
         self._clock = clock
         self.last_seen = clock.monotonic()
@@ -209,11 +217,16 @@ class Sessions:
     """All sessions, found by their token."""
 
     def __init__(
-        self, limits: Limits, clock: Clock, end_subscription: Callable[[Subscription], None]
+        self,
+        limits: Limits,
+        clock: Clock,
+        ledger: Ledger,
+        end_subscription: Callable[[Subscription], None],
     ) -> None:
         self.totals = SessionTotals()
         self._limits = limits
         self._clock = clock
+        self._ledger = ledger
         self._end_subscription = end_subscription
         self._by_token: dict[bytes, Session] = {}
 
@@ -235,7 +248,7 @@ class Sessions:
         wish = wish if math.isfinite(wish) and wish > 0 else limits.session_timeout_ms
         timeout = min(max(wish, limits.shortest_session_timeout_ms), limits.session_timeout_ms)
         session = Session(
-            line, (params.SessionName or "")[:200], timeout / 1e3, limits, self._clock
+            line, (params.SessionName or "")[:200], timeout / 1e3, limits, self._clock, self._ledger
         )
         session.max_response_bytes = params.MaxResponseMessageSize
         session.application_uri = (params.ClientDescription.ApplicationUri or "")[:500]

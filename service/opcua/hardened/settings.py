@@ -71,7 +71,7 @@ class Limits:
     message_bytes: int = 512 * 1024
     chunks: int = 64
     chunk_bytes: int = 65_536
-    elements: int = 20_000
+    elements: int = 5_000
     array_length: int = 100_000
     string_bytes: int = 64 * 1024
     nesting: int = 16

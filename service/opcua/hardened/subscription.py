@@ -14,13 +14,17 @@ from service.opcua.hardened.encoding import (
     encode_message,
     encode_status_change,
 )
-from service.opcua.hardened.monitored_item import DataItem, Event, Item, Ledger
+from service.opcua.hardened.monitored_item import DataItem, Event, Holding, Item
 
 _LAST_SEQUENCE = 2**32 - 1
 
 
 class Owner(Protocol):
     """The session that a subscription publishes to."""
+
+    @property
+    def holding(self) -> Holding:
+        """What the queues of the session hold."""
 
     def publish(self, subscription: "Subscription") -> bool:
         """Send the subscription's next message if a publish request waits, else remember it."""
@@ -70,7 +74,6 @@ class Subscription:
         number: int,
         owner: Owner,
         timing: Timing,
-        ledger: Ledger,
         store: RepublishStore,
         utc_ticks: Callable[[], int],
         expired: Callable[["Subscription"], None],
@@ -80,7 +83,6 @@ class Subscription:
         self.number = number
         self.owner = owner
         self.timing = timing
-        self.ledger = ledger
         self.publishing = publishing
         self.items: dict[int, Item] = {}
         self.waiting_since: float | None = None
@@ -99,6 +101,19 @@ class Subscription:
         self._loop = asyncio.get_running_loop()
         self._next_cycle = self._loop.time() + timing.interval_s
         self._timer = self._loop.call_at(self._next_cycle, self._cycle)
+
+    @property
+    def holding(self) -> Holding:
+        """What the queues of the owning session hold."""
+        return self.owner.holding
+
+    def give_to(self, owner: Owner) -> None:
+        """Move to another session, with all that is queued."""
+        queued = sum(len(item) for item in self.items.values())
+        self.owner.holding.add(-queued)
+        self.owner = owner
+        owner.holding.add(queued)
+        self.heard_of()
 
     def time(self) -> float:
         """Return the event loop's time, s."""

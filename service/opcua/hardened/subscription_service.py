@@ -59,7 +59,6 @@ class Subscriptions:
             self.created,
             session,
             timing,
-            self.ledger,
             self._store,
             self._utc_ticks,
             self._expire,
@@ -67,6 +66,7 @@ class Subscriptions:
         )
         self.by_number[subscription.number] = subscription
         session.subscriptions[subscription.number] = subscription
+        self._share()
         return ua.CreateSubscriptionResult(
             SubscriptionId=subscription.number,
             RevisedPublishingInterval=timing.interval_s * 1e3,
@@ -117,6 +117,7 @@ class Subscriptions:
         subscription.stop()
         self.by_number.pop(subscription.number, None)
         subscription.owner.lose(subscription)
+        self._share()
 
     def transfer(
         self, session: "Session", params: ua.TransferSubscriptionsParameters
@@ -148,45 +149,37 @@ class Subscriptions:
                 codes.append(subscription.acknowledge(ack.SequenceNumber))
         return tuple(codes)
 
-    def create_items(
-        self, session: "Session", params: ua.CreateMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemCreateResult]:
-        """Create monitored items."""
-        subscription = self._owned(session, params.SubscriptionId)
+    def create_item(
+        self,
+        session: "Session",
+        number: int,
+        request: ua.MonitoredItemCreateRequest,
+        stamps: ua.TimestampsToReturn,
+    ) -> ua.MonitoredItemCreateResult:
+        """Create a monitored item."""
+        subscription = self._owned(session, number)
         subscription.heard_of()
-        return [
-            self._create_item(subscription, request, params.TimestampsToReturn)
-            for request in params.ItemsToCreate
-        ]
+        return self._create_item(subscription, request, stamps)
 
-    def modify_items(
-        self, session: "Session", params: ua.ModifyMonitoredItemsParameters
-    ) -> list[ua.MonitoredItemModifyResult]:
-        """Modify monitored items."""
-        subscription = self._owned(session, params.SubscriptionId)
+    def modify_item(
+        self,
+        session: "Session",
+        number: int,
+        request: ua.MonitoredItemModifyRequest,
+        stamps: ua.TimestampsToReturn,
+    ) -> ua.MonitoredItemModifyResult:
+        """Modify a monitored item."""
+        subscription = self._owned(session, number)
         subscription.heard_of()
-        results = []
-        for request in params.ItemsToModify:
-            item = subscription.items.get(request.MonitoredItemId)
-            if item is None:
-                code = _Codes.BadMonitoredItemIdInvalid
-                results.append(ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(code)))
-                continue
-            try:
-                results.append(
-                    modified(
-                        self._aspace,
-                        self._limits,
-                        subscription,
-                        item,
-                        request.RequestedParameters,
-                        params.TimestampsToReturn,
-                    )
-                )
-            except ItemRefused as refused:
-                code = refused.code
-                results.append(ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(code)))
-        return results
+        item = subscription.items.get(request.MonitoredItemId)
+        if item is None:
+            code = _Codes.BadMonitoredItemIdInvalid
+            return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(code))
+        asked = request.RequestedParameters
+        try:
+            return modified(self._aspace, self._limits, subscription, item, asked, stamps)
+        except ItemRefused as refused:
+            return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(refused.code))
 
     def delete_items(
         self, session: "Session", params: ua.DeleteMonitoredItemsParameters
@@ -269,6 +262,10 @@ class Subscriptions:
     def item_count(self) -> int:
         """How many monitored items there are."""
         return self._items
+
+    def _share(self) -> None:
+        owners = {id(subscription.owner) for subscription in self.by_number.values()}
+        self.ledger.sessions = max(1, len(owners))
 
     def _owned(self, session: "Session", number: int) -> Subscription:
         subscription = session.subscriptions.get(number)
@@ -397,9 +394,8 @@ class Subscriptions:
         for item in subscription.items.values():
             self._watch(old, item, -1)
             self._watch(session, item, 1)
-        subscription.owner = session
+        subscription.give_to(session)
         session.subscriptions[number] = subscription
-        subscription.heard_of()
         if send_initial:
             self.resend(session, number)
         return ua.TransferResult(StatusCode=ua.StatusCode(), AvailableSequenceNumbers=available)

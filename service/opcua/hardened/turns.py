@@ -1,21 +1,43 @@
-"""Whose request is next: the connection that has cost the least so far.
+"""Whose request is next: who has cost little goes first, who floods waits for itself.
 
-Start-time fair queueing (Goyal, Vin, Cheng 1996): a connection that floods the server waits for
-its own floods, while one that asks now and then is next at once.
+Start-time fair queueing (Goyal, Vin, Cheng 1996) in two classes. A connection earns a share of
+the server's time; while it keeps within what it has earned, it is served as soon as the running
+request is done. Past that it is in excess: served in fair turns with the others in excess, and
+while anybody keeps within his share, only a part of the time, so that his requests meet an idle
+server as a rule.
 """
 
 import asyncio
 import heapq
 import itertools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+_SHARE = 0.1  # of the server's time that a connection earns
+_SAVINGS_S = 0.2  # most that it can save up
+_PAUSE = 2.0  # idle time after a request in excess, in units of what it took
+_LONGEST_PAUSE_S = 0.1
+_MEMORY_S = 1.0  # so long after its last request somebody counts as being there
 
 
 @dataclass
 class Account:
-    """What one connection has cost, in s of the server's own virtual time."""
+    """What one connection has earned and cost, s.
+
+    ``credit`` starts at nothing: whoever comes anew has earned nothing yet.
+    """
 
     finished: float = 0.0
+    credit: float = 0.0
+    earned_until: float = field(default_factory=time.perf_counter)
+
+    def earn(self, now: float) -> None:
+        """Add what was earned since the last time."""
+        self.credit = min(_SAVINGS_S, self.credit + _SHARE * (now - self.earned_until))
+        self.earned_until = now
+
+
+_Waiting = tuple[float, int, asyncio.Future[None]]
 
 
 class Turns:
@@ -25,15 +47,28 @@ class Turns:
         self._now = 0.0
         self._busy = False
         self._order = itertools.count()
-        self._waiting: list[tuple[float, int, asyncio.Future[None]]] = []
+        self._modest: list[_Waiting] = []
+        self._in_excess: list[_Waiting] = []
         self._since = 0.0
+        self._excess_runs = False
+        self._excess_from = 0.0
+        self._modest_seen = -_MEMORY_S
+        self._timer: asyncio.TimerHandle | None = None
 
     async def take(self, account: Account) -> None:
         """Wait for a turn."""
+        now = time.perf_counter()
+        account.earn(now)
+        in_excess = account.credit <= 0.0
+        if not in_excess:
+            self._modest_seen = now
         start = max(self._now, account.finished)
-        if self._busy:
+        if self._busy or (in_excess and now < self._excess_from):
             turn = asyncio.get_running_loop().create_future()
-            heapq.heappush(self._waiting, (start, next(self._order), turn))
+            queue = self._in_excess if in_excess else self._modest
+            heapq.heappush(queue, (start, next(self._order), turn))
+            if not self._busy:
+                self._next()
             try:
                 await turn
             except asyncio.CancelledError:
@@ -41,24 +76,50 @@ class Turns:
                     self._next()
                 raise
         self._busy = True
+        self._excess_runs = in_excess
         self._now = max(self._now, start)
         account.finished = start
-        self._since = time.perf_counter()
+        self._since = time.thread_time()
 
     def give(self, account: Account) -> None:
         """End a turn; what it took is charged."""
-        account.finished += time.perf_counter() - self._since
+        now = time.perf_counter()
+        cost = time.thread_time() - self._since
+        account.finished += cost
+        account.credit -= cost
+        if self._excess_runs and now - self._modest_seen < _MEMORY_S:
+            self._excess_from = now + min(_PAUSE * cost, _LONGEST_PAUSE_S)
         self._next()
 
     @property
     def held_s(self) -> float:
-        """How long the running turn has lasted."""
-        return time.perf_counter() - self._since
+        """What the running turn has cost so far."""
+        return time.thread_time() - self._since
 
     def _next(self) -> None:
-        while self._waiting:
-            _, _, turn = heapq.heappop(self._waiting)
-            if not turn.cancelled():
-                turn.set_result(None)
-                return
+        """Wake who is next; whoever is woken holds the turn."""
         self._busy = False
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._wake(self._modest) or not self._in_excess:
+            return
+        pause = self._excess_from - time.perf_counter()
+        if pause <= 0.0:
+            self._wake(self._in_excess)
+        else:
+            self._timer = asyncio.get_running_loop().call_later(pause, self._resume)
+
+    def _resume(self) -> None:
+        self._timer = None
+        if not self._busy:
+            self._next()
+
+    def _wake(self, queue: list[_Waiting]) -> bool:
+        while queue:
+            _, _, turn = heapq.heappop(queue)
+            if not turn.cancelled():
+                self._busy = True
+                turn.set_result(None)
+                return True
+        return False

@@ -49,15 +49,17 @@ class View:
         self._subtypes.clear()
 
     def browse(
-        self, params: ua.BrowseParameters, continuations: Continuations
-    ) -> list[ua.BrowseResult]:
-        """Browse nodes; what does not fit waits behind a continuation point."""
+        self,
+        params: ua.BrowseParameters,
+        wanted: ua.BrowseDescription,
+        continuations: Continuations,
+    ) -> ua.BrowseResult:
+        """Browse one node; what does not fit waits behind a continuation point."""
         if params.View is not None and not params.View.ViewId.is_null():
-            code = ua.StatusCode(_Codes.BadViewIdUnknown)
-            return [ua.BrowseResult(StatusCode=code) for _ in params.NodesToBrowse]
+            return _fault(_Codes.BadViewIdUnknown)
         most = self._limits.references_per_node
         page = min(params.RequestedMaxReferencesPerNode or most, most)
-        return [self._browse(wanted, page, continuations) for wanted in params.NodesToBrowse]
+        return self._browse(wanted, page, continuations)
 
     def browse_next(
         self, params: ua.BrowseNextParameters, continuations: Continuations
@@ -74,10 +76,6 @@ class View:
             else:
                 results.append(self._page(found.rest, found.page, continuations))
         return results
-
-    def translate(self, paths: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
-        """Follow browse paths to their nodes."""
-        return [self._translate(path) for path in paths]
 
     def is_subtype(self, reference_type: ua.NodeId, wanted: ua.NodeId) -> bool:
         """Tell whether a reference type is the wanted one or derived from it."""
@@ -136,9 +134,10 @@ class View:
             result.ContinuationPoint = point
         return result
 
-    def _translate(  # noqa: PLR0911 - one per reason
+    def translate(  # noqa: PLR0911 - one per reason
         self, path: ua.BrowsePath
     ) -> ua.BrowsePathResult:
+        """Follow a browse path to its nodes."""
         elements = path.RelativePath.Elements
         if not elements:
             return _no_path(_Codes.BadNothingToDo)
