@@ -5,6 +5,7 @@ from typing import Self, TypeVar, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
 
 from service.identification.estimator import State
 from service.identification.forgetting import (
@@ -38,10 +39,10 @@ class RlsState(State):
     theta : (n,)
         Parameters; where the samples leave a direction open, its parameter is 0.
     factor : (n, n)
-        Until theta is determined the triangle R with RᵀR = P⁻¹; from then on Uᵀ with D on its
-        diagonal, P = U·D·Uᵀ.
+        The triangle R with RᵀR = P⁻¹ until theta is determined, and as long as regressors nearly
+        depend on each other; from then on Uᵀ with D on its diagonal, P = U·D·Uᵀ.
     rhs : (n,)
-        z of R·theta = z; unused once theta is determined.
+        z of R·theta = z; unused with U·D·Uᵀ.
     spread : (n, n)
         What the noise has made of theta, over σ²: with rules that divide P by λ the covariance Z
         of P⁻¹·theta (that of theta is P·Z·P), with the others the covariance of theta.
@@ -50,7 +51,7 @@ class RlsState(State):
     noise : (4,)
         Sum of the weights and of their squares, estimate of σ², trace of P in units of the scales.
     counters : (6,)
-        Samples used; 1 once theta is determined; place and fill of the window; 1 if P holds samples
+        Samples used; 1 with U·D·Uᵀ, 0 with R; place and fill of the window; 1 if P holds samples
         from before it; sample number at which the memory was last opened.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
@@ -184,7 +185,7 @@ class RecursiveLeastSquares:
     def parameters(self, state: RlsState) -> tuple[Floats, Floats]:
         """Theta (n,) and its standard deviations (n,), NaN while not determined."""
         theta = state.theta.copy()
-        if not state.counters[recursion.DETERMINED]:
+        if not _is_determined(state):
             values, _ = predict(state, np.eye(len(theta)), self.forgetting)
             theta[np.isnan(values)] = np.nan
         return theta, np.sqrt(
@@ -296,7 +297,7 @@ def initial_state(
         theta=np.zeros(n),
         factor=np.eye(n) / np.sqrt(p0),
         rhs=np.zeros(n),
-        spread=np.zeros((n, n)),
+        spread=np.eye(n) / p0,
         scale=np.zeros(n),
         noise=np.zeros(recursion.PLACES_OF_NOISE),
         counters=np.zeros(recursion.PLACES_OF_COUNTERS, np.int64),
@@ -308,7 +309,7 @@ def initial_state(
     )
     if prior is not None:
         rows, values = prior
-        memory.spread[:] = rows.T @ rows + np.eye(n) / p0
+        memory.spread[:] += rows.T @ rows
         np.max(np.abs(rows), axis=0, initial=0.0, out=memory.scale)
         for i, (row, value) in enumerate(zip(rows, values, strict=True)):
             rotate_in(memory.factor, memory.rhs, row.copy(), value, 1.0, memory.scale, i)
@@ -348,17 +349,25 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
 
 def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta over σ²."""
-    if not state.counters[recursion.DETERMINED]:
+    if not _is_determined(state):
         return np.full_like(state.factor, np.nan)
+    if state.counters[recursion.FACTORED]:
+        P = np.asarray(covariance(state.factor))
+    else:
+        inverse = solve_triangular(state.factor, np.eye(len(state.theta)))
+        P = inverse @ inverse.T
     equal_weights = state.noise[recursion.WEIGHT] == state.noise[recursion.SQUARES]
     match forgetting:
         case Directional() | Subspace() | Adaptive():
             return state.spread
         case Exponential() | Variable() | Resetting() if not equal_weights:
-            P = covariance(state.factor)
             return np.asarray(P @ state.spread @ P)
         case _:
-            return np.asarray(covariance(state.factor))
+            return P
+
+
+def _is_determined(state: RlsState) -> bool:
+    return bool(state.counters[recursion.FACTORED]) or bool(np.diag(state.factor).all())
 
 
 def _noise_variance(state: RlsState) -> float:

@@ -28,7 +28,7 @@ def rotate_in(
     """
     n = len(x)
     root = np.sqrt(lam)
-    tolerance = 8.0 * EPSILON * (count + n)
+    tolerance = EPSILON * (2.0 * n + count)
     for i in range(n):
         if R[i, i] == 0.0 and abs(x[i]) <= tolerance * scale[i]:
             continue
@@ -46,13 +46,16 @@ def rotate_in(
     return y
 
 
-@inner
-def is_regular(R: Floats) -> bool:
-    """Whether the samples in R determine theta."""
-    regular = True
+@kernel
+def independence(R: Floats) -> float:
+    """Least share of a column that the columns before it do not explain; 0: theta is open."""
+    least = 1.0
     for i in range(len(R)):
-        regular = regular and R[i, i] != 0.0
-    return regular
+        squares = 0.0
+        for k in range(i + 1):
+            squares += R[k, i] * R[k, i]
+        least = min(least, abs(R[i, i]) / np.sqrt(squares)) if R[i, i] != 0.0 else 0.0
+    return least
 
 
 @inner

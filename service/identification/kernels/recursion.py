@@ -15,9 +15,9 @@ from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import (
     back_substitute,
     covariance,
+    independence,
     invert_triangle,
     is_estimable,
-    is_regular,
     rotate_in,
     scaled_trace,
 )
@@ -27,7 +27,7 @@ from service.identification.samples import Codes, Floats, Status, Times
 EXPONENTIAL, VARIABLE, RESETTING, DIRECTIONAL, SUBSPACE, WINDOW = range(6)
 
 # Places in `counters` and `noise`.
-COUNT, DETERMINED, HEAD, FILLED, STALE, OPENED = range(6)
+COUNT, FACTORED, HEAD, FILLED, STALE, OPENED = range(6)
 PLACES_OF_COUNTERS = 6
 WEIGHT, SQUARES, VARIANCE, TRACE = range(4)
 PLACES_OF_NOISE = 4
@@ -36,6 +36,7 @@ LARGEST = 1e100  # a value beyond it cannot be squared and summed safely
 TRACE_LIMIT = 1e10  # of P in units of the columns' scales: beyond it λ forgets along X alone
 TRACE_EVERY = 16
 FLOOR = 1e-4  # information along X, in squared scaled units, that forgetting leaves there
+INDEPENDENT = 1e-3  # least independence of the regressors for which U·D·Uᵀ is as exact as R
 OPENING = 10.0  # a changed plant: what was learnt before weighs a tenth of a sample
 SETTLED = 20.0
 
@@ -113,7 +114,7 @@ def run(memory: Memory, rule: Rule, batch: Batch) -> None:
     found = 0
     i = N
     for k in range(N):
-        if counters[DETERMINED] == 1:
+        if counters[FACTORED] == 1:
             i = k
             break
         warm_up(
@@ -152,17 +153,17 @@ def evaluate(
 ) -> None:
     """Write Xᵀ·theta (N,) and, with theta's covariance, its variance (N,); NaN where unknown."""
     n = len(theta)
-    determined = counters[DETERMINED] == 1
+    factored = counters[FACTORED] == 1
     for i in range(len(X)):
         values[i] = np.nan
         variances[i] = np.nan
-        if determined or is_estimable(factor, X, i, scale):
+        if factored or is_estimable(factor, X, i, scale):
             total = 0.0
             for j in range(n):
                 total += X[i, j] * theta[j]
             if np.isfinite(total):
                 values[i] = total
-        if determined:
+        if np.isfinite(spread[0, 0]):
             total = 0.0
             for j in range(n):
                 for k in range(n):
@@ -182,10 +183,11 @@ def determine(
     counters: Counts,
     kind: int,
 ) -> bool:
-    """Solve R·theta = z; once the information is regular, go over from R to U·D·Uᵀ."""
+    """Solve R·theta = z, and go over from R to U·D·Uᵀ once no digits are lost by that."""
     back_substitute(factor, rhs, theta)
-    if not is_regular(factor):
-        return False
+    least = independence(factor)
+    if least < (INDEPENDENT if kind <= RESETTING else 0.0) or least == 0.0:
+        return least > 0.0
     n = len(theta)
     R = np.empty((n, n))
     for j in range(n):
@@ -199,7 +201,7 @@ def determine(
             for k in range(n):
                 spread[j, k] = P[j, k]
     noise[TRACE] = scaled_trace(factor, scale)
-    counters[DETERMINED] = 1
+    counters[FACTORED] = 1
     return True
 
 

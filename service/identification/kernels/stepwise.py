@@ -7,16 +7,16 @@ from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import (
     add_rank_one,
     back_substitute,
+    independence,
     information_along,
     invert_triangle,
-    is_regular,
     project,
     rank_one,
     rotate_in,
 )
 from service.identification.kernels.recursion import (
     COUNT,
-    DETERMINED,
+    FACTORED,
     FILLED,
     FLOOR,
     HEAD,
@@ -49,7 +49,7 @@ def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
     n = len(theta)
     for i in range(len(y)):
         good = rejection(X, y, usable, i) == _OK
-        warm = counters[DETERMINED] == 0
+        warm = counters[FACTORED] == 0
         if warm:
             warm_up(
                 theta, factor, rhs, spread, scale, noise, counters, rule.kind, rule.lam,
@@ -145,14 +145,14 @@ def _factor_anew(
         for j in range(n):
             row[j] = window[i, j]
         rotate_in(R, z, row, window[i, n], 1.0, scale, i)
-    regular = is_regular(R)
+    regular = independence(R) > 0.0
     counters[STALE] = int(not regular)
-    if counters[DETERMINED] == 0:
+    if counters[FACTORED] == 0:
         for j in range(n):
             rhs[j] = z[j]
             for k in range(n):
                 factor[j, k] = R[j, k]
     elif regular:
         invert_triangle(R, factor)
-    if regular or counters[DETERMINED] == 0:
+    if regular or counters[FACTORED] == 0:
         back_substitute(R, z, theta)
