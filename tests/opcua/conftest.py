@@ -9,6 +9,12 @@ from support.interoperation import Asking, raised  # noqa: E402 - after what it 
 from support.peer import Peer  # noqa: E402
 
 
+def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "milo: needs java and mvn (Eclipse Milo as an independent client)"
+    )
+
+
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def stage(tmp_path_factory):
     async with raised(tmp_path_factory.mktemp("stage")) as stage:
