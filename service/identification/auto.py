@@ -12,20 +12,30 @@ from service.identification.estimator import State
 from service.identification.kernels import cells as memory
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.surface import Surface
-from service.identification.map_shapes import MOST_S, MOST_U, NODES_T, Shape, Variety, dp_top
+from service.identification.map_search import (
+    BAND,
+    IDLE,
+    MOST,
+    STARTS,
+    climb,
+    fit,
+    fresh_start,
+    is_better,
+    is_resting,
+    variety,
+)
+from service.identification.map_shapes import NODES_T, Shape, Variety, dp_top
 from service.identification.samples import Floats, Quality, Samples, Trace
 
-MOST: Final = MOST_U * MOST_S
-BAND: Final = 3 * MOST_S + 4
-CHAMPION, CHALLENGER = 0, 1
-RICH: Final = {"cells": 20, "axis": 2}
+CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
+STARTED: Final = 0
 ENOUGH_CELLS: Final = 24
 RESTING_STEPS: Final = 2
-LEAST_GAIN: Final = 0.1
-LONGEST_WAIT, TRIAL = 512, 64
-Counts = NDArray[np.int64]
-NEVER_BELOW: Final = 1e-5
+RESTED: Final = 60
+SHORTEST_WAIT, TRIAL, LONGEST_WAIT = 16, 64, 512
 UNKNOWN: Final = 1e4
+SPIKE, FEW = 30.0, 3.0
+Counts = NDArray[np.int64]
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -35,27 +45,31 @@ class AutoState(State):
 
     Attributes
     ----------
-    cells : (4800, 6)
+    cells : (5040, 6)
         Weight and means of U, s, T, direction and Q of each cell's samples.
-    shapes : (2, 6), tops : (2,)
-        Shapes of champion and challenger, and the pressures their splines reach to, bar.
+    shapes : (3, 6), top : ()
+        Shapes of champion, challenger and explorer, and the pressure their splines reach to, bar.
     theta : (2, n + 8)
-        Their parameters, padded with 0.
+        Parameters of champion and challenger, padded with 0.
     inverse, mixed, corner
         The champion's inverse information, see :func:`kernels.surface.fit`.
     scalars, counters
         See :mod:`kernels.cells`.
+    progress : (3, 2)
+        The explorer's starts so far, and of how many cells; how far challenger and explorer came
+        in trying their neighbours, see :func:`map_search.climb`.
     """
 
     cells: Floats
     shapes: Floats
-    tops: Floats
+    top: Floats
     theta: Floats
     inverse: Floats
     mixed: Floats
     corner: Floats
     scalars: Floats
     counters: Counts
+    progress: Counts
 
 
 @dataclass(frozen=True)
@@ -108,7 +122,7 @@ class Auto:
     """
 
     lam: float = 0.998
-    steps: int = 20
+    steps: int = 16
 
     def __post_init__(self) -> None:
         if not 0.0 < self.lam <= 1.0:
@@ -126,19 +140,20 @@ class Auto:
     def initial_state(self) -> AutoState:
         """State before the first sample."""
         scalars = np.zeros(memory.SCALARS)
-        scalars[memory.HELD_U] = scalars[memory.VARIANCE] = math.nan
+        scalars[memory.LAST_U] = scalars[memory.VARIANCE] = math.nan
         counters = np.zeros(memory.COUNTERS, np.int64)
         counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = 8
         return AutoState(
             cells=np.zeros((memory.CELLS_U * memory.CELLS_S * memory.CELLS_T * 2, 6)),
-            shapes=np.stack([Shape().to_array()] * 2),
-            tops=np.full(2, dp_top(0.0)),
+            shapes=np.stack([Shape().to_array()] * 3),
+            top=np.array(dp_top(0.0)),
             theta=np.zeros((2, MOST + kernel.BORDER)),
             inverse=np.zeros((MOST, BAND)),
             mixed=np.zeros((MOST, kernel.BORDER)),
             corner=np.zeros((kernel.BORDER, kernel.BORDER)),
             scalars=scalars,
             counters=counters,
+            progress=np.zeros((3, 2), np.int64),
         )
 
     def update(self, state: AutoState, samples: Samples) -> tuple[AutoState, Trace]:
@@ -185,7 +200,7 @@ class Auto:
         self, state: AutoState, U: Floats, dp: Floats, T: Floats, direction: Floats
     ) -> tuple[Floats, Floats]:
         """Flow and standard deviation with U coming from below (1) or above (-1)."""
-        n = _size(_shape(state, CHAMPION), state.tops[CHAMPION])
+        n = _shape(state, CHAMPION).size
         Q, spread = np.empty(len(U)), np.empty(len(U))
         kernel.evaluate(
             *_surface(state, CHAMPION),
@@ -204,6 +219,13 @@ class Auto:
             std = np.sqrt(spread * state.scalars[memory.VARIANCE])
         return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
 
+    def directions(self, state: AutoState, U: Floats) -> Floats:
+        """Direction of U (N,) along a path of its own, for :meth:`predict_along`."""
+        scalars = state.scalars.copy()
+        scalars[memory.LAST_U] = math.nan
+        play = _shape(state, CHAMPION).play
+        return np.array([memory.follow(u, play, scalars) for u in U], np.float64)
+
     def parameters(self, state: AutoState) -> tuple[Floats, Floats]:
         """Q at the 55 points and its standard deviation."""
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
@@ -219,128 +241,94 @@ class Auto:
 
     def _refit(self, state: AutoState) -> AutoState:
         """Promote the challenger if it did well, let it climb, fit both; a pure function."""
-        points = state.cells[state.cells[:, memory.WEIGHT] > 0.0]
+        points = _trusted(state)
         top = dp_top(float(points[:, memory.MEAN_S].max()))
         scalars, counters = state.scalars.copy(), state.counters.copy()
-        champion, challenger = _shape(state, CHAMPION), _shape(state, CHALLENGER)
+        champion, challenger, explorer = (Shape.from_array(shape) for shape in state.shapes)
         squares = scalars[memory.CHAMPION_SQUARES], scalars[memory.CHALLENGER_SQUARES]
         if squares[1] <= 1.02**2 * squares[0]:
             champion = challenger
+        progress = state.progress.copy()
         if counters[memory.NEW_CELLS] <= 0:
-            counters[memory.IDLE] = 0
+            progress[CHALLENGER, IDLE] = 0
+        if len(points) > 1.25 * progress[STARTED, 1]:
+            progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            challenger = self._climb(points, challenger, top, counters)
-        best, rival = _fit(points, champion, top), _fit(points, challenger, top)
+            varied = variety(state.cells, points)
+            challenger, explorer = self._climb(points, challenger, explorer, top, varied, progress)
+        best, rival = fit(points, champion, top), fit(points, challenger, top)
         freedom = max(len(points) - best.n_effective, 1.0)
         scalars[memory.VARIANCE] = max(best.rss / freedom, scalars[memory.NOISE])
         scalars[memory.EXCITATION] = best.n_effective
         scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
         since = counters[memory.USED] - counters[memory.OPENED]
-        longest = LONGEST_WAIT if champion == challenger else TRIAL
-        counters[memory.NEXT_FIT] = counters[memory.USED] + min(max(since // 16, 8), longest)
+        at_rest = champion == challenger and progress[CHALLENGER, IDLE] > RESTED
+        longest = LONGEST_WAIT if at_rest else TRIAL
+        counters[memory.NEXT_FIT] = counters[memory.USED] + min(
+            max(since // 16, SHORTEST_WAIT), longest
+        )
         counters[memory.NEW_CELLS] = max(8, len(points) // 24)
         counters[memory.FITTED] = 1
         return replace(
             state,
-            shapes=np.stack([champion.to_array(), challenger.to_array()]),
-            tops=np.full(2, top),
+            shapes=np.stack([x.to_array() for x in (champion, challenger, explorer)]),
+            top=np.array(top),
             theta=np.stack([_padded(best.theta), _padded(rival.theta)]),
             inverse=best.inverse,
             mixed=best.mixed,
             corner=best.corner,
             scalars=scalars,
             counters=counters,
+            progress=progress,
         )
 
-    def _climb(self, points: Floats, shape: Shape, top: float, counters: Counts) -> Shape:
-        """Try the next few neighbours, go to each that lowers the BIC; rest once all were tried."""
-        sigma_2, variety = _noise(points, shape, top), _variety(points)
-        best = _fit(points, shape, top).bic(sigma_2, len(points))
-        around = shape.neighbours(variety)
-        resting = counters[memory.IDLE] > 2 * len(around)
-        for _ in range(RESTING_STEPS if resting else self.steps):
-            candidate = around[counters[memory.MOVE] % len(around)]
-            bic = _fit(points, candidate, top).bic(sigma_2, len(points))
-            counters[[memory.MOVE, memory.IDLE]] += 1
-            if bic < best - LEAST_GAIN:
-                shape, counters[memory.IDLE] = candidate, 0
-                sigma_2 = _noise(points, shape, top)
-                best = _fit(points, shape, top).bic(sigma_2, len(points))
-                around = shape.neighbours(variety)
-        return shape
+    def _climb(
+        self,
+        points: Floats,
+        challenger: Shape,
+        explorer: Shape,
+        top: float,
+        varied: Variety,
+        progress: Counts,
+    ) -> tuple[Shape, Shape]:
+        """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
+        resting = is_resting(challenger, varied, progress[CHALLENGER])
+        steps = RESTING_STEPS if resting else self.steps
+        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER])
+        if not resting or progress[STARTED, 0] > len(STARTS):
+            return challenger, explorer
+        if is_resting(explorer, varied, progress[EXPLORER]) or not progress[STARTED, 0]:
+            explorer = fresh_start(progress[STARTED, 0], challenger)
+            progress[STARTED, 0] += 1
+            progress[EXPLORER] = 0
+        explorer = climb(points, explorer, top, varied, self.steps, progress[EXPLORER])
+        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top):
+            challenger = explorer
+            progress[CHALLENGER] = 0
+        return challenger, explorer
+
+
+def _trusted(state: AutoState) -> Floats:
+    """Cells that hold samples, but for those of a few samples far off all others: spikes."""
+    points = state.cells[state.cells[:, memory.WEIGHT] > 0.0]
+    if not state.counters[memory.FITTED]:
+        return points
+    misfit = kernel.misfit(_surface(state, CHAMPION), points)
+    usual = max(
+        float(np.median(misfit)),
+        math.sqrt(state.scalars[memory.NOISE]),
+        1e-4 * float(np.abs(points[:, memory.MEAN_Q]).max()),
+    )
+    spiked = (misfit > SPIKE * usual) & (points[:, memory.WEIGHT] < FEW)
+    return points[~spiked]
 
 
 def _surface(state: AutoState, which: int) -> Surface:
-    shape, top = _shape(state, which), float(state.tops[which])
+    shape, top = _shape(state, which), float(state.top)
     spline = shape.spline(top)
-    n = _size(shape, top)
-    theta = np.concatenate([state.theta[which, :n], state.theta[which, MOST:]])
+    theta = np.concatenate([state.theta[which, : shape.size], state.theta[which, MOST:]])
     coefficients = np.ascontiguousarray(shape.coefficients(theta, top))
     return Surface(spline.knots[0], spline.knots[1], NODES_T, coefficients, shape.play)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    theta: Floats
-    inverse: Floats
-    mixed: Floats
-    corner: Floats
-    rss: float
-    penalty: float
-    n_effective: float
-
-    def bic(self, sigma_2: float, n_points: int) -> float:
-        misfit = (self.rss + self.penalty) / sigma_2
-        bic = misfit + self.n_effective * math.log(n_points)
-        return bic if math.isfinite(bic) else math.inf
-
-
-def _fit(points: Floats, shape: Shape, top: float) -> _Fit:
-    spline = shape.spline(top)
-    (knots_U, knots_s), (along_U, along_s) = spline.knots, spline.roughness
-    n = _size(shape, top)
-    rough_U = along_U.T @ along_U if n else np.zeros((0, 0))
-    rough_s = along_s.T @ along_s
-    theta = np.zeros(n + kernel.BORDER)
-    inverse = np.zeros((MOST, BAND))
-    mixed, corner = np.zeros((MOST, kernel.BORDER)), np.zeros((kernel.BORDER, kernel.BORDER))
-    rss, penalty, n_effective = kernel.fit(
-        points,
-        shape.play,
-        knots_U,
-        knots_s,
-        rough_U,
-        rough_s,
-        shape.columns,
-        theta,
-        inverse[:n],
-        mixed[:n],
-        corner,
-    )
-    return _Fit(theta, inverse, mixed, corner, rss, penalty, n_effective)
-
-
-def _variety(points: Floats) -> Variety:
-    weight = points[:, memory.WEIGHT] / points[:, memory.WEIGHT].sum()
-    T = points[:, memory.MEAN_T]
-    direction = points[:, memory.DIRECTION]
-    return Variety(
-        both_directions=min(weight @ (direction > 0.5), weight @ (direction < -0.5)) > 0.05,
-        temperatures=math.sqrt(float(weight @ (T - weight @ T) ** 2)) > 2.0,
-    )
-
-
-def _noise(points: Floats, shape: Shape, top: float) -> float:
-    """σ² that the richest spline with the shape's kinks and play leaves."""
-    rich = _fit(points, replace(shape, **RICH), top)
-    floor = (NEVER_BELOW * np.abs(points[:, memory.MEAN_Q]).max()) ** 2
-    return max(rich.rss / max(len(points) - rich.n_effective, 1.0), float(floor), 1e-30)
-
-
-def _size(shape: Shape, top: float) -> int:
-    """Parameters of the spline, 0 without one."""
-    sites_U, sites_s = shape.spline(float(top)).sites
-    return len(sites_U) * len(sites_s) if shape.cells else 0
 
 
 def _shape(state: AutoState, which: int) -> Shape:

@@ -30,7 +30,7 @@ class Variety:
     Attributes
     ----------
     both_directions
-        U rose in some, fell in others.
+        More than 5 % of them lie where U came from below at one time, from above at another.
     temperatures
         T spread by more than 2 K.
     """
@@ -87,6 +87,12 @@ class Shape:
         """First and one past the last column beside the spline (kernels.surface.fit)."""
         return FIVE_TERMS if self.cells else 0, BORDER if self.trend else FIVE_TERMS
 
+    @property
+    def size(self) -> int:
+        """Parameters of the spline; 0 without one."""
+        kinks = sum(kink is not None for kink in (self.dead_band, self.saturation))
+        return (self.cells + 3 + 3 * kinks) * (len(AXES[self.axis]) + 2) if self.cells else 0
+
     def spline(self, dp_top: float) -> TensorSpline:
         """The spline over dp up to ``dp_top``; without cells the smallest one, to hold eq. (7)."""
         return _spline(self, dp_top)
@@ -108,7 +114,7 @@ class Shape:
 
     def neighbours(self, variety: Variety) -> tuple["Shape", ...]:
         """Shapes one step away that samples of such variety can tell apart, in a fixed order."""
-        return tuple(s for s in self._steps(variety) if s != self and s.is_possible)
+        return _neighbours(self, variety)
 
     @property
     def is_possible(self) -> bool:
@@ -136,7 +142,8 @@ class Shape:
             parts.append("trend with temperature")
         return ", ".join(parts)
 
-    def _steps(self, variety: Variety) -> Iterator["Shape"]:
+    def steps(self, variety: Variety) -> Iterator["Shape"]:
+        """All steps, possible or not."""
         yield Shape(play=self.play, trend=self.trend)
         for cells in sorted(CELLS[1:], key=lambda cells: abs(cells - self.cells)):
             yield replace(self, cells=cells)
@@ -182,6 +189,11 @@ def _around(x: float, steps: tuple[float, ...]) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=256)
+def _neighbours(shape: Shape, variety: Variety) -> tuple[Shape, ...]:
+    return tuple(s for s in shape.steps(variety) if s != shape and s.is_possible)
+
+
+@lru_cache(maxsize=2048)
 def _spline(shape: Shape, top: float) -> TensorSpline:
     low = 0.0 if shape.dead_band is None else shape.dead_band
     high = 100.0 if shape.saturation is None else shape.saturation

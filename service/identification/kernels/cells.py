@@ -8,23 +8,26 @@ from numba import njit
 from service.identification.kernels.surface import T_REFERENCE, Surface, value
 from service.identification.samples import Floats, Status
 
-CELLS_U, CELLS_S, CELLS_T = 40, 20, 3
+CELLS_U, CELLS_S, CELLS_T = 40, 21, 3
 S_TOP = 20.0
 COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q = 0, 1, 2, 3, 4, 5
 
-HELD_U, NOISE, NOISE_WEIGHT, ALARM, CHAMPION_SQUARES, CHALLENGER_SQUARES = 0, 1, 2, 3, 4, 5
-EXCITATION, VARIANCE = 6, 7
-SCALARS = 8
-USED, NEXT_FIT, OPENED, ALARMS, MOVE, FITTED, NEW_CELLS, IDLE = 0, 1, 2, 3, 4, 5, 6, 7
-COUNTERS = 8
+LAST_U, TOWARDS, NOISE, NOISE_WEIGHT, CHAMPION_SQUARES, CHALLENGER_SQUARES = 0, 1, 2, 3, 4, 5
+EXCITATION, VARIANCE, MORE, LESS, WILDER = 6, 7, 8, 9, 10
+SCALARS = 11
+USED, NEXT_FIT, OPENED, ALARMS, FITTED, NEW_CELLS = 0, 1, 2, 3, 4, 5
+COUNTERS = 6
 
 HUGE = 1e9
-KNOWN = 2.0
+LEAST_PLAY = 0.1
+KNOWN = 1.0
 NOISE_KNOWN = 64.0
 NOISE_MEMORY = 1000.0
 PLAIN_S = 0.7
+FITTING = 4.0
 CLIP = 8.0
-DRIFT, ALARM_CLIP, ALARM_LEVEL = 2.5, 6.0, 120.0
+NOISE_CLIP = 3.0
+SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0
 KEPT = 0.01
 SETTLE = 32
 EXCITED = 3.0
@@ -55,6 +58,7 @@ def run(
 
     ``longest`` bounds the weight of a cell: then its mean is exponential, λ = 1 - 1/longest.
     """
+    scratch = np.empty((4, 4))
     for i in range(start, len(U)):
         predicted[i] = residual[i] = math.nan
         if not (usable[i] and math.isfinite(U[i] + dp[i] + Q[i])):
@@ -70,17 +74,18 @@ def run(
         flow, status[i] = Q[i], _WARMING_UP
         if counters[FITTED]:
             status[i] = _OK if scalars[EXCITATION] >= EXCITED else _UNEXCITED
-            forecast = _of(champion, U[i], s, warmth, direction)
+            forecast = _of(champion, U[i], s, warmth, direction, scratch)
             predicted[i], residual[i] = forecast, flow - forecast
             scalars[CHAMPION_SQUARES] += residual[i] ** 2
-            scalars[CHALLENGER_SQUARES] += (flow - _of(challenger, U[i], s, warmth, direction)) ** 2
+            miss = flow - _of(challenger, U[i], s, warmth, direction, scratch)
+            scalars[CHALLENGER_SQUARES] += miss**2
             if cell[WEIGHT] >= KNOWN:
-                flow = _compare(champion, cell, flow, forecast, s, scalars)
+                flow = _compare(champion, cell, flow, forecast, s, scalars, scratch)
         if cell[WEIGHT] < 1.0:
             counters[NEW_CELLS] -= 1
         _learn(cell, longest, U[i], s, warmth, direction, flow)
         counters[USED] += 1
-        if scalars[ALARM] > ALARM_LEVEL:
+        if max(scalars[MORE], scalars[LESS], scalars[WILDER]) > ALARM_LEVEL:
             _open(cells, scalars, counters)
         if is_due(counters):
             return i + 1
@@ -95,55 +100,86 @@ def is_due(counters: np.ndarray) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def follow(U: float, play: float, scalars: Floats) -> float:
-    """Direction of U from -1 (falling) to 1 (rising): where U stands in the play it drags along."""
-    half = max(play, 0.1)
-    held: float = scalars[HELD_U]
-    if not math.isfinite(held):
-        held = U
-    held = min(max(held, U - half), U + half)
-    scalars[HELD_U] = held
-    return (U - held) / half
+    """Direction of U from -1 (falling) to 1 (rising); to turn it takes a way of twice the play."""
+    last: float = scalars[LAST_U]
+    step = U - last if math.isfinite(last) else 0.0
+    towards: float = min(max(scalars[TOWARDS] + step / max(play, LEAST_PLAY), -1.0), 1.0)
+    scalars[LAST_U], scalars[TOWARDS] = U, towards
+    return towards
 
 
 @njit(cache=True, error_model="numpy")
 def place(U: float, s: float, T: float, direction: float) -> int:
-    """Which cell a point falls into; cells in s are narrow near 0, where the flow is laminar."""
-    in_U = min(max(int(U * (CELLS_U / 100.0)), 0), CELLS_U - 1)
-    in_s = min(int(CELLS_S * (min(max(s, 0.0), S_TOP) / S_TOP) ** (2.0 / 3.0)), CELLS_S - 1)
+    """Which cell a point falls into; those of both directions stand side by side.
+
+    Cells in s are narrow near 0, where the flow is laminar; the first is for reversed flow.
+    """
+    in_U = int(min(max(U * (CELLS_U / 100.0), 0.0), CELLS_U - 1.0))
+    share = min(max(s, 0.0), 0.999 * S_TOP) / S_TOP
+    in_s = 1 + int((CELLS_S - 1) * share ** (2.0 / 3.0)) if s >= 0.0 else 0
     in_T = 0 if T < 30.0 else (1 if T < 50.0 else 2)
     rising = 1 if direction > 0.0 else 0
     return ((in_U * CELLS_S + in_s) * CELLS_T + in_T) * 2 + rising
 
 
 @njit(cache=True, error_model="numpy")
-def _of(surface: Surface, U: float, s: float, T: float, direction: float) -> float:
-    at = U - surface.play * direction
-    return value(surface.knots_U, surface.knots_s, surface.nodes_T, surface.theta, at, s, T)
+def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratch: Floats) -> float:
+    at, knots_U, knots_s = U - surface.play * direction, surface.knots_U, surface.knots_s
+    return value(knots_U, knots_s, surface.nodes_T, surface.theta, at, s, T, scratch)
 
 
 @njit(cache=True, error_model="numpy")
 def _compare(
-    model: Surface, cell: Floats, Q: float, forecast: float, s: float, scalars: Floats
+    model: Surface,
+    cell: Floats,
+    Q: float,
+    forecast: float,
+    s: float,
+    scalars: Floats,
+    scratch: Floats,
 ) -> float:
     """Hold a sample against its own cell: noise without misfit, change of the valve, outliers.
 
     The model only carries the cell's mean over to the sample's point, so what it cannot represent
-    cancels. What is taken in is clipped at 8 σ.
+    cancels (and where it is far off, as in a region that is new to it, no change is looked for).
+    What is taken in is clipped at 8 σ; a cell that stands farther off the model than the
+    sample does was spoilt itself, and starts afresh.
     """
-    at_mean = _of(model, cell[MEAN_U], cell[MEAN_S], cell[MEAN_T], cell[DIRECTION])
+    at_mean: float = _of(model, cell[MEAN_U], cell[MEAN_S], cell[MEAN_T], cell[DIRECTION], scratch)
     error = Q - (cell[MEAN_Q] + forecast - at_mean)
-    error_2 = error**2 * cell[WEIGHT] / (cell[WEIGHT] + 1.0)
-    if scalars[NOISE_WEIGHT] >= NOISE_KNOWN:
-        sigma = math.sqrt(scalars[NOISE])
-        error_2 = min(error_2, (CLIP * sigma) ** 2)
-        if s >= PLAIN_S:
-            step = min(math.sqrt(error_2) / max(sigma, 1e-9), ALARM_CLIP) - DRIFT
-            scalars[ALARM] = max(0.0, scalars[ALARM] + step)
-        bound = CLIP * sigma * math.sqrt(1.0 + 1.0 / cell[WEIGHT])
-        Q += min(max(error, -bound), bound) - error
+    whitening = math.sqrt(cell[WEIGHT] / (cell[WEIGHT] + 1.0))
+    sigma = math.sqrt(scalars[NOISE])
+    if scalars[NOISE_WEIGHT] < NOISE_KNOWN:
+        _know_noise(error * whitening, scalars)
+        return Q
+    if s >= PLAIN_S and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:
+        _watch(error * whitening / max(sigma, 1e-9), scalars)
+    bound = CLIP * sigma / whitening
+    if max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL:
+        limit = NOISE_CLIP * sigma
+        _know_noise(min(max(error * whitening, -limit), limit), scalars)
+    if abs(error) <= bound:
+        return Q
+    if abs(Q - forecast) < 0.5 * abs(cell[MEAN_Q] - at_mean):
+        cell[WEIGHT] = 0.0
+        return Q
+    taken: float = Q - error + math.copysign(bound, error)
+    return taken
+
+
+@njit(cache=True, error_model="numpy")
+def _know_noise(error: float, scalars: Floats) -> None:
     scalars[NOISE_WEIGHT] = min(scalars[NOISE_WEIGHT] + 1.0, NOISE_MEMORY)
-    scalars[NOISE] += (error_2 - scalars[NOISE]) / scalars[NOISE_WEIGHT]
-    return Q
+    scalars[NOISE] += (error**2 - scalars[NOISE]) / scalars[NOISE_WEIGHT]
+
+
+@njit(cache=True, error_model="numpy")
+def _watch(z: float, scalars: Floats) -> None:
+    """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
+    clipped = min(max(z, -FAR), FAR)
+    scalars[MORE] = max(0.0, scalars[MORE] + clipped - SHIFT)
+    scalars[LESS] = max(0.0, scalars[LESS] - clipped - SHIFT)
+    scalars[WILDER] = max(0.0, scalars[WILDER] + abs(clipped) - WILD)
 
 
 @njit(cache=True, error_model="numpy")
@@ -164,9 +200,9 @@ def _open(cells: Floats, scalars: Floats, counters: np.ndarray) -> None:
     """Open the memory: the valve has changed, what was learnt stays as a faint prior."""
     for i in range(len(cells)):
         cells[i, WEIGHT] = KEPT * min(cells[i, WEIGHT], 1.0)
-    scalars[ALARM] = 0.0
+    scalars[MORE] = scalars[LESS] = scalars[WILDER] = 0.0
+    scalars[NOISE_WEIGHT] = 0.0
     counters[ALARMS] += 1
     counters[OPENED] = counters[USED]
     counters[NEXT_FIT] = counters[USED] + SETTLE
     counters[NEW_CELLS] = SETTLE
-    counters[IDLE] = 0

@@ -37,10 +37,17 @@ class Surface(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def value(
-    knots_U: Floats, knots_s: Floats, nodes_T: Floats, theta: Floats, U: float, s: float, T: float
+    knots_U: Floats,
+    knots_s: Floats,
+    nodes_T: Floats,
+    theta: Floats,
+    U: float,
+    s: float,
+    T: float,
+    scratch: Floats,
 ) -> float:
-    """Q at one point; ``theta`` is (n_U, n_s, n_T)."""
-    in_U, in_s, slope, in_T = np.empty(4), np.empty(4), np.empty(4), np.empty(2)
+    """Q at one point; ``theta`` is (n_U, n_s, n_T), ``scratch`` (4, 4)."""
+    in_U, in_s, slope, in_T = scratch[0], scratch[1], scratch[2], scratch[3]
     first_U = basis(knots_U, U, in_U, slope)
     first_s = basis(knots_s, s, in_s, slope)
     first_T = hats(nodes_T, T, in_T)
@@ -114,20 +121,14 @@ def fit(
     C, D = np.zeros((n, m)), np.zeros((m, m))
     rhs, rhs_border = np.zeros(n), np.zeros(m)
     rows = np.empty((len(points), SPLINE_ROW + BORDER))
-    at = np.empty(len(points), np.int64)
+    at, scratch = np.empty(len(points), np.int64), np.empty((4, 4))
     for i in range(len(points)):
         weight, Q = points[i, 0], points[i, 5]
         if weight > 0.0:
             x = rows[i]
-            at[i] = _row(points[i], play, knots_U, knots_s, n, x)
-            for a in range(SPLINE_ROW if n else 0):
-                here, weighted = at[i] + a // 4 * n_s + a % 4, weight * x[a]
-                for b in range(a + 1):
-                    back = (a // 4 - b // 4) * n_s + a % 4 - b % 4
-                    information[here, back] += weighted * x[b]
-                for k in range(m):
-                    C[here, k] += weighted * x[SPLINE_ROW + first + k]
-                rhs[here] += weighted * Q
+            at[i] = _row(points[i], play, knots_U, knots_s, n, x, scratch)
+            if n:
+                _add_row(x, weight, weight * Q, at[i], n_s, first, information, C, rhs)
             for k in range(m):
                 weighted = weight * x[SPLINE_ROW + first + k]
                 for j in range(m):
@@ -142,8 +143,9 @@ def fit(
     for i in range(len(points)):
         if points[i, 0] > 0.0:
             x, error = rows[i], points[i, 5]
-            for a in range(SPLINE_ROW if n else 0):
-                error -= x[a] * theta[at[i] + a // 4 * n_s + a % 4]
+            for u in range(4 if n else 0):
+                for v in range(4):
+                    error -= x[4 * u + v] * theta[at[i] + u * n_s + v]
             for k in range(first, last):
                 error -= x[SPLINE_ROW + k] * theta[n + k]
             rss += points[i, 0] * error * error
@@ -151,6 +153,19 @@ def fit(
     for k in range(first, last):
         prior_trace += _border_ridge(k) * corner[k, k]
     return rss, penalty, n + m - prior_trace
+
+
+@njit(cache=True, error_model="numpy")
+def misfit(surface: Surface, points: Floats) -> Floats:
+    """|Q - Q̂|·√weight of each point (weight, U, s, T, direction, Q)."""
+    out, scratch = np.empty(len(points)), np.empty((4, 4))
+    for i in range(len(points)):
+        weight, s, T, Q = points[i, 0], points[i, 2], points[i, 3], points[i, 5]
+        at = points[i, 1] - surface.play * points[i, 4]
+        knots_U, knots_s = surface.knots_U, surface.knots_s
+        forecast = value(knots_U, knots_s, surface.nodes_T, surface.theta, at, s, T, scratch)
+        out[i] = abs(Q - forecast) * math.sqrt(weight)
+    return out
 
 
 @njit(cache=True, error_model="numpy")
@@ -171,13 +186,13 @@ def evaluate(
     variance: Floats,
 ) -> None:
     """Q at N points and its variance over σ²; a T that is not known is taken for 40 °C."""
-    point = np.zeros(6)
+    point, scratch = np.zeros(6), np.empty((4, 4))
     for i in range(len(U)):
         point[1] = U[i] - play * direction[i]
         point[2] = math.copysign(math.sqrt(abs(dp[i])), dp[i])
         point[3] = T[i] if math.isfinite(T[i]) else T_REFERENCE
-        Q[i] = value(knots_U, knots_s, nodes_T, theta, point[1], point[2], point[3])
-        variance[i] = spread(knots_U, knots_s, inverse, mixed, corner, point)
+        Q[i] = value(knots_U, knots_s, nodes_T, theta, point[1], point[2], point[3], scratch)
+        variance[i] = spread(knots_U, knots_s, inverse, mixed, corner, point, scratch)
 
 
 @njit(cache=True, error_model="numpy")
@@ -188,18 +203,23 @@ def spread(
     mixed: Floats,
     corner: Floats,
     point: Floats,
+    scratch: Floats,
 ) -> float:
     """Variance of Q̂ over σ² at one point (weight, U, s, T, direction, Q), from :func:`fit`."""
     n, n_s, x = len(inverse), len(knots_s) - 4, np.empty(SPLINE_ROW + BORDER)
-    at = _row(point, 0.0, knots_U, knots_s, n, x)
+    at = _row(point, 0.0, knots_U, knots_s, n, x, scratch)
     total = 0.0
-    for a in range(SPLINE_ROW if n else 0):
-        here, along = at + a // 4 * n_s + a % 4, 0.0
-        for b in range(a):
-            along += x[b] * inverse[here, (a // 4 - b // 4) * n_s + a % 4 - b % 4]
-        total += x[a] * (2.0 * along + x[a] * inverse[here, 0])
-        for k in range(BORDER):
-            x[SPLINE_ROW + k] -= x[a] * mixed[here, k]
+    for u in range(4 if n else 0):
+        for v in range(4):
+            here, along, value_here = at + u * n_s + v, 0.0, x[4 * u + v]
+            for r in range(u):
+                for q in range(4):
+                    along += x[4 * r + q] * inverse[here, (u - r) * n_s + v - q]
+            for q in range(v):
+                along += x[4 * u + q] * inverse[here, v - q]
+            total += value_here * (2.0 * along + value_here * inverse[here, 0])
+            for k in range(BORDER):
+                x[SPLINE_ROW + k] -= value_here * mixed[here, k]
     for k in range(BORDER):
         along = 0.0
         for j in range(BORDER):
@@ -209,7 +229,15 @@ def spread(
 
 
 @njit(cache=True, error_model="numpy")
-def _row(point: Floats, play: float, knots_U: Floats, knots_s: Floats, n: int, row: Floats) -> int:
+def _row(
+    point: Floats,
+    play: float,
+    knots_U: Floats,
+    knots_s: Floats,
+    n: int,
+    row: Floats,
+    scratch: Floats,
+) -> int:
     """Fill the sixteen values of the spline (if there is one) and the border's; give the place.
 
     Value a of the spline belongs to the parameter a // 4 · n_s + a % 4 behind the place.
@@ -218,12 +246,41 @@ def _row(point: Floats, play: float, knots_U: Floats, knots_s: Floats, n: int, r
     _border(U, point[2], point[3], row)
     if n == 0:
         return 0
-    in_U, in_s, slope = np.empty(4), np.empty(4), np.empty(4)
+    in_U, in_s, slope = scratch[0], scratch[1], scratch[2]
     first_U = basis(knots_U, U, in_U, slope)
     first_s = basis(knots_s, point[2], in_s, slope)
-    for a in range(SPLINE_ROW):
-        row[a] = in_U[a // 4] * in_s[a % 4]
+    for u in range(4):
+        for v in range(4):
+            row[4 * u + v] = in_U[u] * in_s[v]
     return first_U * (len(knots_s) - 4) + first_s
+
+
+@njit(cache=True, error_model="numpy")
+def _add_row(
+    x: Floats,
+    weight: float,
+    weighted_Q: float,
+    place: int,
+    n_s: int,
+    first: int,
+    information: Floats,
+    C: Floats,
+    rhs: Floats,
+) -> None:
+    """Add one point to the band, the border's columns and the right-hand side."""
+    for u in range(4):
+        for v in range(4):
+            here, value_here = place + u * n_s + v, x[4 * u + v]
+            weighted = weight * value_here
+            for r in range(u):
+                back = (u - r) * n_s + v
+                for q in range(4):
+                    information[here, back - q] += weighted * x[4 * r + q]
+            for q in range(v + 1):
+                information[here, v - q] += weighted * x[4 * u + q]
+            for k in range(C.shape[1]):
+                C[here, k] += weighted * x[SPLINE_ROW + first + k]
+            rhs[here] += weighted_Q * value_here
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,177 @@
+"""Shapes of a map: their fit is least squares, their steps stay on the ladder, BIC tells them."""
+
+# ruff: noqa: ARG005 - all valves have the signature of a valve
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.identification.kernels import surface as kernel
+from service.identification.map_search import climb, fit, is_better, noise, variety
+from service.identification.map_shapes import CELLS, NODES_T, Shape, Variety, dp_top
+from service.identification.model_structures import FiveTerms, Polynomial
+
+ALL = Variety(both_directions=True, temperatures=True)
+BLIND = Variety(both_directions=False, temperatures=False)
+SHAPES = [
+    Shape(),
+    Shape(trend=1),
+    Shape(cells=3, axis=1),
+    Shape(cells=5, axis=2, dead_band=8.0, saturation=95.0, play=0.7, trend=1),
+]
+
+
+def cells_of(valve, N=900, seed=0, sigma=0.0):
+    """Points of a memory: weight, U, s, T, direction, Q."""
+    rng = np.random.default_rng(seed)
+    weight, direction = rng.integers(1, 20, N).astype(float), rng.choice([-1.0, 1.0], N)
+    U, s, T = rng.uniform(0, 100, N), rng.uniform(0, 14, N), rng.uniform(20, 60, N)
+    Q = valve(U, s, T, direction) + sigma * rng.normal(size=N) / np.sqrt(weight)
+    return np.stack([weight, U, s, T, direction, Q], axis=1)
+
+
+def dense_rows(shape, points):
+    _, U, s, T, direction, _ = points.T
+    at = U - shape.play * direction
+    warmth, root = (T - 40) / 20, s / 10
+    beside = FiveTerms().regressors(at, s**2, T) / [1, 100, 10, 1000, 100]
+    trend = np.stack([warmth * root, warmth * root * at / 100, warmth * root**2], axis=1)
+    border = np.concatenate([beside, trend], axis=1)[:, slice(*shape.columns)]
+    spline = shape.spline(200.0).regressors(at, s**2, T)
+    return np.concatenate([spline, border], axis=1) if shape.cells else border
+
+
+def dense_prior(shape):
+    n, (first, last) = shape.size, shape.columns
+    prior = np.zeros((n + last - first, n + last - first))
+    if n:
+        rows = shape.spline(200.0).prior()[0]
+        prior[:n, :n] = rows.T @ rows
+    ridge = [kernel.RIDGE] * n + [
+        kernel.BORDER_RIDGE if k < kernel.FIVE_TERMS else kernel.TREND_RIDGE
+        for k in range(first, last)
+    ]
+    return prior, prior + np.diag(ridge)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=Shape.describe)
+def test_a_fit_is_weighted_least_squares_with_the_prior(shape):
+    points = cells_of(lambda U, s, T, d: 0.1 * (U - d) * s + 0.01 * (T - 40) * s, sigma=1.0)
+    got = fit(points, shape, 200.0)
+    X, (prior, ridge) = dense_rows(shape, points), dense_prior(shape)
+    w, Q = points[:, 0], points[:, 5]
+    data = X.T @ (w[:, None] * X)
+    inverse = np.linalg.inv(data + ridge)
+    theta = inverse @ (X.T @ (w * Q))
+    first, last = shape.columns
+    used = np.r_[0 : shape.size, shape.size + first : shape.size + last]
+    np.testing.assert_allclose(X @ got.theta[used], X @ theta, atol=1e-8)
+    assert got.rss == pytest.approx(np.sum(w * (Q - X @ theta) ** 2))
+    assert got.penalty == pytest.approx(theta @ prior @ theta, abs=1e-6)
+    assert got.n_effective == pytest.approx(np.trace(inverse @ data))
+    knots = shape.spline(200.0).knots
+    for i in range(0, 900, 100):
+        at = points[i].copy()
+        at[1] -= shape.play * at[4]
+        n = shape.size
+        h = kernel.spread(*knots, got.inverse[:n], got.mixed[:n], got.corner, at, np.empty((4, 4)))
+        assert h == pytest.approx(X[i] @ inverse @ X[i], rel=1e-6)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=Shape.describe)
+def test_the_coefficients_of_the_surface_are_the_fit(shape):
+    points = cells_of(lambda U, s, T, d: 0.1 * (U - d) * s + 0.01 * (T - 40) * s)
+    got = fit(points, shape, 200.0)
+    first, last = shape.columns
+    used = np.r_[0 : shape.size, shape.size + first : shape.size + last]
+    coefficients = np.ascontiguousarray(shape.coefficients(got.theta, 200.0))
+    knots = shape.spline(200.0).knots
+    surface = [
+        kernel.value(*knots, NODES_T, coefficients, U - shape.play * d, s, T, np.empty((4, 4)))
+        for _, U, s, T, d, _ in points
+    ]
+    np.testing.assert_allclose(surface, dense_rows(shape, points) @ got.theta[used], atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=Shape.describe)
+def test_every_step_leads_to_another_shape_that_can_be_fitted(shape):
+    points = cells_of(lambda U, s, T, d: 0.1 * U * s)
+    around = shape.neighbours(ALL)
+    assert len(set(around)) > 15
+    assert shape not in around
+    for neighbour in around:
+        assert neighbour == Shape.from_array(neighbour.to_array())
+        assert np.isfinite(fit(points, neighbour, 200.0).bic(1.0, 900))
+
+
+def test_play_and_trend_are_tried_only_where_the_samples_can_tell():
+
+    around = Shape(cells=3).neighbours(BLIND)
+    assert {s.play for s in around} == {0.0}
+    assert {s.trend for s in around} == {0}
+
+
+def test_what_the_samples_can_tell_is_seen_in_the_memory():
+    cells = np.zeros((40, 6))
+    cells[::2, 0] = 5.0
+    cells[:, 3] = 40.0
+    assert variety(cells, cells[cells[:, 0] > 0]) == BLIND
+    cells[1::2, 0] = 5.0
+    cells[::4, 3] = 50.0
+    assert variety(cells, cells[cells[:, 0] > 0]) == ALL
+
+
+@pytest.mark.parametrize(
+    ("valve", "expected"),
+    [
+        (lambda U, s, T, d: 0.1 * U * s, "eq. (7)"),
+        (lambda U, s, T, d: 0.1 * (U - d) * s, "eq. (7), hysteresis 2 %"),
+        (
+            lambda U, s, T, d: 0.1 * np.clip(U, 11, 95) * s - s,
+            "spline, 2 x 3 cells, dead band 11 %, saturation 95 %",
+        ),
+        (lambda U, s, T, d: (0.1 * U + (T - 40) / 50) * s, "eq. (7), trend with temperature"),
+    ],
+    ids=["eq. (7)", "hysteresis", "kinks", "temperature"],
+)
+def test_the_climb_ends_at_the_shape_that_made_the_data(valve, expected):
+    points = cells_of(valve, sigma=0.4)
+    shape, progress = Shape(), np.zeros(2, np.int64)
+    for _ in range(12):
+        shape = climb(points, shape, 200.0, ALL, 100, progress)
+    assert shape.describe() == expected
+
+
+def test_bic_prefers_fewer_parameters_where_the_fit_is_the_same():
+    points = cells_of(lambda U, s, T, d: 0.1 * U * s, sigma=0.4)
+    assert is_better(points, Shape(), Shape(cells=6, axis=1), 200.0)
+    assert not is_better(points, Shape(cells=6, axis=1), Shape(), 200.0)
+
+
+def test_the_noise_is_what_the_richest_shape_leaves():
+    points = cells_of(lambda U, s, T, d: 0.1 * np.maximum(U - 8, 0) * s, sigma=0.4)
+    assert noise(points, Shape(dead_band=8.0, cells=2), 200.0) == pytest.approx(0.16, rel=0.15)
+
+
+def test_the_axis_reaches_as_far_as_the_pressures_seen():
+    assert [dp_top(x**0.5) for x in (0.0, 18.0, 199.0, 330.0, 1e6)] == [5, 20, 200, 350, 1000]
+
+
+def test_the_largest_shape_fits_the_state():
+    largest = Shape(CELLS[-1], 2, 8.0, 95.0, 0.0, 1)
+    assert largest.size == len(fit(cells_of(lambda U, s, T, d: U), largest, 200.0).inverse)
+
+
+def test_a_shape_knows_how_to_describe_itself():
+    shape = replace(SHAPES[-1], play=0.2)
+    assert shape.describe() == (
+        "spline, 5 x 6 cells, dead band 8 %, saturation 95 %, hysteresis 0.4 %, "
+        "trend with temperature"
+    )
+
+
+def test_eq_7_is_the_first_rung():
+    points = cells_of(lambda U, s, T, d: 1 + 0.1 * U + 2 * s + 0.1 * U * s + 0.3 * s**2)
+    theta = fit(points, Shape(), 200.0).theta[:5] / [1, 100, 10, 1000, 100]
+    np.testing.assert_allclose(theta, [1, 0.1, 2, 0.1, 0.3], atol=1e-6)
+    assert isinstance(FiveTerms(), Polynomial)
