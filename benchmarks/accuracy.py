@@ -122,13 +122,13 @@ def one_step(others: list[str]) -> Figures:
 def frozen(_: list[str]) -> Figures:
     """Cooling circuit, further ahead, with the parameters frozen."""
     circuit = measured_data.cooling_circuit()
+    X = cooling_circuit_regressors(circuit)
     figures: Figures = {}
     for rule in (Exponential(0.999), Variable(0.995)):
-        X = cooling_circuit_regressors(circuit)
         history = recursive_least_squares(X, circuit.Q, rule).theta_history
         results = {h: ahead(circuit, history, h) for h in HORIZONS}
         figures[str(rule)] = {f"{h} s": figure.frozen for h, figure in results.items()}
-        figures["persistence"] = {f"{h} s": figure.persistence for h, figure in results.items()}
+    figures["persistence"] = {f"{h} s": figure.persistence for h, figure in results.items()}
     return figures
 
 
@@ -157,7 +157,12 @@ def air_valve(_: list[str]) -> Figures:
 SECTIONS = (
     ("nist", "NIST StRD: correct digits of theta", ".1f", nist),
     ("strucchange", "R strucchange: relative error", ".1e", strucchange),
-    ("one_step", f"cooling circuit ({', '.join(COOLING_CIRCUIT.terms)})", ".6f", one_step),
+    (
+        "one_step",
+        f"cooling circuit ({', '.join(COOLING_CIRCUIT.terms)}), one step ahead",
+        ".6f",
+        one_step,
+    ),
     ("frozen", "cooling circuit: R² ahead with parameters frozen", ".6f", frozen),
     ("actuator", "actuator: RMSE on the second half", ".4f", actuator),
     ("air_valve", "air valve: error between the points taught, l/min", ".3f", air_valve),
