@@ -18,7 +18,7 @@ def one_line(answer, code):
     assert answer.returncode == code, answer.stderr
     *log, line = answer.stderr.strip().splitlines()
     assert line.startswith("valvemap: ")
-    assert all("waiting for the source" in event for event in log)
+    assert all("[info " in event for event in log), log
     return line
 
 
