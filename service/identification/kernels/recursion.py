@@ -48,7 +48,7 @@ _HELD = int(Status.HELD)
 
 
 class Memory(NamedTuple):
-    """The arrays of a state, see :class:`~service.identification.recursive_least_squares.RlsState`.
+    """The arrays of a state, see :class:`~service.identification.least_squares_state.RlsState`.
 
     The kernels write into them.
     """
