@@ -6,7 +6,7 @@ RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
-.PHONY: install demo test lint format soak bench lock clean
+.PHONY: install demo test lint format soak bench report lock clean
 
 install: $(RUNTIME)
 
@@ -31,6 +31,9 @@ soak: $(DEV)
 
 bench: $(BENCH)
 	$(BIN)/python -m benchmarks.accuracy
+
+report: $(RUNTIME)
+	$(BIN)/valvemap report --out reports
 
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \

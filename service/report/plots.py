@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -15,8 +16,8 @@ try:
 except ImportError as _error:
     raise ConfigurationError("plots need matplotlib: pip install 'valvemap[plot]'") from _error
 
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-_GREY = "#555555"
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+GREY: Final = "#555555"
 _POINTS = 20_000
 _PANELS = 12
 
@@ -42,7 +43,7 @@ def plot_agreement(path: Path, Q: Floats, predictions: Mapping[str, Floats]) -> 
     figure, panels = _panels(len(predictions), height=4.2, width=4.4)
     for axes, (name, Q_hat), colour in zip(panels, predictions.items(), _colours(), strict=False):
         rows = _thinned(len(Q))
-        axes.plot([low, high], [low, high], color=_GREY, linewidth=0.8, zorder=1)
+        axes.plot([low, high], [low, high], color=GREY, linewidth=0.8, zorder=1)
         axes.scatter(Q[rows], Q_hat[rows], s=3, color=colour, alpha=0.25, linewidths=0, zorder=2)
         axes.set(xlim=(low, high), ylim=(low, high), aspect="equal")
         axes.set_xlabel("measured Q, l/min")
@@ -116,7 +117,7 @@ def plot_parameters(
     figure, panels = _panels(1 if together else len(names), height=2.4, width=4.2)
     for i, name in enumerate(names):
         axes = panels[0] if together else panels[i]
-        colour = _COLOURS[i % len(_COLOURS)] if together else _COLOURS[0]
+        colour = COLOURS[i % len(COLOURS)] if together else COLOURS[0]
         axes.plot(seconds[rows], theta[rows, i], color=colour, linewidth=1.0, label=name)
         if together:
             continue
@@ -204,7 +205,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _colours() -> Sequence[str]:
-    return _COLOURS * 4
+    return COLOURS * 4
 
 
 def _thinned(n: int) -> slice:

@@ -1,0 +1,68 @@
+"""``valvemap report``: the paper rebuilt from the virtual rig, with a verdict on every claim."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from service.cli.replay import write_json
+from service.errors import StorageError
+
+_DENSER = 10.0
+
+
+def report(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where paper.html, paper.json and pictures go.")
+    ] = Path("reports"),
+    sets: Annotated[
+        int, typer.Option(min=1, max=50, help="Sets of recordings; the median decides.")
+    ] = 5,
+    rate: Annotated[
+        float, typer.Option(min=2.0, max=100.0, metavar="HZ", help="Samples per second.")
+    ] = 10.0,
+) -> None:
+    """Rebuild the paper's figures and tables, and judge its claims."""
+    from service.cli.report_rig import measure, measure_structured
+    from service.report.paper.build import STEPS, as_json, build
+    from service.report.paper.page import html_page
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    ) as bar:
+        task = bar.add_task("measuring", total=2 * sets + STEPS)
+
+        def progress(step: str) -> None:
+            bar.update(task, description=step, advance=1)
+
+        data = []
+        for seed in range(1, sets + 1):
+            data.append(measure(rate, seed))
+            progress("measuring")
+        result = build(data, measure_structured(min(_DENSER * rate, 1000.0)), progress=progress)
+        bar.update(task, completed=2 * sets + STEPS, description="done")
+    pictures = {f"{picture.key}.png": picture.png for picture in result.pictures}
+    _write(out, {"paper.html": html_page(result).encode(), **pictures})
+    write_json(out / "paper.json", as_json(result))
+    table = Table("#", "verdict", "sets", "claim")
+    for claim in result.claims:
+        agreeing = f"{claim.agreeing}/{result.sets}"
+        table.add_row(str(claim.number), str(claim.verdict), agreeing, claim.text)
+    console = Console()
+    console.print(table)
+    console.print(f"written: {out / 'paper.html'}")
+
+
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in files.items():
+            (folder / name).write_bytes(content)
+    except OSError as error:
+        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None

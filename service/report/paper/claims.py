@@ -1,0 +1,45 @@
+"""The thirteen claims of the paper, judged."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+from service.report.paper import claims_convergence as convergence
+from service.report.paper import claims_use as use
+from service.report.paper.asides import (
+    passes_until_the_network_wins,
+    what_closes_the_open_points,
+)
+from service.report.paper.evidence import Evidence
+from service.report.paper.verdict import Claim
+
+CLAIMS: Final[tuple[Callable[[Evidence], Claim], ...]] = (
+    convergence.claim_1,
+    convergence.claim_2,
+    convergence.claim_3,
+    convergence.claim_4,
+    convergence.claim_5,
+    convergence.claim_6,
+    use.claim_7,
+    use.claim_8,
+    use.claim_9,
+    use.claim_10,
+    use.claim_11,
+    use.claim_12,
+    convergence.claim_13,
+)
+ASIDES: Final[dict[int, Callable[[Evidence], str]]] = {
+    2: passes_until_the_network_wins,
+    10: what_closes_the_open_points,
+}
+
+
+def judge(sets: Sequence[Evidence]) -> list[Claim]:
+    """Verdicts on all claims; the median over the sets of recordings decides each figure."""
+    merged = [Claim.merged([claim(evidence) for evidence in sets]) for claim in CLAIMS]
+    return [
+        replace(claim, note=f"{claim.note} {ASIDES[claim.number](sets[0])}")
+        if claim.number in ASIDES
+        else claim
+        for claim in merged
+    ]
