@@ -1,6 +1,6 @@
 """The recursion over samples: one call per batch, no allocation per sample.
 
-``run`` is a chain of loops: ``warm_up`` in the information form until theta is determined, from
+``span`` is a chain of loops: ``warm_up`` in the information form until theta is determined, from
 then on ``advance`` in the covariance form, with change detection between stretches. ``advance`` is
 one flat loop on purpose: at n = 5 a call costs as much as the step. The rules that have something
 to do before or after each step are in :mod:`service.identification.kernels.stepwise`.
@@ -109,35 +109,75 @@ def run(memory: Memory, rule: Rule, batch: Batch) -> None:
     )
     t, X, y, usable, predicted, residual, status, thetas, changes = batch
     N = len(y)
-    detects = rule.threshold < np.inf
-    evidence = np.empty((N if detects else 0, 3))
+    evidence = np.empty((N if rule.threshold < np.inf else 0, 3))
+    span(
+        theta, factor, rhs, spread, scale, noise, counters, detector, history, score, previous,
+        rule.kind, rule.lam, rule.least, rule.threshold, t, X, y, usable, predicted, residual,
+        status, thetas, changes, evidence, np.empty((5, len(theta))), 0, N,
+    )  # fmt: skip
+
+
+@inner
+def span(
+    theta: Floats,
+    factor: Floats,
+    rhs: Floats,
+    spread: Floats,
+    scale: Floats,
+    noise: Floats,
+    counters: Counts,
+    detector: Floats,
+    history: Counts,
+    score: Floats,
+    previous: Floats,
+    kind: int,
+    lam: float,
+    least: float,
+    threshold: float,
+    t: Times,
+    X: Floats,
+    y: Floats,
+    usable: Codes,
+    predicted: Floats,
+    residual: Floats,
+    status: Codes,
+    thetas: Floats,
+    changes: Floats,
+    evidence: Floats,
+    work: Floats,
+    start: int,
+    end: int,
+) -> None:
+    """Samples start … end - 1 of one model."""
     found = 0
-    i = N
-    for k in range(N):
+    first = end
+    for i in range(start, end):
         if counters[FACTORED] == 1:
-            i = k
+            first = i
             break
         warm_up(
-            theta, factor, rhs, spread, scale, noise, counters, rule.kind, rule.lam,
-            X, y, usable, predicted, residual, status, thetas, k,
+            theta, factor, rhs, spread, scale, noise, counters, kind, lam,
+            X, y, usable, predicted, residual, status, thetas, i,
         )  # fmt: skip
-    while i < N:
-        stop = min(N, i + EVERY - counters[COUNT] % EVERY) if detects else N
+    while first < end:
+        stop = end
+        if threshold < np.inf:
+            stop = min(end, first + EVERY - counters[COUNT] % EVERY)
         advance(
-            theta, factor, spread, scale, noise, counters, previous, rule.kind, rule.lam,
-            rule.least, X, y, usable, predicted, residual, status, thetas, evidence, i, stop,
+            theta, factor, spread, scale, noise, counters, previous, kind, lam, least,
+            X, y, usable, predicted, residual, status, thetas, evidence, work, first, stop,
         )  # fmt: skip
-        if detects and has_changed(
+        if threshold < np.inf and has_changed(
             detector, history, score, factor, X, residual, evidence, t,
-            rule.lam, rule.threshold, counters[COUNT], i, stop,
+            lam, threshold, counters[COUNT], first, stop,
         ):  # fmt: skip
-            _open(factor, spread, counters, rule.lam)
+            _open(factor, spread, counters, lam)
             if found < len(changes):
                 changes[found, 0] = stop - 1
                 changes[found, 1] = stop - 1 - (counters[COUNT] - history[SAMPLE])
                 changes[found, 2] = detector[SIZE]
             found += 1
-        i = stop
+        first = stop
 
 
 @kernel
@@ -283,13 +323,13 @@ def advance(
     status: Codes,
     thetas: Floats,
     evidence: Floats,
+    work: Floats,
     start: int,
     stop: int,
 ) -> None:
-    """Samples start … stop - 1 in the covariance form U·D·Uᵀ."""
+    """Samples start … stop - 1 in the covariance form U·D·Uᵀ; ``work`` (5, n) is scratch."""
     n = len(theta)
-    x, f, Px, Sx = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    unit = np.empty(n)
+    x, f, Px, Sx, unit = work[0], work[1], work[2], work[3], work[4]
     for j in range(n):
         unit[j] = 1.0 / scale[j] if scale[j] > 0.0 else 0.0
     own_spread = kind > RESETTING

@@ -45,8 +45,8 @@ def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
     """As :func:`service.identification.kernels.recursion.run`, for RESETTING, SUBSPACE, WINDOW."""
     theta, factor, rhs, spread, scale, noise, counters, window, _, _, _, previous = memory
     _, X, y, usable, predicted, residual, status, thetas, _ = batch
-    evidence = np.empty((0, 3))
     n = len(theta)
+    evidence, work = np.empty((0, 3)), np.empty((5, n))
     for i in range(len(y)):
         good = rejection(X, y, usable, i) == _OK
         warm = counters[FACTORED] == 0
@@ -60,7 +60,8 @@ def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
                 _forget_subspace(factor, scale, X, i, rule.lam)
             advance(
                 theta, factor, spread, scale, noise, counters, previous, rule.kind, rule.lam,
-                rule.least, X, y, usable, predicted, residual, status, thetas, evidence, i, i + 1,
+                rule.least, X, y, usable, predicted, residual, status, thetas, evidence, work, i,
+                i + 1,
             )  # fmt: skip
         if good and rule.kind == RESETTING and not warm:
             share = n * (1.0 - rule.lam) * rule.least

@@ -1,0 +1,35 @@
+"""The recursion over many models at once: one call, every model its own stretch of the samples."""
+
+import numpy as np
+
+from service.identification.kernels.change_detection import Counts
+from service.identification.kernels.compiled import kernel
+from service.identification.kernels.recursion import Batch, Memory, Rule, span
+
+
+@kernel
+def run_fleet(fleet: Memory, rule: Rule, batch: Batch, offsets: Counts) -> None:
+    """Model m of M takes the samples offsets[m] … offsets[m + 1] - 1.
+
+    Parameters
+    ----------
+    fleet
+        The states' arrays, each with a leading axis M; written in place.
+    rule, batch
+        As for one model; the samples of all models one after another.
+    offsets : (M + 1,)
+        Ascending, from 0 to the number of samples.
+    """
+    theta, factor, rhs, spread, scale, noise, counters, _, detector, history, score, previous = (
+        fleet
+    )
+    t, X, y, usable, predicted, residual, status, thetas, changes = batch
+    evidence = np.empty((len(y) if rule.threshold < np.inf else 0, 3))
+    work = np.empty((5, X.shape[1]))
+    for m in range(len(theta)):
+        span(
+            theta[m], factor[m], rhs[m], spread[m], scale[m], noise[m], counters[m], detector[m],
+            history[m], score[m], previous[m], rule.kind, rule.lam, rule.least, rule.threshold,
+            t, X, y, usable, predicted, residual, status, thetas, changes, evidence, work,
+            offsets[m], offsets[m + 1],
+        )  # fmt: skip
