@@ -1,5 +1,6 @@
 """The hardened server: identity, endpoints, values; it knows nothing of what it serves."""
 
+import asyncio
 import dataclasses
 import datetime as dt
 import ipaddress
@@ -194,7 +195,7 @@ class HardenedServer:
             if certificate or key cannot be had.
         """
         settings = self.settings
-        certificate, key = _certificate(settings)
+        certificate, key = await asyncio.to_thread(_certificate, settings)
         if warning := expiry_warning(certificate):
             _log.warning("%s", warning)
         listener = Listener(

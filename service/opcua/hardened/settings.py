@@ -81,7 +81,7 @@ class Limits:
     slow_reader_seconds: float = 30.0
     requests_per_second: float = 500.0
     request_burst: float = 1_000.0
-    turn_s: float = 0.005
+    turn_s: float = 0.002
     operations: int = 1_000
     method_calls: int = 100
     history_reads: int = 100

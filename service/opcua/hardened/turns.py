@@ -1,10 +1,10 @@
 """Whose request is next: who has cost little goes first, who floods waits for itself.
 
 Start-time fair queueing (Goyal, Vin, Cheng 1996) in two classes. A connection earns a share of
-the server's time; while it keeps within what it has earned, it is served as soon as the running
-request is done. Past that it is in excess: served in fair turns with the others in excess, and
-while anybody keeps within his share, only a part of the time, so that his requests meet an idle
-server as a rule.
+the server's time; while it keeps within what it has earned, and asks for little at a time, it is
+served as soon as the running turn ends. Else it is in excess: served in fair turns with the others
+in excess, and while anybody is modest, only a part of the time, so that his requests meet an idle
+server as a rule. Time is the processor's: a server that is kept waiting blames nobody for it.
 """
 
 import asyncio
@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 
 _SHARE = 0.1  # of the server's time that a connection earns
 _SAVINGS_S = 0.2  # most that it can save up
-_PAUSE = 2.0  # idle time after a request in excess, in units of what it took
+_LITTLE_S = 0.001  # what the turns of a modest connection take on average
+_NEWS = 0.3  # weight of the last turn in that average
+_PAUSE = 3.0  # idle time after a request in excess, in units of what it took
 _LONGEST_PAUSE_S = 0.1
 _MEMORY_S = 1.0  # so long after its last request somebody counts as being there
 
@@ -29,12 +31,24 @@ class Account:
 
     finished: float = 0.0
     credit: float = 0.0
+    mean: float = 0.0
     earned_until: float = field(default_factory=time.perf_counter)
 
     def earn(self, now: float) -> None:
         """Add what was earned since the last time."""
         self.credit = min(_SAVINGS_S, self.credit + _SHARE * (now - self.earned_until))
         self.earned_until = now
+
+    def charge(self, cost: float) -> None:
+        """Take off what a turn has cost."""
+        self.finished += cost
+        self.credit -= cost
+        self.mean += _NEWS * (cost - self.mean)
+
+    @property
+    def in_excess(self) -> bool:
+        """Tell whether it has cost more than its share, or costs much at a time."""
+        return self.credit <= 0.0 or self.mean > _LITTLE_S
 
 
 _Waiting = tuple[float, int, asyncio.Future[None]]
@@ -59,7 +73,7 @@ class Turns:
         """Wait for a turn."""
         now = time.perf_counter()
         account.earn(now)
-        in_excess = account.credit <= 0.0
+        in_excess = account.in_excess
         if not in_excess:
             self._modest_seen = now
         start = max(self._now, account.finished)
@@ -85,8 +99,7 @@ class Turns:
         """End a turn; what it took is charged."""
         now = time.perf_counter()
         cost = time.thread_time() - self._since
-        account.finished += cost
-        account.credit -= cost
+        account.charge(cost)
         if self._excess_runs and now - self._modest_seen < _MEMORY_S:
             self._excess_from = now + min(_PAUSE * cost, _LONGEST_PAUSE_S)
         self._next()
