@@ -24,7 +24,7 @@ from service.identification.kernels.recursion import Batch, Memory, Rule
 from service.identification.kernels.stepwise import run_stepwise
 from service.identification.samples import Codes, Floats, Times, Trace
 
-A = TypeVar("A", Floats, Times)
+A = TypeVar("A", Floats, Times, Codes)
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def initial_state(
         memory.scale,
         memory.noise,
         memory.counters,
-        _rule(forgetting).kind,
+        rule_of(forgetting).kind,
     )
     return RlsState(**memory._asdict())
 
@@ -134,21 +134,25 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
 
 def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta over σ²."""
-    if not is_determined(state):
-        return np.full_like(state.factor, np.nan)
-    if state.counters[recursion.FACTORED]:
-        P = np.asarray(covariance(state.factor))
-    else:
-        inverse = solve_triangular(state.factor, np.eye(len(state.theta)))
-        P = inverse @ inverse.T
+    P = matrix_P(state)
     equal_weights = state.noise[recursion.WEIGHT] == state.noise[recursion.SQUARES]
     match forgetting:
-        case Directional() | Subspace() | Adaptive():
+        case Directional() | Subspace() | Adaptive() if is_determined(state):
             return state.spread
         case Exponential() | Variable() | Resetting() if not equal_weights:
             return np.asarray(P @ state.spread @ P)
         case _:
             return P
+
+
+def matrix_P(state: RlsState) -> Floats:
+    """P (n, n) of eqs. (17)-(28), the inverse information; NaN while theta is not determined."""
+    if not is_determined(state):
+        return np.full_like(state.factor, np.nan)
+    if state.counters[recursion.FACTORED]:
+        return np.asarray(covariance(state.factor))
+    inverse = solve_triangular(state.factor, np.eye(len(state.theta)))
+    return np.asarray(inverse @ inverse.T)
 
 
 def is_determined(state: RlsState) -> bool:
@@ -184,26 +188,37 @@ def learn(
     changes : (C, 3), optional
         Written: the first C detected changes, see `RlsResult`.
     """
+    memory, batch = memory_of(state), batch_of(X, y, t, usable, thetas, changes)
+    match forgetting:
+        case Resetting() | Subspace() | SlidingWindow():
+            run_stepwise(memory, rule_of(forgetting), batch)
+        case _:
+            recursion.run(memory, rule_of(forgetting), batch)
+    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
+    return RlsState(**memory._asdict()), trace
+
+
+def batch_of(
+    X: Floats,
+    y: Floats,
+    t: Times,
+    usable: Codes,
+    thetas: Floats | None = None,
+    changes: Floats | None = None,
+) -> Batch:
+    """Pack samples, and room for what becomes of them, for a kernel."""
     N = len(y)
-    memory = _memory(state)
-    batch = Batch(
+    return Batch(
         t=_writable(t),
         X=_writable(X),
         y=_writable(y),
-        usable=usable,
+        usable=_writable(usable),
         predicted=np.empty(N),
         residual=np.empty(N),
         status=np.empty(N, np.uint8),
         thetas=np.empty((0, X.shape[1])) if thetas is None else thetas,
         changes=np.empty((0, 3)) if changes is None else changes,
     )
-    match forgetting:
-        case Resetting() | Subspace() | SlidingWindow():
-            run_stepwise(memory, _rule(forgetting), batch)
-        case _:
-            recursion.run(memory, _rule(forgetting), batch)
-    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
-    return RlsState(**memory._asdict()), trace
 
 
 def _writable(array: A) -> A:
@@ -211,12 +226,13 @@ def _writable(array: A) -> A:
     return np.require(array, requirements=["C", "W", "A"])
 
 
-def _memory(state: RlsState) -> Memory:
+def memory_of(state: RlsState) -> Memory:
     """Copies that a kernel may write into."""
     return Memory(*(np.array(getattr(state, name)) for name in Memory._fields))
 
 
-def _rule(forgetting: Forgetting) -> Rule:
+def rule_of(forgetting: Forgetting) -> Rule:
+    """The rule in numbers, for a kernel."""
     match forgetting:
         case Exponential(lam):
             rule = Rule(recursion.EXPONENTIAL, lam)
