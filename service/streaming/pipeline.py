@@ -29,6 +29,24 @@ class Forgetful(Protocol):
         """The same estimator with another forgetting factor; its states fit."""
 
 
+@runtime_checkable
+class PathDependent(Protocol):
+    """An estimator whose flow depends on where U comes from (hysteresis)."""
+
+    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - its own state
+        """Direction of U (N,) along a path of its own."""
+
+    def predict_along(
+        self,
+        state: Any,  # noqa: ANN401
+        U: Floats,
+        dp: Floats,
+        T: Floats,
+        direction: Floats,
+    ) -> tuple[Floats, Floats]:
+        """Flow and standard deviation, l/min, at N points of given directions."""
+
+
 @dataclass(frozen=True)
 class ValvePlan:
     """What is done with one valve's samples.
@@ -153,6 +171,17 @@ def predicted(lane: Lane, U: float, dp: float, T: float) -> tuple[float, float, 
     point = (np.array([x], np.float64) for x in (U, dp, T))
     Q, std = lane.estimator.predict(lane.state, *point)
     return float(Q[0]), float(std[0]), Status.WARMING_UP if lane.status is None else lane.status
+
+
+def predicted_along(lane: Lane, samples: Samples) -> Floats:
+    """Q̂ (N,) along a path of samples that nothing is learnt from; hysteresis follows the path."""
+    U, dp, T = samples.U, samples.dp, samples.T
+    if isinstance(lane.estimator, PathDependent):
+        directions = lane.estimator.directions(lane.state, U)
+        Q, _ = lane.estimator.predict_along(lane.state, U, dp, T, directions)
+    else:
+        Q, _ = lane.estimator.predict(lane.state, U, dp, T)
+    return Q
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """The inverse map: exact where feasible, a status elsewhere, never out of [0, 100] %."""
 
-# ruff: noqa: ARG001, ARG002, ARG005 - stand-ins have the signature that estimators have
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

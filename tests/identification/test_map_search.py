@@ -1,6 +1,5 @@
 """Shapes of a map: their fit is least squares, their steps stay on the ladder, BIC tells them."""
 
-# ruff: noqa: ARG005 - all valves have the signature of a valve
 from dataclasses import replace
 
 import numpy as np
