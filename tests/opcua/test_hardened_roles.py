@@ -224,6 +224,30 @@ async def test_a_wrong_user_or_password_is_let_in_nowhere(plant, endpoint, user,
     plant.server.settings.users._failures.clear()
 
 
+@pytest.mark.parametrize("endpoint", ENDPOINTS)
+async def test_a_user_may_log_in_with_a_certificate_of_his_own(plant, tmp_path, endpoint):
+    known, stranger = (
+        ensure_certificate(Pki(tmp_path / name), f"urn:{name}", ("localhost",), name)
+        for name in ("carl", "stranger")
+    )
+    users = plant.server.settings.users
+    users.add_certificate("carl", Role.ENGINEER, known.certificate.read_bytes())
+    for shown, key, code in (
+        (known, known, Codes.Good),
+        (stranger, stranger, Codes.BadUserAccessDenied),
+        (known, stranger, Codes.BadUserSignatureInvalid),
+    ):
+        client = await plant.client(endpoint)
+        await client.load_client_certificate(str(shown.certificate))
+        await client.load_private_key(str(key.key))
+        assert await code_of(client.connect()) == code
+        if code == Codes.Good:
+            variable = client.get_node(plant.command[Role.ENGINEER].id)
+            assert await code_of(variable.write_value(1.0)) == Codes.Good
+        await client.disconnect()
+    users.remove("carl")
+
+
 async def test_guessing_locks_the_user_for_this_peer(plant):
     for _ in range(5):
         client = await plant.client(user="erna", password="wrong")
