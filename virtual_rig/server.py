@@ -277,6 +277,6 @@ class RigServer:
                 (nodes.sample_count, self._samples, GOOD, now),
                 (nodes.late_ticks, self._late_ticks, GOOD, now),
                 (nodes.lag, max(lag_s, 0.0), GOOD, now),
-                (nodes.overflows, self._server.lost_notifications, GOOD, now),
+                (nodes.overflows, self._server.counters.lost_notifications, GOOD, now),
             ]
         )

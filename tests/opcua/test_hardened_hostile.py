@@ -424,7 +424,7 @@ async def fuzz(server, seed, packets):
                 await asyncio.sleep(0.005)
 
     watcher = asyncio.create_task(watch())
-    before = server._listener.requests
+    before = server.counters.requests
     peer = None
     for _ in range(packets):
         if peer is None:
@@ -446,7 +446,7 @@ async def fuzz(server, seed, packets):
         peer.close()
     watching = False
     await watcher
-    assert server._listener.requests - before > 0.9 * packets
+    assert server.counters.requests - before > 0.9 * packets
     assert worst < 0.25
 
 

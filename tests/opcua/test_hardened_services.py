@@ -341,12 +341,12 @@ async def test_an_overflow_is_flagged_and_counted(server, client):
     subscribed = await Subscribed.to(client, server.count.id, size=5, interval=200.0, wish=EVERY)
     await until(lambda: subscribed.values)
     subscribed.values.clear()
-    lost = server.lost_notifications
+    lost = server.counters.lost_notifications
     show(server, range(20), server.count)
     await until(lambda: subscribed.values)
     assert subscribed.seen() == [15, 16, 17, 18, 19]
     assert [value.StatusCode.value for value in subscribed.values[0]] == [0x480, 0, 0, 0, 0]
-    assert server.lost_notifications == lost + 15
+    assert server.counters.lost_notifications == lost + 15
     await subscribed.end()
 
 

@@ -29,7 +29,7 @@ from service.opcua.hardened.nodes import (
     add_object,
     add_variable,
 )
-from service.opcua.hardened.server import HardenedServer
+from service.opcua.hardened.server import HardenedServer, ServerCounters
 from service.opcua.hardened.settings import Limits, ServerSettings
 from service.opcua.hardened.units import Unit
 from service.opcua.hardened.users import Account, Role, UserStore
@@ -50,6 +50,7 @@ __all__ = [
     "OwnCertificate",
     "Pki",
     "Role",
+    "ServerCounters",
     "ServerError",
     "ServerSettings",
     "StorageError",

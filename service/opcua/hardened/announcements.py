@@ -19,8 +19,9 @@ _Types = ua.VariantType
 _UINT32 = _Types.UInt32
 _REFRESH_S = 1.0
 _PROFILES = [
-    "http://opcfoundation.org/UA-Profile/Server/StandardUA2017",
+    "http://opcfoundation.org/UA-Profile/Server/EmbeddedUA2017",
     "http://opcfoundation.org/UA-Profile/Server/Methods",
+    "http://opcfoundation.org/UA-Profile/Server/DataAccess",
 ]
 _LIMIT_OF = {
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead: "operations",

@@ -11,10 +11,10 @@ from asyncua.ua import ua_binary
 from typing_extensions import override
 
 from service.opcua.hardened.certificates import Pki
-from service.opcua.hardened.logs import bounded_logger
+from service.opcua.hardened.logs import audit_logger
 from service.opcua.hardened.peer_certificates import CertificateRefused, check_peer
 
-_log = bounded_logger(__name__)
+_audit = audit_logger()
 _Codes = ua.StatusCodes
 _SHORTEST_LIFETIME_MS, _LONGEST_LIFETIME_MS = 10_000, 3_600_000
 _MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer has proven anything
@@ -110,5 +110,5 @@ class Channel(SecureConnection):
             check_peer(self._pki, der)
             self._trusted = der
         except CertificateRefused as refused:
-            _log.warning("refused: %s", refused)
+            _audit.warning("%s", refused)
             raise ServiceError(refused.code) from refused

@@ -348,7 +348,6 @@ class Connection(asyncio.Protocol):
         services = self.listener.services
         self.idle_since = self.listener.clock.monotonic()
         session.touch()
-        session.counters.requests += 1
         kind = services.parameters(service)
         params = await seams.decode_slowly(kind, body, budget, self.breathe)
         return await services.answer(service, Request(session, request_id, header, self), params)

@@ -1,6 +1,8 @@
 """What is answered before somebody is logged in: channel, discovery, sessions (Part 4, 5.5-5.7)."""
 
+import contextlib
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlparse
 
@@ -97,12 +99,26 @@ class Handshake:
             wanted = seams.decode(ua.FindServersParameters, body, budget)
             return ua.FindServersResponse(Servers=self._servers(wanted))
         if service == _CREATE:
-            return self._create(seams.decode(ua.CreateSessionParameters, body, budget))
+            create = seams.decode(ua.CreateSessionParameters, body, budget)
+            with self._counting_refusals():
+                return self._create(create)
         if service == _ACTIVATE:
             activate = seams.decode(ua.ActivateSessionParameters, body, budget)
-            return await self._activate(header, activate)
+            with self._counting_refusals():
+                return await self._activate(header, activate)
         keep = not ua_binary.Primitives.Boolean.unpack(body)
         return self._close(header, keep_subscriptions=keep)
+
+    @contextlib.contextmanager
+    def _counting_refusals(self) -> Iterator[None]:
+        try:
+            yield
+        except ServiceError as error:
+            reason = ua.StatusCode(error.code).name
+            _audit.warning("session refused at %s: %s", self._connection.host, reason)
+            if error.code != _Codes.BadTooManySessions:
+                self._listener.sessions.totals.refused_for_security += 1
+            raise
 
     def _check_policy(self) -> None:
         if self._connection.channel.discovery_only:
@@ -148,22 +164,17 @@ class Handshake:
             raise ServiceError(_Codes.BadSecurityChecksFailed)
         self._verify(session, params.ClientSignature)
         challenge = Challenge(listener.certificate_der, listener.key, session.nonce)
-        try:
-            principal = await connection.outside(
-                identify(
-                    params.UserIdentityToken,
-                    params.UserTokenSignature,
-                    challenge,
-                    listener.users,
-                    session.host,
-                    listener.guesses,
-                    anonymous_allowed=listener.anonymous_allowed,
-                )
+        principal = await connection.outside(
+            identify(
+                params.UserIdentityToken,
+                params.UserTokenSignature,
+                challenge,
+                listener.users,
+                session.host,
+                listener.guesses,
+                anonymous_allowed=listener.anonymous_allowed,
             )
-        except ServiceError as error:
-            reason = ua.StatusCode(error.code).name
-            _audit.warning("log-in refused at %s: %s", session.host, reason)
-            raise
+        )
         if moves and (not session.active or principal != session.principal):
             raise ServiceError(_Codes.BadIdentityTokenRejected)
         if session.closed:

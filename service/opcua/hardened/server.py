@@ -44,6 +44,20 @@ _log = bounded_logger(__name__)
 Update = tuple[Variable, Value, int, int]
 
 
+@dataclasses.dataclass(frozen=True)
+class ServerCounters:
+    """What a server holds now, and what it has seen since its start."""
+
+    sessions: int
+    subscriptions: int
+    monitored_items: int
+    queued_notifications: int
+    lost_notifications: int
+    requests: int
+    refused_requests: int
+    refused_connections: int
+
+
 class HardenedServer:
     """An OPC UA server with our guard, PKI and users.
 
@@ -125,14 +139,19 @@ class HardenedServer:
         return parsed._replace(netloc=f"{_bracketed(parsed.hostname or '')}:{port}").geturl()
 
     @property
-    def lost_notifications(self) -> int:
-        """Notifications that were discarded because a client's queue was full."""
-        return self._subscriptions.ledger.lost
-
-    @property
-    def session_count(self) -> int:
-        """How many sessions there are."""
-        return len(self._sessions)
+    def counters(self) -> ServerCounters:
+        """What the server has seen so far."""
+        listener = self._listener
+        return ServerCounters(
+            sessions=len(self._sessions),
+            subscriptions=len(self._subscriptions.by_number),
+            monitored_items=self._subscriptions.item_count,
+            queued_notifications=self._subscriptions.ledger.queued,
+            lost_notifications=self._subscriptions.ledger.lost,
+            requests=listener.requests if listener else 0,
+            refused_requests=listener.refused_requests if listener else 0,
+            refused_connections=listener.refused_connections if listener else 0,
+        )
 
     async def namespace(self, uri: str) -> int:
         """Return the index of a namespace, registering it if it is new."""

@@ -47,16 +47,6 @@ class Line(Protocol):
         """Send a fault."""
 
 
-@dataclass
-class Counters:
-    """What a session has done, for its diagnostics."""
-
-    requests: int = 0
-    refused: int = 0
-    publishes: int = 0
-    notifications: int = 0
-
-
 class Session:
     """A session: its user, its subscriptions, its publish requests."""
 
@@ -82,7 +72,6 @@ class Session:
         self.max_response_bytes = 0
         self.subscriptions: dict[int, Subscription] = {}
         self.continuations: Continuations = OrderedDict()
-        self.counters = Counters()
         self.holding = Holding(ledger)
         self.created = clock.now()
         self._clock = clock
@@ -191,7 +180,6 @@ class Session:
         self.continuations.clear()
 
     def _answer(self, request: PublishRequest, number: int, message: Message) -> None:
-        self.counters.publishes += 1
         if self.line is not None:
             self.line.answer_publish(request, number, message)
 

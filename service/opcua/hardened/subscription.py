@@ -86,8 +86,6 @@ class Subscription:
         self.publishing = publishing
         self.items: dict[int, Item] = {}
         self.waiting_since: float | None = None
-        self.republished = 0
-        self.late_cycles = 0
         self._store = store
         self._utc_ticks = utc_ticks
         self._expired = expired
@@ -172,9 +170,7 @@ class Subscription:
     def republish(self, sequence: int) -> bytes | None:
         """Return a message that was sent and not acknowledged."""
         self.heard_of()
-        content = self._unacknowledged.get(sequence)
-        self.republished += content is not None
-        return content
+        return self._unacknowledged.get(sequence)
 
     @property
     def available(self) -> list[int]:
@@ -227,8 +223,8 @@ class Subscription:
                 return
         if not self.has_message():
             self._silent_cycles += 1
-        if self.has_message() and not self.owner.publish(self):
-            self.late_cycles += 1
+        if self.has_message():
+            self.owner.publish(self)
 
     def _take_notifications(self) -> list[bytes]:
         if self._status_changes:

@@ -77,10 +77,6 @@ class View:
                 results.append(self._page(found.rest, found.page, continuations))
         return results
 
-    def is_subtype(self, reference_type: ua.NodeId, wanted: ua.NodeId) -> bool:
-        """Tell whether a reference type is the wanted one or derived from it."""
-        return reference_type in self._closure(wanted)
-
     def _browse(
         self, wanted: ua.BrowseDescription, page: int, continuations: Continuations
     ) -> ua.BrowseResult:
