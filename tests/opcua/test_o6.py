@@ -21,3 +21,5 @@ def program():
 
 class TestO6(ClientInteroperation):
     """The list that every stack goes through."""
+
+    asks_again = False  # open62541's client does not know Republish
