@@ -586,6 +586,36 @@ async def test_a_session_taken_up_on_a_new_connection_keeps_its_subscriptions(se
     peer.close()
 
 
+async def test_after_a_cut_what_was_lost_comes_before_the_news(server):
+    peer = await (await RawPeer.connect(server.url)).log_in()
+    subscription = await _subscribe(peer, server.count.id)
+    peer.send(ua.PublishRequest())
+    lost = (await peer.answer(ua.PublishResponse)).Parameters.NotificationMessage
+    peer.writer.transport.abort()
+    later = await RawPeer.connect(server.url)
+    await later.open()
+    later.token = peer.token
+    await later.activate()
+    show(server, [31], server.count)
+    later.send(ua.PublishRequest())
+    await asyncio.sleep(0.15)
+    for number, code in ((lost.SequenceNumber, Codes.Good), (lost.SequenceNumber + 1, None)):
+        request = ua.RepublishRequest()
+        request.Parameters = ua.RepublishParameters(subscription, number)
+        later.send(request)
+        if code == Codes.Good:
+            again = (await later.answer(ua.RepublishResponse)).NotificationMessage
+            assert again.NotificationData == lost.NotificationData
+        else:
+            assert await code_of(later.answer(ua.RepublishResponse)) == (
+                Codes.BadMessageNotAvailable
+            )
+    news = (await later.answer(ua.PublishResponse)).Parameters.NotificationMessage
+    assert news.SequenceNumber == lost.SequenceNumber + 1
+    later.close()
+    peer.close()
+
+
 async def test_a_session_is_not_taken_up_by_another_user(server):
     oskar = await _logged_in(server, "oskar")
     token = oskar.uaclient.session.authentication_token

@@ -1,5 +1,6 @@
 """The services of a session: each request is checked, answered and counted (Part 4, 5)."""
 
+import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -362,7 +363,11 @@ class Services:
         )
 
     async def _republish(self, request: Request, params: ua.RepublishParameters) -> bytes:
-        content = self._subscriptions.republish(request.session, params)
+        try:
+            content = self._subscriptions.republish(request.session, params)
+        except ServiceError:
+            asyncio.get_running_loop().call_soon(request.session.nothing_to_ask_again)
+            raise
         return encode_republish_response(request.handle, self._ticks(), content)
 
     async def _create_items(

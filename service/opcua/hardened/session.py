@@ -1,5 +1,6 @@
 """Sessions of peers: made, activated, moved to another channel, ended (Part 4, 5.7)."""
 
+import asyncio
 import math
 import secrets
 from collections import OrderedDict
@@ -23,6 +24,7 @@ from service.opcua.hardened.view import Continuations
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
+_TIME_TO_ASK_AGAIN_S = 0.5
 
 
 class Line(Protocol):
@@ -77,6 +79,7 @@ class Session:
         self._clock = clock
         self.last_seen = clock.monotonic()
         self.closed = False
+        self._quiet_until = 0.0
         self._queue = PublishQueue(
             limits.publish_requests,
             self._answer,
@@ -108,10 +111,23 @@ class Session:
         return self.nonce
 
     def bind(self, line: Line) -> None:
-        """Move to another connection; publish requests of the old one are gone."""
+        """Move to another connection; publish requests of the old one are gone.
+
+        What was sent over the old one and never acknowledged may be lost: news wait until the
+        client has asked for it again, or has had the time to, so that they come in their order.
+        """
         self._queue.lose_connection()
         self.line = line
         self.host = line.host
+        if any(subscription.available for subscription in self.subscriptions.values()):
+            self._quiet_until = self._clock.monotonic() + _TIME_TO_ASK_AGAIN_S
+            loop = asyncio.get_running_loop()
+            loop.call_later(_TIME_TO_ASK_AGAIN_S, self.nothing_to_ask_again)
+
+    def nothing_to_ask_again(self) -> None:
+        """Let news pass: the client has all that was sent before."""
+        self._quiet_until = 0.0
+        self._queue.serve()
 
     def unbind(self, line: Line) -> None:
         """Lose a connection; the session lives on for its time-out."""
@@ -188,7 +204,11 @@ class Session:
             self.line.refuse(request.request_id, request.handle, code)
 
     def _is_ready(self) -> bool:
-        return self.line is not None and self.line.writable
+        return (
+            self.line is not None
+            and self.line.writable
+            and self._clock.monotonic() >= self._quiet_until
+        )
 
 
 @dataclass
