@@ -15,6 +15,7 @@ from service.app.build import (
     build_source,
     build_supervisor_settings,
 )
+from service.app.warm_up import warm_up
 from service.clock import SystemClock
 from service.config.models import Config
 from service.identification.samples import Samples
@@ -58,6 +59,7 @@ async def serve(
         at start: of the configuration, the source, the server's address, the stores; at the end:
         if the states cannot be kept.
     """
+    await asyncio.to_thread(warm_up, config)
     clock = SystemClock()
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)

@@ -15,7 +15,6 @@ def serve(config: ConfigOption = None) -> None:
     """Subscribe to the source, identify, publish, until Ctrl-C."""
     from service.app.serve import serve as run
     from service.app.serve import stop_on_signal
-    from service.app.warm_up import warm_up
 
     loaded = load_config(config)
     set_up_logs(loaded.log)
@@ -25,7 +24,6 @@ def serve(config: ConfigOption = None) -> None:
         with stop_on_signal(stop):
             await run(loaded, stop)
 
-    warm_up(loaded)
     asyncio.run(until_stopped())
 
 

@@ -27,6 +27,7 @@ from service.streaming.data_changes import DataChanges
 
 _log = logging.getLogger(__name__)
 
+_STALL_S = 1.0  # a wait that lasts so much too long tells of our own standstill
 _LOST_KEEP_ALIVES = 3
 _LIFETIME_KEEP_ALIVES = 10
 _LIFETIME_S = 60.0
@@ -100,10 +101,12 @@ class Subscription:
 
     async def receive(self) -> DataChanges:
         """Wait for changes and take all there are; a failure comes after them."""
+        listening = self._clock.monotonic()  # before, it was we who were silent
         while not self._buffer:
             if self._failure is not None:
                 raise self._failure
-            patience = self._heard + self._silence - self._clock.monotonic()
+            now = self._clock.monotonic()
+            patience = max(self._heard, listening) + self._silence - now
             if patience <= 0.0:
                 raise SourceLost(
                     f"{self._settings.url}: silent for {self._silence:.1f} s, "
@@ -113,6 +116,8 @@ class Subscription:
                 async with asyncio.timeout(patience):
                     await self._arrived.wait()
             except TimeoutError:
+                if self._clock.monotonic() - now > patience + _STALL_S:
+                    listening = self._clock.monotonic()
                 continue
             self._arrived.clear()
         changes = DataChanges.concatenate(self._buffer)
