@@ -3,10 +3,11 @@
 import pytest
 import pytest_asyncio
 
-pytest.register_assert_rewrite("support.interoperation")
+pytest.register_assert_rewrite("support.interoperation", "support.source_interoperation")
 
 from support.interoperation import Asking, raised  # noqa: E402 - after what it says above
 from support.peer import Peer  # noqa: E402
+from support.source_interoperation import planted  # noqa: E402
 
 
 def pytest_configure(config):
@@ -42,3 +43,9 @@ async def observer(peer, stage):
     await observer.ask("connect", **stage.who("observer"))
     yield observer
     await observer.ask("disconnect")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def plant(program, tmp_path_factory):
+    async with planted(tmp_path_factory.mktemp("plant"), program) as plant:
+        yield plant
