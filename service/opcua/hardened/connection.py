@@ -37,10 +37,11 @@ _CLOSE_BYTES = 1_024
 _SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
 _FRAMES_AHEAD, _BYTES_AHEAD = 32, 128 * 1024
 _ERRORS_FORGIVEN = 20
+_BYTES_PER_REQUEST = 16 * 1024  # a larger frame counts as several
 _CLOSE_CHANNEL = _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary
 
 
-class Connection(asyncio.Protocol):
+class Connection(asyncio.BufferedProtocol):
     """Takes frames apart, answers requests one after the other, in fair turns with others."""
 
     def __init__(self, listener: "Listener") -> None:
@@ -125,10 +126,15 @@ class Connection(asyncio.Protocol):
             if session.line is self:
                 session.serve_late()
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, _: int) -> memoryview:
+        """Return where to put what arrives: little at a time, so that nobody holds the loop."""
+        return self.listener.arrivals
+
+    def buffer_updated(self, count: int) -> None:
         """Cut whole frames; close on what is too much or no frame."""
         if self._transport.is_closing():
             return
+        data = self.listener.arrivals[:count]
         if not self._handshake.done:
             self._before_session += len(data)
             if self._before_session > self._limits.handshake_bytes:
@@ -235,7 +241,7 @@ class Connection(asyncio.Protocol):
                 await self._arrived.wait()
             while not self.writable:
                 await self._writable_again.wait()
-            if not self._has_allowance():
+            if not self._has_allowance(len(self._frames[0])):
                 await asyncio.sleep(1.0 / self._limits.requests_per_second)
                 continue
             await self.listener.turns.take(self.account)
@@ -395,14 +401,15 @@ class Connection(asyncio.Protocol):
         whole = kind[:3] == _MESSAGE or kind[3:] == b"F"
         return 8 < size <= most and kind[3] in _CHUNK_KINDS and whole
 
-    def _has_allowance(self) -> bool:
+    def _has_allowance(self, size: int) -> bool:
+        cost = 1.0 + size / _BYTES_PER_REQUEST
         limits, now = self._limits, self.listener.clock.monotonic()
         earned = (now - self._refilled) * limits.requests_per_second
         self._allowance = min(limits.request_burst, self._allowance + earned)
         self._refilled = now
-        if self._allowance < 1.0:
+        if self._allowance < cost:
             return False
-        self._allowance -= 1.0
+        self._allowance -= cost
         return True
 
     def _resume_reading(self) -> None:

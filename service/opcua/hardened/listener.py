@@ -26,6 +26,7 @@ _log = bounded_logger(__name__)
 _REAP_S = 1.0
 _GUESSES_AT_ONCE = 1
 _BACKLOG = 100
+_ARRIVALS_BYTES = 64 * 1024
 _ACCEPTED_AT_ONCE = 8  # asyncio accepts as many at a stretch as it is told the backlog is
 _SECURITY_CODES = {
     getattr(ua.StatusCodes, name)
@@ -56,6 +57,7 @@ class Listener:
         self.services = services
         self.anonymous_allowed = anonymous_allowed
         self.turns = Turns()
+        self.arrivals = memoryview(bytearray(_ARRIVALS_BYTES))  # emptied before the next arrive
         self.guesses = asyncio.Semaphore(_GUESSES_AT_ONCE)
         self.policies: list[Any] = []
         self.certificate_der = b""
