@@ -46,7 +46,12 @@ __all__ = ["NAMESPACE", "ResultsServer"]
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _dp = Argument("dp", "Pressure drop p1 - p2", unit=Unit.BAR)
-_T = Argument("T", "Oil temperature; NaN takes the one measured last", unit=Unit.DEGREE_CELSIUS)
+_T = Argument(
+    "T",
+    "Oil temperature; NaN takes the one measured last",
+    unit=Unit.DEGREE_CELSIUS,
+    or_nan=True,
+)
 
 
 class ResultsServer:
@@ -309,6 +314,7 @@ class ResultsServer:
             enum_strings=node.enum_strings,
             writable_by=Role.OPERATOR if node.writable else None,
             on_write=on_write,
+            or_nan=node.writable,  # NaN takes a demand back
         )
         self._variables[node.id] = variable
         return variable

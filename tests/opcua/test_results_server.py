@@ -306,6 +306,17 @@ async def test_wrong_arguments_are_refused_by_name(observer, operator, arguments
     assert operator.told == []
 
 
+async def test_an_unknown_temperature_is_nan(observer, operator):
+    await called(observer, "Valvistor.RLS", "Predict", 50.0, 100.0, float("nan"))
+    *_, T = operator.told[-1]
+    assert np.isnan(T)
+
+
+async def test_a_demand_is_taken_back_by_nan(client, operator):
+    await (await node(client, "V2.Inverse.FlowDemand")).write_value(float("nan"))
+    assert np.isnan(operator.told[-1][2])
+
+
 async def test_flow_and_pressure_make_a_demand_together(client, operator):
     await (await node(client, "V2.Inverse.FlowDemand")).write_value(80.0)
     await (await node(client, "V2.Inverse.PressureDrop")).write_value(120.0)

@@ -55,7 +55,8 @@ class InvalidArgument(CommandRejected):
 class Argument:
     """A method's argument: name, type, what it means and what is allowed.
 
-    ``value_range`` is checked on every call (numbers only); a Double must be finite.
+    ``value_range`` is checked on every call (numbers only); a Double must be finite, or NaN where
+    ``or_nan``.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Argument:
     array: bool = False
     unit: Unit | None = None
     value_range: Range | None = None
+    or_nan: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class Variable:
     value_range: Range | None = None
     writable_by: Role | None = None
     on_write: OnWrite | None = None
+    or_nan: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,7 @@ async def add_variable(
     enum_strings: Sequence[str] | None = None,
     writable_by: Role | None = None,
     on_write: OnWrite | None = None,
+    or_nan: bool = False,
 ) -> Variable:
     """Add a variable.
 
@@ -172,6 +176,8 @@ async def add_variable(
     on_write
         Called with each value a peer writes, after type and range were checked and before the
         value is taken; raise :class:`~service.errors.CommandRejected` to refuse it.
+    or_nan
+        Peers may write NaN, too.
 
     Returns
     -------
@@ -203,6 +209,7 @@ async def add_variable(
         value_range=value_range,
         writable_by=writable_by,
         on_write=on_write,
+        or_nan=or_nan,
     )
     if unit is not None and value_range is not None:
         low, high = value_range
@@ -320,6 +327,8 @@ def check(expected: Argument | Variable, given: ua.Variant) -> int:
     values = ua.flatten(given.Value) if expected.array else [given.Value]
     if values is None or (expected.type != ua.VariantType.String and None in values):
         return ua.StatusCodes.BadTypeMismatch
+    if expected.or_nan:
+        values = [value for value in values if not math.isnan(value)]
     if expected.type in _FLOATS and not all(math.isfinite(value) for value in values):
         return ua.StatusCodes.BadOutOfRange
     if expected.value_range is not None:
