@@ -200,7 +200,8 @@ async def open_connection(settings: SourceSettings) -> Connection:
                 await _secure(client, settings)
                 await client.connect_socket()
                 await client.send_hello()
-                await client.open_secure_channel()
+                with source_errors(settings.url, _opening(settings)):
+                    await client.open_secure_channel()
                 await client.create_session()
                 _check_password_travels_safely(client, settings)
                 await client.activate_session(settings.user, settings.password)
@@ -298,6 +299,13 @@ def _trusted(
         if warning := expiry_warning(known):
             _log.warning("%s: %s", settings.url, warning)
     return certificate
+
+
+def _opening(settings: SourceSettings) -> str:
+    """What is done when the server sees our certificate; some hang up on it without a word."""
+    if settings.security is Security.NONE:
+        return "opening the channel"
+    return "opening the secure channel (does the server trust our certificate?)"
 
 
 def _check_password_travels_safely(client: Client, settings: SourceSettings) -> None:

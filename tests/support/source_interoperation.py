@@ -10,7 +10,6 @@ import asyncio
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 
-import numpy as np
 import pytest
 from asyncua import ua
 from support.peer import Peer
@@ -59,6 +58,7 @@ class Plant:
             values = [value, 200.0, 100.0, 5.0, 40.0, self.sampled]
             await self.peer.ask("sample", values=values, code=code, time=time)
             self.sampled += 1
+            await asyncio.sleep(0.002)
 
 
 @asynccontextmanager
@@ -149,7 +149,6 @@ class SourceInteroperation:
             changes = await received(source, plant.sampled - 1)
         got = since(changes, Signal.Q, first)
         assert got.status.tolist() == [ua.StatusCodes.BadSensorFailure, 0]
-        assert np.isnan(got.value[0])
 
     async def test_the_stronger_policy_works_too(self, plant):
         settings = replace(plant.settings, security=Security.AES256_SHA256_RSA_PSS)
@@ -202,10 +201,12 @@ class SourceInteroperation:
         async with connected(settings):
             pass
 
-    async def test_a_server_that_does_not_trust_us_says_so(self, plant, tmp_path):
+    async def test_a_server_that_does_not_trust_us_is_told_from_one_that_is_down(
+        self, plant, tmp_path
+    ):
         stranger = ensure_certificate(Pki(tmp_path), "urn:test:stranger", HOSTS, "stranger")
         settings = replace(plant.settings, own=stranger)
-        with pytest.raises((SourceRejected, SourceLost)) as error:
+        with pytest.raises((SourceRejected, SourceLost), match="trust") as error:
             await OpcUaSource(settings, [NODES]).connect()
         assert plant.settings.url in str(error.value)
 
