@@ -89,14 +89,14 @@ def _access_control(o6, user, password):
     from o6.ns import ns0
 
     class AccessControl(o6.AccessControl):
-        def activateSession(self, _endpoint, _certificate, _session, token):  # noqa: N802
+        def activateSession(self, _endpoint, _certificate, _session, token):
             if not isinstance(token, ns0.datatypes.UserNameIdentityToken):
                 return "anonymous"
             if (token.userName, bytes(token.password).decode()) != (user, password):
                 raise o6.StatusCodeError(o6.StatusCode.BAD_USER_ACCESS_DENIED)
             return user
 
-        def getUserAccessLevel(self, session, node):  # noqa: N802
+        def getUserAccessLevel(self, session, node):
             writable = session.context == user or "Command" not in str(node)
             return _MAY_WRITE if writable else _MAY_READ
 
