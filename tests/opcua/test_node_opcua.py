@@ -16,13 +16,6 @@ def program(request):
 class TestNodeOpcua(ClientInteroperation):
     """The list that every stack goes through."""
 
-    @pytest.mark.xfail(
-        reason="it publishes before it asks again: the server must not tell news too early",
-        strict=False,
-    )
-    async def test_what_was_lost_on_the_line_is_asked_for_again(self, peer, stage):
-        await super().test_what_was_lost_on_the_line_is_asked_for_again(peer, stage)
-
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def anonymous(peer, tmp_path_factory):

@@ -274,7 +274,7 @@ class ClientInteroperation:
 
     async def test_it_predicts_and_inverts_and_the_two_agree(self, observer):
         inverted = await observer.call("Inverse", "Invert", double(51.0), double(100), double(40))
-        predicted = await observer.call("RLS", "Predict", double(50.0), double(100), double(40))
+        predicted = await observer.call("RLS", "Predict", double(50), double(100), double("NaN"))
         U, lower, upper, status = inverted["outputs"]
         assert (inverted["code"], status) == (Codes.Good, 0)
         assert lower <= U <= upper
