@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from service.identification.forgetting import Forgetting, Resetting, SlidingWindow, Subspace
+from service.identification.forgetting import Forgetting, Resetting, SlidingWindow
 from service.identification.kernels.fleet import run_fleet
 from service.identification.least_squares_state import (
     RlsState,
@@ -76,7 +76,7 @@ def learn_fleet(
             f"offsets of shape {edges.shape}: {len(fleet.theta) + 1} ascending ones are wanted, "
             f"from 0 to {len(y)}"
         )
-    if isinstance(forgetting, Resetting | Subspace | SlidingWindow):
+    if isinstance(forgetting, Resetting | SlidingWindow):
         raise ValueError(f"{forgetting} works on one model at a time")  # noqa: TRY004 - a value
     memory, batch = memory_of(fleet), batch_of(X, y, t, usable)
     run_fleet(memory, rule_of(forgetting), batch, edges)

@@ -103,24 +103,30 @@ class SlidingWindow:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Directional, and a detected change of the plant opens the memory: the default.
+    """`Subspace`, faster where it lags, and opened when the plant changes: the default.
 
-    λ can be near 1, because it need only follow slow wear. An abrupt change shows in the whitened
+    λ can be near 1, because it need only follow slow wear. Where the innovations stay coloured, λ
+    falls as far as `least`, until they are nearly white. An abrupt change shows in the whitened
     innovations (:mod:`service.identification.kernels.change_detection`); then what was learnt
     weighs a tenth of a sample, and is soon replaced where there are new ones.
 
     Attributes
     ----------
+    least : float
+        Smallest λ.
     threshold : float
-        Of the χ²-like statistic of n degrees of freedom. 70 gives no false alarm in 10⁶ samples,
-        scattered or structured, even where the structure does not fit.
+        Of the χ²-like statistic of n degrees of freedom that means a change. 60 gives no false
+        alarm in 10⁶ samples of 5 regressors, scattered or structured, whether the structure fits
+        or not.
     """
 
     lam: float = 0.998
-    threshold: float = 70.0
+    least: float = 0.96
+    threshold: float = 60.0
 
     def __post_init__(self) -> None:
         _check_factor("lam", self.lam)
+        _check_factor("least", self.least)
         if not self.threshold > 0.0:
             raise ValueError(f"threshold = {self.threshold!r} is not positive")
 

@@ -52,7 +52,7 @@ class RlsState(State):
         from before it; sample number at which the memory was last opened.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
-    detector, history, score, previous : (10,), (5,), (n,), (n,)
+    detector, history, score, variance, previous : (13,), (5,), (n,), (n, n), (n,)
         Change detection, see :mod:`service.identification.kernels.change_detection`.
     """
 
@@ -67,6 +67,7 @@ class RlsState(State):
     detector: Floats
     history: Counts
     score: Floats
+    variance: Floats
     previous: Floats
 
 
@@ -90,6 +91,7 @@ def initial_state(
         detector=np.zeros(change_detection.PLACES_OF_DETECTOR),
         history=np.zeros(change_detection.PLACES_OF_HISTORY, np.int64),
         score=np.zeros(n),
+        variance=np.zeros((n, n)),
         previous=np.zeros(n),
     )
     if prior is not None:
@@ -190,7 +192,7 @@ def learn(
     """
     memory, batch = memory_of(state), batch_of(X, y, t, usable, thetas, changes)
     match forgetting:
-        case Resetting() | Subspace() | SlidingWindow():
+        case Resetting() | SlidingWindow():
             run_stepwise(memory, rule_of(forgetting), batch)
         case _:
             recursion.run(memory, rule_of(forgetting), batch)
@@ -246,8 +248,8 @@ def rule_of(forgetting: Forgetting) -> Rule:
             rule = Rule(recursion.SUBSPACE, lam)
         case SlidingWindow():
             rule = Rule(recursion.WINDOW, forgetting.lam)
-        case Adaptive(lam, threshold):
-            rule = Rule(recursion.DIRECTIONAL, lam, threshold=threshold)
+        case Adaptive(lam, least, threshold):
+            rule = Rule(recursion.SUBSPACE, lam, least, threshold)
         case _:
             assert_never(forgetting)
     return rule

@@ -165,3 +165,31 @@ def test_another_factor_keeps_the_rule():
 def test_settings_without_meaning_are_refused_by_name(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def drifting(N, noise, rho=0.0):
+    """A slow sweep while a4 drifts by a fifth, noise with correlation rho."""
+    rng = np.random.default_rng(9)
+    t = np.arange(N)
+    U, dp = 50 + 40 * np.sin(t / 3000), 100 + 90 * np.sin(t / 170)
+    X = FiveTerms().regressors(U, dp, dp)
+    e = rng.normal(size=N)
+    for i in range(1, N):
+        e[i] = rho * e[i - 1] + np.sqrt(1 - rho**2) * e[i]
+    drift = 0.2 * THETA[3] * np.sin(t / 2000)
+    return X, X @ THETA, X[:, 3] * drift, noise * e
+
+
+def test_where_innovations_stay_coloured_adaptive_forgetting_hurries():
+    X, Q, drift, e = drifting(20_000, 0.1)
+    lagging = recursive_least_squares(X, Q + drift + e, Subspace(0.998)).innovations[1000:]
+    hurried = recursive_least_squares(X, Q + drift + e, Adaptive(0.998)).innovations[1000:]
+    assert np.mean(hurried**2) < 0.5 * np.mean(lagging**2)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.3])
+def test_a_plant_that_stays_gives_it_no_reason_to_hurry(rho):
+    X, Q, _, e = drifting(20_000, 1.0, rho)
+    calm = recursive_least_squares(X, Q + e, Subspace(0.998)).theta
+    adaptive = recursive_least_squares(X, Q + e, Adaptive(0.998)).theta
+    assert map_rmse(adaptive) < 1.2 * map_rmse(calm) + 0.05

@@ -20,16 +20,15 @@ def run_fleet(fleet: Memory, rule: Rule, batch: Batch, offsets: Counts) -> None:
     offsets : (M + 1,)
         Ascending, from 0 to the number of samples.
     """
-    theta, factor, rhs, spread, scale, noise, counters, _, detector, history, score, previous = (
-        fleet
-    )
+    theta, factor, rhs, spread, scale, noise, counters, _ = fleet[:8]
+    detector, history, score, variance, previous = fleet[8:]
     t, X, y, usable, predicted, residual, status, thetas, changes = batch
     evidence = np.empty((len(y) if rule.threshold < np.inf else 0, 3))
     work = np.empty((5, X.shape[1]))
     for m in range(len(theta)):
         span(
             theta[m], factor[m], rhs[m], spread[m], scale[m], noise[m], counters[m], detector[m],
-            history[m], score[m], previous[m], rule.kind, rule.lam, rule.least, rule.threshold,
-            t, X, y, usable, predicted, residual, status, thetas, changes, evidence, work,
-            offsets[m], offsets[m + 1],
+            history[m], score[m], variance[m], previous[m], rule.kind, rule.lam, rule.least,
+            rule.threshold, t, X, y, usable, predicted, residual, status, thetas, changes,
+            evidence, work, offsets[m], offsets[m + 1],
         )  # fmt: skip

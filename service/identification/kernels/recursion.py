@@ -10,14 +10,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels.change_detection import EVERY, SAMPLE, SIZE, Counts, has_changed
+from service.identification.kernels.change_detection import (
+    EVERY,
+    FACTOR,
+    SAMPLE,
+    SIZE,
+    Counts,
+    has_changed,
+)
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import (
+    add_rank_one,
     back_substitute,
     covariance,
     independence,
+    information_along,
     invert_triangle,
     is_estimable,
+    project,
     rotate_in,
     scaled_trace,
 )
@@ -64,6 +74,7 @@ class Memory(NamedTuple):
     detector: Floats
     history: Counts
     score: Floats
+    variance: Floats
     previous: Floats
 
 
@@ -72,7 +83,7 @@ class Rule(NamedTuple):
 
     kind: int
     lam: float
-    least: float = 1.0  # smallest λ of VARIABLE; information put back by RESETTING
+    least: float = 1.0  # smallest λ; for RESETTING the information that is put back
     threshold: float = np.inf  # of change detection; infinite: none
 
 
@@ -104,16 +115,15 @@ class Batch(NamedTuple):
 @kernel
 def run(memory: Memory, rule: Rule, batch: Batch) -> None:
     """Take N samples in, one after another; writes into ``memory`` and ``batch``."""
-    theta, factor, rhs, spread, scale, noise, counters, _, detector, history, score, previous = (
-        memory
-    )
+    theta, factor, rhs, spread, scale, noise, counters, _ = memory[:8]
+    detector, history, score, variance, previous = memory[8:]
     t, X, y, usable, predicted, residual, status, thetas, changes = batch
     N = len(y)
     evidence = np.empty((N if rule.threshold < np.inf else 0, 3))
     span(
-        theta, factor, rhs, spread, scale, noise, counters, detector, history, score, previous,
-        rule.kind, rule.lam, rule.least, rule.threshold, t, X, y, usable, predicted, residual,
-        status, thetas, changes, evidence, np.empty((5, len(theta))), 0, N,
+        theta, factor, rhs, spread, scale, noise, counters, detector, history, score, variance,
+        previous, rule.kind, rule.lam, rule.least, rule.threshold, t, X, y, usable, predicted,
+        residual, status, thetas, changes, evidence, np.empty((5, len(theta))), 0, N,
     )  # fmt: skip
 
 
@@ -129,6 +139,7 @@ def span(
     detector: Floats,
     history: Counts,
     score: Floats,
+    variance: Floats,
     previous: Floats,
     kind: int,
     lam: float,
@@ -161,15 +172,17 @@ def span(
         )  # fmt: skip
     while first < end:
         stop = end
+        pace = lam
         if threshold < np.inf:
             stop = min(end, first + EVERY - counters[COUNT] % EVERY)
+            pace = 1.0 - (1.0 - lam) * max(1.0, detector[FACTOR])
         advance(
-            theta, factor, spread, scale, noise, counters, previous, kind, lam, least,
+            theta, factor, spread, scale, noise, counters, previous, kind, pace, least,
             X, y, usable, predicted, residual, status, thetas, evidence, work, first, stop,
         )  # fmt: skip
         if threshold < np.inf and has_changed(
-            detector, history, score, factor, X, residual, evidence, t,
-            lam, threshold, counters[COUNT], first, stop,
+            detector, history, score, variance, X, residual, evidence, t,
+            lam, least, threshold, counters[COUNT], first, stop,
         ):  # fmt: skip
             _open(factor, spread, counters, lam)
             if found < len(changes):
@@ -387,6 +400,9 @@ def advance(
                 length += (x[j] * unit[j]) ** 2
             if length > FLOOR * r:
                 weight -= (1.0 - lam) / r
+        elif kind == SUBSPACE and lam < 1.0:
+            _forget_subspace(ut, x, unit, Px, Sx, lam)
+            r = project(ut, x, f, Px)
         gain = 1.0 / (alpha + weight * r)
 
         # Bierman's recursion; Px becomes P·x with the P from before.
@@ -403,12 +419,12 @@ def advance(
                 Px[k] += u * v
             Px[j] = v
         if len(evidence) > 0:
-            total = 0.0
+            moved = 0.0
             for j in range(n):
-                total += Px[j] * previous[j]
+                moved += ((x[j] - previous[j]) * unit[j]) ** 2
                 previous[j] = x[j]
             evidence[i, 0] = r
-            evidence[i, 1] = total
+            evidence[i, 1] = moved
 
         # L = P(t)·X(t), eq. (23), and what the noise has made of theta.
         q = r
@@ -482,6 +498,18 @@ def _grows_beyond_limit(
     for j in range(n):
         lost += (Px[j] * scale[j]) ** 2
     return bool((noise[TRACE] - lost / (lam + r)) / lam > noise[TRACE])
+
+
+@inner
+def _forget_subspace(ut: Floats, x: Floats, unit: Floats, v: Floats, w: Floats, lam: float) -> None:
+    """P ← P + (1 - λ)/λ·vvᵀ/(vᵀP⁻¹v), v = X in the units of theta; ``v`` and ``w`` are scratch."""
+    length = 0.0
+    for j in range(len(x)):
+        v[j] = x[j] * unit[j] * unit[j]
+        length += v[j] * x[j]
+    information = information_along(ut, v, w)
+    if length > FLOOR and information > FLOOR * length:
+        add_rank_one(ut, v, (1.0 - lam) / (lam * information))
 
 
 @inner

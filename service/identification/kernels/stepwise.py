@@ -5,10 +5,8 @@ import numpy as np
 from service.identification.kernels.change_detection import Counts
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import (
-    add_rank_one,
     back_substitute,
     independence,
-    information_along,
     invert_triangle,
     project,
     rank_one,
@@ -18,11 +16,9 @@ from service.identification.kernels.recursion import (
     COUNT,
     FACTORED,
     FILLED,
-    FLOOR,
     HEAD,
     RESETTING,
     STALE,
-    SUBSPACE,
     WINDOW,
     Batch,
     Memory,
@@ -42,8 +38,8 @@ _UNEXCITED = int(Status.UNEXCITED)
 
 @kernel
 def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
-    """As :func:`service.identification.kernels.recursion.run`, for RESETTING, SUBSPACE, WINDOW."""
-    theta, factor, rhs, spread, scale, noise, counters, window, _, _, _, previous = memory
+    """As :func:`service.identification.kernels.recursion.run`, for RESETTING and WINDOW."""
+    theta, factor, rhs, spread, scale, noise, counters, window, _, _, _, _, previous = memory
     _, X, y, usable, predicted, residual, status, thetas, _ = batch
     n = len(theta)
     evidence, work = np.empty((0, 3)), np.empty((5, n))
@@ -56,8 +52,6 @@ def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
                 X, y, usable, predicted, residual, status, thetas, i,
             )  # fmt: skip
         else:
-            if good and rule.kind == SUBSPACE:
-                _forget_subspace(factor, scale, X, i, rule.lam)
             advance(
                 theta, factor, spread, scale, noise, counters, previous, rule.kind, rule.lam,
                 rule.least, X, y, usable, predicted, residual, status, thetas, evidence, work, i,
@@ -76,20 +70,6 @@ def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
             if i < len(thetas):
                 for j in range(n):
                     thetas[i, j] = theta[j]
-
-
-@inner
-def _forget_subspace(ut: Floats, scale: Floats, X: Floats, i: int, lam: float) -> None:
-    """P ← P + (1 - λ)/λ·vvᵀ/(vᵀP⁻¹v), v = X in the units of theta."""
-    n = len(scale)
-    v, work = np.empty(n), np.empty(n)
-    length = 0.0
-    for j in range(n):
-        v[j] = X[i, j] / scale[j] ** 2 if scale[j] > 0.0 else 0.0
-        length += v[j] * X[i, j]
-    information = information_along(ut, v, work)
-    if length > FLOOR and information > FLOOR * length:
-        add_rank_one(ut, v, (1.0 - lam) / (lam * information))
 
 
 @inner
