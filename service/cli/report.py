@@ -30,6 +30,7 @@ def report(
     from service.report.paper.build import STEPS, as_json, build
     from service.report.paper.page import html_page
 
+    _make(out)
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -59,10 +60,17 @@ def report(
     console.print(f"written: {out / 'paper.html'}")
 
 
-def _write(folder: Path, files: dict[str, bytes]) -> None:
+def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
     except OSError as error:
         raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
+        try:
+            (folder / name).write_bytes(content)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise StorageError(f"{folder / name}: {reason}") from None

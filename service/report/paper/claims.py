@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from service.report.paper import claims_convergence as convergence
+from service.report.paper import claims_map as of_the_map
 from service.report.paper import claims_use as use
 from service.report.paper.asides import (
     passes_until_the_network_wins,
@@ -20,10 +21,10 @@ CLAIMS: Final[tuple[Callable[[Evidence], Claim], ...]] = (
     convergence.claim_4,
     convergence.claim_5,
     convergence.claim_6,
-    use.claim_7,
+    of_the_map.claim_7,
     use.claim_8,
-    use.claim_9,
-    use.claim_10,
+    of_the_map.claim_9,
+    of_the_map.claim_10,
     use.claim_11,
     use.claim_12,
     convergence.claim_13,

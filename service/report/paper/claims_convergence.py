@@ -3,34 +3,30 @@
 import math
 from collections.abc import Iterator
 
-from service.identification import recursive_least_squares
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.model_structures import FiveTerms
-from service.report.paper import printed
 from service.report.paper.evidence import Evidence
 from service.report.paper.learning import (
     LAMBDAS,
     PAPERS,
     UNSETTLED,
-    WHY_UNSETTLED,
-    WHY_USELESS,
     Course,
     Lessons,
-    follow,
-    linear_course,
+    settling,
 )
 from service.report.paper.verdict import Claim, Part
 
 WHY_CONVERGED = (
-    "1 is the border of convergence: over the last third of the run, 95 % of the errors stay below "
-    f"10 l/min ({WHY_USELESS}) and below {WHY_UNSETTLED}"
+    "1 is the border of convergence: beyond it a map cannot tell neighbouring levels of U apart "
+    "(10 l/min) or fluctuates by more than its own error (√2 times its median)"
 )
 WHY_BETTER = "above 1 it is the other way round"
 WHY_MUCH = "'much' is read as three times"
 WHY_SLOWER = "a fifth more is the least that a plot of the run would show"
 WHY_SAME_ACCURACY = "a difference of 5 % cannot be seen in the paper's 45° plots"
-WHY_EQUAL = "far above rounding (1e-12 here), far below anything that matters"
-WHY_FOLLOWS = f"1 is a fresh start after the damage; {WHY_UNSETTLED}"
+WHY_EQUAL = "far above rounding, far below anything that matters"
+WHY_FOLLOWS = (
+    "√2: beyond it, what is left of the old valve has a larger share of the mean square error than "
+    "the map's own misfit"
+)
 
 PIECES = 10
 
@@ -182,7 +178,9 @@ def claim_5(evidence: Evidence) -> Claim:
     """Scattered: RML ends as accurate as RLS, converges more slowly."""
     rml, rls = evidence.scattered.rml, evidence.scattered.rls[1.0]
     as_printed = evidence.scattered.rml_printed
-    starts = _settling(evidence)
+    starts = settling(
+        evidence.data.scattered, evidence.data.new, UNSETTLED * evidence.scattered.lsm_rmse, PIECES
+    )
     return Claim(
         5,
         "Scattered data: RML ends as accurate as RLS, but converges more slowly.",
@@ -275,28 +273,6 @@ def _pairs(structured: Lessons, scattered: Lessons) -> Iterator[tuple[str, Cours
     yield "RLS with λ = 1", structured.rls[1.0], scattered.rls[1.0]
     yield "RML", structured.rml, scattered.rml
     yield "the RBF network", structured.rbf, scattered.rbf
-
-
-def _settling(evidence: Evidence) -> dict[str, float]:
-    """Samples until the error stays within UNSETTLED times that of LSM: median of many starts."""
-    samples, truth = evidence.data.scattered, evidence.data.new
-    length = len(samples) // PIECES
-    XV = FiveTerms().regressors(truth.U, truth.dp, truth.T)
-    limit = UNSETTLED * evidence.scattered.lsm_rmse
-    found: dict[str, list[float]] = {"RLS": [], "RML": [], "RML as printed": []}
-    for k in range(PIECES):
-        piece = samples[k * length : (k + 1) * length]
-        X = FiveTerms().regressors(piece.U, piece.dp, piece.T)
-        courses = {
-            "RLS": linear_course(recursive_least_squares(X, piece.Q).theta_history, XV, truth.Q),
-            "RML": follow(MaximumLikelihood(), piece, truth)[0],
-            "RML as printed": linear_course(
-                printed.maximum_likelihood_map(X, piece.Q), XV, truth.Q
-            ),
-        }
-        for name, course in courses.items():
-            found[name].append(course.within(limit))
-    return {name: sorted(counts)[PIECES // 2] for name, counts in found.items()}
 
 
 def _widest(known: Lessons) -> float:

@@ -232,4 +232,5 @@ def _lams(n: int) -> Floats:
 
 
 def _distance(a: Floats, b: Floats) -> float:
-    return float(np.max(np.abs(a - b) / np.abs(b)))
+    with np.errstate(all="ignore"):
+        return float(np.max(np.abs(a - b) / np.abs(b)))

@@ -108,8 +108,8 @@ def _structure(data: PaperData) -> Iterator[Erratum]:
     n = len(structure.parameter_names)
     yield Erratum(
         "(7), within one level",
-        "five parameters can be identified from any data",
-        "U is constant within a level: three of five columns are left; two levels determine all",
+        "no condition on the data",
+        "U is constant within a level, three of five columns are left: it takes several levels",
         f"{n} minus the rank of the regressors: of one level, and of all",
         float(n - _rank(structure, level)),
         float(n - _rank(structure, samples)),

@@ -13,6 +13,7 @@ from service.identification.least_squares import batch_least_squares
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import FiveTerms
 from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Floats, Samples
 from service.report.paper import printed
 from service.report.paper.data import Points
@@ -29,10 +30,10 @@ WHY_USELESS: Final = (
     "off by more cannot tell neighbouring levels apart"
 )
 UNSETTLED: Final = float(np.sqrt(2.0))
-WHY_UNSETTLED: Final = (
-    "√2 times the usual error: beyond it the fluctuation has a larger share of the mean square "
-    "error than the map itself"
-)
+
+PASSES: Final = 20
+INSIDE: Final = (5.0, 95.0)
+EQ_7: Final = RecursiveLeastSquares()
 
 S = TypeVar("S", bound=State)
 
@@ -205,6 +206,34 @@ def learnt(estimator: Estimator[S], samples: Samples, passes: int = 1) -> S:
 def error_of(estimator: Estimator[S], state: S, truth: Points) -> float:
     """Error of a map over points of the truth, l/min."""
     return rmse(estimator.predict(state, truth.U, truth.dp, truth.T)[0], truth.Q)
+
+
+def error_of_U(U: Floats, truth: Points) -> float:
+    """Root mean square error of U, %, away from the ends, where U has no effect on Q.
+
+    A point without an answer counts as U = 0.
+    """
+    inside = (INSIDE[0] <= truth.U) & (INSIDE[1] >= truth.U)
+    return rmse(np.nan_to_num(U[inside]), truth.U[inside])
+
+
+def settling(samples: Samples, truth: Points, limit: float, pieces: int) -> Mapping[str, float]:
+    """Samples until the error stays within a limit: median over pieces, each a fresh start."""
+    length, structure = len(samples) // pieces, FiveTerms()
+    XV = structure.regressors(truth.U, truth.dp, truth.T)
+    found: dict[str, list[float]] = {"RLS": [], "RML": [], "RML as printed": []}
+    for k in range(pieces):
+        piece = samples[k * length : (k + 1) * length]
+        X = structure.regressors(piece.U, piece.dp, piece.T)
+        histories = {
+            "RLS": recursive_least_squares(X, piece.Q).theta_history,
+            "RML as printed": printed.maximum_likelihood_map(X, piece.Q),
+        }
+        courses = {name: linear_course(theta, XV, truth.Q) for name, theta in histories.items()}
+        courses["RML"] = follow(MaximumLikelihood(), piece, truth)[0]
+        for name, course in courses.items():
+            found[name].append(course.within(limit))
+    return {name: sorted(counts)[pieces // 2] for name, counts in found.items()}
 
 
 def _printed_network(samples: Samples, truth: Points, settings: RbfNetwork) -> Course:

@@ -18,6 +18,16 @@ _MARKS: Final = {
     Verdict.EXPLAINED: "misprint",
     Verdict.NOT_REPRODUCED: "no",
 }
+_SEE: Final = {
+    1: (("table-1", "Table 1"), ("lambda-sweep", "sweep of λ"), ("damage", "damage")),
+    2: (("table-1", "Table 1"), ("courses", "courses")),
+    3: (("courses", "courses"),),
+    4: (("lambda-sweep", "sweep of λ"), ("courses", "courses")),
+    5: (("table-2", "Table 2"), ("courses", "courses")),
+    6: (("courses", "courses"),),
+    7: (("extrapolation", "extrapolation"),),
+    13: (("damage", "damage"),),
+}
 
 
 def html_page(report: PaperReport) -> str:
@@ -88,14 +98,16 @@ def _figure(picture: Picture) -> str:
 
 def _claim(claim: Claim, sets: int) -> str:
     rows = "\n".join(map(_part_row, claim.parts))
-    note = f"<p class=note>{escape(claim.note)}</p>" if claim.note else ""
+    see = ", ".join(f'<a href="#{key}">{name}</a>' for key, name in _SEE.get(claim.number, ()))
+    note = f"{escape(claim.note)} {f'See {see}.' if see else ''}"
     return (
         f'<section class=claim id="claim-{claim.number}">'
         f"<h3>{claim.number}. {escape(claim.text)}</h3>"
         f"<p>{_badge(claim.verdict)} <small>the same in {claim.agreeing} of {sets} sets of "
         "recordings</small></p>"
-        "<table><thead><tr><th>what the claim says<th>figure<th>as printed<th>claim holds if"
-        f"<th>holds</tr></thead><tbody>{rows}</tbody></table>{note}</section>"
+        "<table class=parts><thead><tr><th>what the claim says<th>figure<th>as printed"
+        f"<th>claim holds if<th>holds</tr></thead><tbody>{rows}</tbody></table>"
+        f"<p class=note>{note}</p></section>"
     )
 
 
@@ -159,6 +171,8 @@ ul.counts li { border-left: 4px solid; padding: .1rem .7rem; } ul.counts b { fon
 .badge, .held { white-space: nowrap; font-size: .85rem; font-weight: 600; }
 .yes { color: #00694b; } .no { color: #a83c00; } .misprint { color: #00598c; }
 .claim { margin: 2rem 0; } code { font-size: .9em; } a { color: inherit; }
+.parts { table-layout: fixed; } .parts th:nth-child(1) { width: 33%; }
+.parts th:nth-child(2), .parts th:nth-child(3) { width: 14%; } .parts th:nth-child(5) { width: 9%; }
 .errata td:nth-child(2), .errata td:nth-child(3) { width: 26%; }
 </style>
 </head>
@@ -172,7 +186,7 @@ verdicts follow from them.</p>
 $counts
 </ul>
 <table>
-<thead><tr><th>#<th>the paper's claim<th>verdict<th>same verdict</tr></thead>
+<thead><tr><th>#<th>the paper's claim<th>verdict<th>in sets</tr></thead>
 <tbody>
 $summary
 </tbody>
@@ -181,7 +195,7 @@ $summary
 one side of which the claim holds. All hold with the right formulas: <b>reproduced</b>. Those that
 do not hold do so with the formulas as the paper misprints them: <b>explained by an erratum</b>.
 Otherwise: <b>not reproduced</b>. There are $recordings; the median over the sets decides, and
-“same verdict” tells in how many of them the claim alone would have got the same one.</p>
+“in sets” tells in how many of them, taken alone, it is the same.</p>
 
 <h2>The valve and the data</h2>
 $figures

@@ -9,11 +9,12 @@ from service.identification import recursive_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Floats, Samples
-from service.report.paper.claims_use import CORNER, PASSES
+from service.report.paper.claims_map import CORNER
 from service.report.paper.data import Points, within
 from service.report.paper.evidence import Evidence
 from service.report.paper.learning import (
     LAMBDAS,
+    PASSES,
     SHOWN,
     USELESS,
     Course,
@@ -144,10 +145,10 @@ def damage(evidence: Evidence) -> Picture:
     axes.set(
         xlabel="samples",
         ylabel="error against the\ndamaged valve, l/min",
-        ylim=(0.7, 150),
+        ylim=(0.7, 200),
         xlim=(0, len(evidence.data.damaged)),
     )
-    legend(axes, "upper left", columns=4)
+    legend(axes, "upper left", columns=2)
     return Picture(
         "damage",
         "After an abrupt damage",

@@ -74,6 +74,7 @@ def table_1(evidence: Evidence) -> Picture:
         "table-1",
         "Table 1: verification of RLS and the RBF network with structured data",
         [*_rls(known, data.structured, truth), rbf],
+        known.lsm,
         truth,
         data.structured,
     )
@@ -96,6 +97,7 @@ def table_2(evidence: Evidence) -> Picture:
         "table-2",
         "Table 2: verification of RLS and RML with scattered data",
         [*_rls(known, data.scattered, truth), column],
+        known.lsm,
         truth,
         data.scattered,
     )
@@ -121,6 +123,7 @@ def _table(
     key: str,
     title: str,
     columns: list[_Column],
+    lsm: Floats,
     truth: Points,
     samples: Samples,
 ) -> Picture:
@@ -131,7 +134,7 @@ def _table(
         top, middle, bottom = (quiet(axes) for axes in panels[:, i])
         _agreement(top, column, truth)
         if column.is_linear:
-            _parameters(middle, column)
+            _parameters(middle, column, lsm)
             middle.tick_params(labelleft=i == 0)
         else:
             _weights(middle, column)
@@ -140,7 +143,7 @@ def _table(
         bottom.tick_params(labelleft=i == 0)
         if i == 0:
             top.set_ylabel("identified Q_M, l/min")
-            middle.set_ylabel("a_i·X_i, l/min")
+            middle.set_ylabel("(a_i − LSM)·X_i, l/min")
             bottom.set_ylabel("error of the map, l/min")
         drawn[column.name] = {
             **numbers(after=column.course.after, rmse=column.course.rmse),
@@ -153,9 +156,9 @@ def _table(
         key,
         title,
         f"Top: identified over true flow at the {len(truth)} points of Figure 9, with the last "
-        f"parameters; ideal is the 45° line. Middle: what each term of eq. (7) contributes in the "
-        f"middle of the map (U = {_U:g} %, Δp = {_DP:g} bar) while the {len(samples):,} samples "
-        "come in. "
+        f"parameters; ideal is the 45° line. Middle: how far each term of eq. (7) is, at "
+        f"U = {_U:g} %, Δp = {_DP:g} bar, from what batch least squares finds in all "
+        f"{len(samples):,} samples, while they come in; 0 is ideal. "
         "Bottom: error of the map over the same samples, RMSE in l/min; dashed: "
         f"{USELESS:g} l/min, above which a map is of no use; grey: the last third of the run, "
         "by which convergence is judged.",
@@ -175,11 +178,11 @@ def _agreement(axes: Axes, column: _Column, truth: Points) -> None:
     label(axes, f"RMSE {error:.3g} l/min" + (f"\n{outside} points outside" if outside else ""))
 
 
-def _parameters(axes: Axes, column: _Column) -> None:
+def _parameters(axes: Axes, column: _Column, lsm: Floats) -> None:
     for k, (name, colour) in enumerate(zip(column.names, _A, strict=True)):
-        share = column.theta[:, k] * _MIDDLE[k]
+        share = (column.theta[:, k] - lsm[k]) * _MIDDLE[k]
         axes.plot(column.after, share, color=colour, linewidth=1.1, label=name)
-    axes.set(ylim=(-120, 220), xlim=(0, column.after[-1]), xlabel="samples")
+    axes.set(ylim=(-40, 40), xlim=(0, column.after[-1]), xlabel="samples")
 
 
 def _weights(axes: Axes, column: _Column) -> None:
