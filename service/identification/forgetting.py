@@ -115,14 +115,13 @@ class Adaptive:
     least : float
         Smallest λ.
     threshold : float
-        Of the χ²-like statistic of n degrees of freedom that means a change. 60 gives no false
-        alarm in 10⁶ samples of 5 regressors, scattered or structured, whether the structure fits
-        or not.
+        Standard deviations of the scores that mean a change. 6.3 gives no false alarm in 10⁶
+        samples, scattered or structured, whether the structure fits or not.
     """
 
     lam: float = 0.998
     least: float = 0.96
-    threshold: float = 60.0
+    threshold: float = 6.3
 
     def __post_init__(self) -> None:
         _check_factor("lam", self.lam)

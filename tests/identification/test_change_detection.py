@@ -3,7 +3,8 @@ import pytest
 
 from service.identification import recursive_least_squares
 from service.identification.forgetting import Adaptive
-from service.identification.model_structures import FiveTerms
+from service.identification.model_structures import FiveTerms, TensorSpline
+from service.identification.radial_basis import RadialBasis
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Samples
 
@@ -112,6 +113,26 @@ def test_two_changes_are_two():
     changes = result_of(U, dp, Q).changes
     assert len(changes) == 2
     assert changes[0, 2] < 0.0 < changes[1, 2]
+
+
+@pytest.mark.parametrize("points", [scattered, structured])
+@pytest.mark.parametrize("structure", [TensorSpline.uniform(), RadialBasis.uniform()], ids=repr)
+def test_many_parameters_raise_no_more_alarms_than_few(structure, points):
+    N = 20_000
+    U, dp = points(N, 1) if points is scattered else points(N)
+    Q = dead_band(U, dp) + np.random.default_rng(2).normal(size=N)
+    rls = RecursiveLeastSquares(structure, Adaptive())
+    samples = Samples.of(np.arange(N), U, dp, np.zeros(N), Q)
+    state, _ = rls.update(rls.initial_state(), samples)
+    assert rls.last_change(state) is None
+    worn = Samples.of(np.arange(N), U, dp, np.zeros(N), Q - 0.05 * U * np.sqrt(dp))
+    state, _ = rls.update(state, worn)
+    change = rls.last_change(state)
+    if points is scattered:
+        assert abs(change.sample - N) <= 100
+        assert change.count == 1
+    else:  # a limit that the documentation names
+        assert change is None
 
 
 def test_outliers_do_not_make_a_change():

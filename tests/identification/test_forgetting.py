@@ -145,7 +145,7 @@ def test_with_forgetting_the_interval_is_honest_for_directional_rules_too():
 
 
 def test_another_factor_keeps_the_rule():
-    assert with_lam(Adaptive(0.99, threshold=80.0), 0.9) == Adaptive(0.9, threshold=80.0)
+    assert with_lam(Adaptive(0.99, threshold=8.0), 0.9) == Adaptive(0.9, threshold=8.0)
     with pytest.raises(ValueError, match="has a length"):
         with_lam(SlidingWindow(10), 0.9)
 

@@ -2,7 +2,8 @@
 
 With z the innovation over its standard deviation, clipped and freed of its slow mean, the weighted
 score b = Σ wᵢ·xᵢ·zᵢ of late tells in which direction theta would have to move, and T = bᵀV⁻¹b, with
-V the variance of b, how sure that is: χ² with n degrees of freedom while the plant stays.
+V the variance of b, how sure that is: χ² with n degrees of freedom while the plant stays. Wilson
+and Hilferty's transform makes standard deviations of it, whatever n.
 
 A structure that does not fit leaves innovations that look like a change as the operating point
 moves. Four things keep them from accusing the plant:
@@ -51,7 +52,7 @@ POWER_WINDOW = 1.0 / 200.0
 LEAST_POWER = 0.1
 TOLERATED = 0.4
 HASTE_STEP = 0.005
-SUSPICIOUS = 20.0
+SUSPICIOUS = 3.0
 
 
 @inner
@@ -82,7 +83,7 @@ def has_changed(
     evidence : (N, 3)
         xᵀPx, |Δx|², and the variance of the innovation over σ² less 1.
     lam, least, threshold
-        Forgetting factor and its lower bound; T that means a change.
+        Forgetting factor and its lower bound; standard deviations that mean a change.
     count
         Number of samples used so far.
     """
@@ -130,12 +131,14 @@ def has_changed(
         return False
 
     T = _squared_length(score, variance) * detector[LONG_SQUARES] / detector[SQUARES]
-    detector[STATISTIC] = T
-    if T < SUSPICIOUS:
+    spread = 2.0 / (9.0 * n)  # Wilson and Hilferty: of T's cube root, nearly normal
+    deviation = (np.cbrt(T / n) - 1.0 + spread) / np.sqrt(spread)
+    detector[STATISTIC] = deviation
+    if deviation < SUSPICIOUS:
         history[SUSPECT_SAMPLE] = count + 1
         history[SUSPECT_TIME] = t[stop - 1]
         detector[SUM] = 0.0
-    if threshold >= T:
+    if deviation <= threshold:
         return False
     history[CHANGES] += 1
     history[SAMPLE] = history[SUSPECT_SAMPLE]
