@@ -10,12 +10,6 @@ from support.peer import Peer  # noqa: E402
 from support.source_interoperation import planted  # noqa: E402
 
 
-def pytest_configure(config):
-    config.addinivalue_line(
-        "markers", "milo: needs java and mvn (Eclipse Milo as an independent client)"
-    )
-
-
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def stage(tmp_path_factory):
     async with raised(tmp_path_factory.mktemp("stage")) as stage:

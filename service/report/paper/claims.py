@@ -37,10 +37,14 @@ ASIDES: Final[dict[int, Callable[[Evidence], str]]] = {
 
 def judge(sets: Sequence[Evidence]) -> list[Claim]:
     """Verdicts on all claims; the median over the sets of recordings decides each figure."""
-    merged = [Claim.merged([claim(evidence) for evidence in sets]) for claim in CLAIMS]
+    return [Claim.merged([claim(evidence) for evidence in sets]) for claim in CLAIMS]
+
+
+def with_asides(claims: Sequence[Claim], evidence: Evidence) -> list[Claim]:
+    """Add to the notes what takes longer to find out; verdicts do not hang on it."""
     return [
-        replace(claim, note=f"{claim.note} {ASIDES[claim.number](sets[0])}")
+        replace(claim, note=f"{claim.note} {ASIDES[claim.number](evidence)}")
         if claim.number in ASIDES
         else claim
-        for claim in merged
+        for claim in claims
     ]

@@ -38,7 +38,11 @@ def html_page(report: PaperReport) -> str:
     """
     return _PAGE.substitute(
         counts=_counts(report.claims),
-        summary="\n".join(_summary_row(claim, report.sets) for claim in report.claims),
+        faster=f"{report.faster_hz:g}",
+        summary="\n".join(
+            _summary_row(claim, other, report.sets)
+            for claim, other in zip(report.claims, report.claims_faster, strict=True)
+        ),
         recordings=escape(
             f"{report.sets} sets of recordings, {report.samples:,} samples each "
             f"({report.rate_hz:g} a second), each set with other noise and other scattered points"
@@ -75,11 +79,12 @@ def _counts(claims: Iterable[Claim]) -> str:
     )
 
 
-def _summary_row(claim: Claim, sets: int) -> str:
+def _summary_row(claim: Claim, faster: Claim, sets: int) -> str:
+    other = "the same" if faster.verdict is claim.verdict else _badge(faster.verdict)
     return (
         f'<tr><td><a href="#claim-{claim.number}">{claim.number}</a></td>'
         f"<td>{escape(claim.text)}</td><td>{_badge(claim.verdict)}</td>"
-        f"<td class=num>{claim.agreeing} of {sets}</td></tr>"
+        f"<td class=num>{claim.agreeing} of {sets}</td><td>{other}</td></tr>"
     )
 
 
@@ -186,7 +191,7 @@ verdicts follow from them.</p>
 $counts
 </ul>
 <table>
-<thead><tr><th>#<th>the paper's claim<th>verdict<th>in sets</tr></thead>
+<thead><tr><th>#<th>the paper's claim<th>verdict<th>in sets<th>at $faster Hz</tr></thead>
 <tbody>
 $summary
 </tbody>
@@ -195,7 +200,9 @@ $summary
 one side of which the claim holds. All hold with the right formulas: <b>reproduced</b>. Those that
 do not hold do so with the formulas as the paper misprints them: <b>explained by an erratum</b>.
 Otherwise: <b>not reproduced</b>. There are $recordings; the median over the sets decides, and
-“in sets” tells in how many of them, taken alone, it is the same.</p>
+“in sets” tells in how many of them, taken
+alone, it is the same. The last column judges one more set of $faster samples a second: where it
+differs, the claim hangs on how fast one samples, which the paper does not tell.</p>
 
 <h2>The valve and the data</h2>
 $figures

@@ -10,6 +10,7 @@ from service.report.paper.picture import (
     ORANGE,
     Picture,
     canvas,
+    legend,
     numbers,
     png_of,
     quiet,
@@ -43,9 +44,7 @@ def figure_4(data: PaperData) -> Picture:
             horizontalalignment="center",
         )
     axes.set(xlabel="pressure drop Δp, bar", ylabel="flow Q, l/min", xlim=(0, 210), ylim=(-9, 218))
-    axes.legend(
-        fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(0.98, 0.06), markerscale=4
-    )
+    legend(axes, "upper left")
     return Picture(
         "figure-4",
         "Figure 4: flow over pressure drop at different control voltages",

@@ -158,7 +158,7 @@ def _table(
         f"Top: identified over true flow at the {len(truth)} points of Figure 9, with the last "
         f"parameters; ideal is the 45° line. Middle: how far each term of eq. (7) is, at "
         f"U = {_U:g} %, Δp = {_DP:g} bar, from what batch least squares finds in all "
-        f"{len(samples):,} samples, while they come in; 0 is ideal. "
+        f"{len(samples):,} samples, while they come in; 0 is ideal (of the network: its weights). "
         "Bottom: error of the map over the same samples, RMSE in l/min; dashed: "
         f"{USELESS:g} l/min, above which a map is of no use; grey: the last third of the run, "
         "by which convergence is judged.",
