@@ -236,5 +236,5 @@ class Handshake:
         return found if _HOST.fullmatch(found) else None
 
 
-def _shown(text: str) -> str:
-    return ascii(text)[1:121]
+def _shown(text: str | None) -> str:
+    return ascii((text or "")[:120])[1:-1]
