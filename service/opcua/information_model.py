@@ -114,6 +114,13 @@ def estimator_variables(
             range=(0.0, Q_max),
         ),
         VariableNode(
+            f"{prefix}.NoiseStd",
+            "Standard deviation of a measured flow about the map, of late: noise, and what the "
+            "structure cannot follow.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
             f"{prefix}.SampleCount",
             "Samples taken in since the start or the last Reset.",
             ua.VariantType.UInt64,

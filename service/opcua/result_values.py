@@ -89,6 +89,7 @@ def _estimator_values(prefix: str, result: EstimatorResult, now: int) -> Iterato
         ("PredictedFlow", result.predicted, _of_number(result.predicted, code)),
         ("Residual", result.residual, _of_number(result.residual, code)),
         ("ResidualRmse", result.residual_rmse, _of_number(result.residual_rmse, code)),
+        ("NoiseStd", result.noise_std, _of_number(result.noise_std, code)),
         ("SampleCount", result.sample_count, own),
         ("Status", int(result.status), own),
     ):

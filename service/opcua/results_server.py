@@ -230,6 +230,27 @@ class ResultsServer:
             description=f"Flow at a point of the map. Status: {_numbered(Status)}.",
         )
 
+        await add_method(
+            server,
+            parent,
+            f"{prefix}.PredictMeasurement",
+            partial(self._predict_measurement, *who),
+            inputs=(
+                Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE),
+                _dp,
+                _T,
+            ),
+            outputs=(
+                Argument("Q", "Flow; NaN if unknown", unit=Unit.LITRE_PER_MINUTE),
+                Argument("Lower", "Lower end of the 95 % interval", unit=Unit.LITRE_PER_MINUTE),
+                Argument("Upper", "Upper end of the 95 % interval", unit=Unit.LITRE_PER_MINUTE),
+                _STATUS,
+            ),
+            required=Role.OBSERVER,
+            description="Where a new measurement of the flow will lie: noise and what the "
+            f"structure cannot follow included. Status: {_numbered(Status)}.",
+        )
+
     async def _add_inverse(
         self, server: HardenedServer, folder: ua.NodeId, valve: ValveDescription
     ) -> None:
@@ -339,6 +360,12 @@ class ResultsServer:
     ) -> tuple[float, float, int]:
         Q, std, status = self._operator.predict(valve, estimator, U, dp, T)
         return Q, std, int(status)
+
+    def _predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, float, int]:
+        *answer, status = self._operator.predict_measurement(valve, estimator, U, dp, T)
+        return answer[0], answer[1], answer[2], int(status)
 
     def _invert(self, valve: str, Q: float, dp: float, T: float) -> tuple[float, float, float, int]:
         answer = self._operator.invert(valve, Q, dp, T)

@@ -134,6 +134,19 @@ class Identification:
         T = state.T if np.isnan(T) else T
         return pipeline.predicted(state.lanes[estimator], U, dp, T)
 
+    def predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, float, Status]:
+        """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
+        state = self._states[self._numbers[valve]]
+        lane = state.lanes[estimator]
+        T = state.T if np.isnan(T) else T
+        (Q,), (half,) = pipeline.predicted_measurement(
+            lane, *(np.array([x], np.float64) for x in (U, dp, T))
+        )
+        status = Status.WARMING_UP if lane.status is None else lane.status
+        return float(Q), float(Q - half), float(Q + half), status
+
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
         number = self._numbers[valve]

@@ -1,7 +1,7 @@
 """The pipeline of one valve: gate, estimators side by side, results. Pure: state in, state out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -9,7 +9,9 @@ import numpy as np
 from service.identification.estimator import Estimator, State, key_of
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import Inversion
+from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.identification.scatter import TWO_SIDED_95, Scatter
 from service.streaming.ports import EstimatorResult, InverseResult
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
@@ -70,6 +72,7 @@ class Lane:
     estimator: AnyEstimator
     state: State
     score: Score
+    scatter: Scatter = field(default_factory=Scatter.none)
     frozen: bool = False
     lam: float | None = None
     count: int = 0
@@ -134,6 +137,7 @@ def estimator_result(lane: Lane) -> EstimatorResult:
         residual_rmse=lane.score.recent_rmse,
         sample_count=lane.count,
         status=status,
+        noise_std=lane.scatter.noise_std,
     )
 
 
@@ -173,6 +177,21 @@ def predicted(lane: Lane, U: float, dp: float, T: float) -> tuple[float, float, 
     return float(Q[0]), float(std[0]), Status.WARMING_UP if lane.status is None else lane.status
 
 
+def predicted_measurement(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+    """Q̂ and half the 95 % interval of a new measurement, l/min, both (N,); NaN where unknown."""
+    Q, std = lane.estimator.predict(lane.state, U, dp, T)
+    if isinstance(lane.estimator, RbfNetwork):  # its std is that of its residuals already
+        std = np.zeros_like(std)
+    half = lane.scatter.half_width(U, dp, std)
+    if isinstance(lane.estimator, PathDependent):  # U may come from either side
+        up, down = (
+            lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]
+            for side in (1.0, -1.0)
+        )
+        half = np.hypot(half, TWO_SIDED_95 * (up - down) / 2.0)
+    return Q, half
+
+
 def predicted_along(lane: Lane, samples: Samples) -> Floats:
     """Q̂ (N,) along a path of samples that nothing is learnt from; hysteresis follows the path."""
     U, dp, T = samples.U, samples.dp, samples.T
@@ -190,6 +209,8 @@ class _Kept(State):
 
     estimator: Any
     score: Any
+    cells: Any
+    overall: Any
     count: Any
 
 
@@ -197,7 +218,9 @@ def lane_to_bytes(lane: Lane, configured: AnyEstimator) -> bytes:
     """Pack a lane; it is bound to the estimator as configured, whatever the operator changed."""
     key = key_of(configured)
     packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
-    return _Kept(packed, lane.score.sums, np.array(lane.count)).to_bytes(key)
+    scatter = lane.scatter
+    kept = _Kept(packed, lane.score.sums, scatter.cells, scatter.overall, np.array(lane.count))
+    return kept.to_bytes(key)
 
 
 def lane_from_bytes(
@@ -213,7 +236,8 @@ def lane_from_bytes(
     key = key_of(configured)
     kept = _Kept.from_bytes(data, key)
     state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
-    lane = Lane(configured, state, Score(kept.score), frozen=frozen, count=int(kept.count), t=t)
+    score, scatter = Score(kept.score), Scatter(kept.cells, kept.overall)
+    lane = Lane(configured, state, score, scatter, frozen, count=int(kept.count), t=t)
     return lane if lam is None else with_forgetting(lane, lam)
 
 
@@ -245,6 +269,7 @@ def _learn(lane: Lane, samples: Samples) -> tuple[Lane, Trace]:
             lane,
             state=state,
             score=lane.score.add(samples, trace),
+            scatter=lane.scatter.add(samples, trace),
             count=lane.count + int(np.isin(trace.status, _LEARNT).sum()),
             t=int(samples.t[-1]),
             predicted=float(trace.predicted[-1]),

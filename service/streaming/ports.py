@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from service.identification.inversion import Inversion
 from service.identification.samples import Floats, Quality, Status
 from service.streaming.data_changes import DataChanges
@@ -109,6 +111,7 @@ class EstimatorResult:
     residual_rmse: float
     sample_count: int
     status: Status
+    noise_std: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,11 @@ class Operator(Protocol):
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
         """Q (l/min), its standard deviation and the estimator's status."""
+
+    def predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, float, Status]:
+        """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop; arrays of shape (1,)."""

@@ -37,6 +37,7 @@ def test_an_estimators_node_ids_are_the_contracts():
         "Valvistor.RLS.PredictedFlow",
         "Valvistor.RLS.Residual",
         "Valvistor.RLS.ResidualRmse",
+        "Valvistor.RLS.NoiseStd",
         "Valvistor.RLS.SampleCount",
         "Valvistor.RLS.Status",
     ]
@@ -51,6 +52,7 @@ def test_an_estimators_types_are_the_contracts():
         "PredictedFlow": "Double",
         "Residual": "Double",
         "ResidualRmse": "Double",
+        "NoiseStd": "Double",
         "SampleCount": "UInt64",
         "Status": "Int32",
     }

@@ -24,6 +24,7 @@ ESTIMATOR = EstimatorResult(
     residual_rmse=0.4,
     sample_count=9,
     status=Status.OK,
+    noise_std=0.3,
 )
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, int(InverseStatus.OK), np.ones((3, 2)))
 

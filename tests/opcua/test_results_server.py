@@ -53,6 +53,7 @@ ESTIMATOR = EstimatorResult(
     residual_rmse=0.4,
     sample_count=2**40,
     status=Status.OK,
+    noise_std=0.3,
 )
 MAP = np.arange(6.0).reshape(3, 2)
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, MAP)
@@ -85,6 +86,9 @@ class Operator:
     def predict(self, valve, estimator, U, dp, T):
         self.told.append(("predict", valve, estimator, U, dp, T))
         return 10.0 * U, 0.1, Status.UNEXCITED
+
+    def predict_measurement(self, valve, estimator, U, dp, T):
+        return 10.0 * U, 10.0 * U - 1.0, 10.0 * U + 1.0, Status.OK
 
     def invert(self, valve, Q, dp, T):
         self.told.append(("invert", valve, Q, dp, T))
@@ -192,6 +196,7 @@ async def test_a_result_is_read_as_it_was_published(server, observer):
         "RLS.PredictedFlow": 50.0,
         "RLS.Residual": 0.5,
         "RLS.ResidualRmse": 0.4,
+        "RLS.NoiseStd": 0.3,
         "RLS.SampleCount": 2**40,
         "RLS.Status": 0,
         "Inverse.RequiredU": 42.0,
@@ -256,6 +261,8 @@ async def test_the_map_is_an_image_that_describes_its_axes(observer):
 
 async def test_everyone_may_predict_and_invert(observer, operator):
     assert await called(observer, "Valvistor.RLS", "Predict", 50.0, 100.0, 40.0) == [500.0, 0.1, 2]
+    answer = await called(observer, "Valvistor.RLS", "PredictMeasurement", 50.0, 100.0, np.nan)
+    assert answer == [500.0, 499.0, 501.0, 0]
     answer = await called(observer, "Valvistor.Inverse", "Invert", 80.0, 100.0, 40.0)
     assert answer == [40.0, 39.0, 41.0, 1]
     assert operator.told == [

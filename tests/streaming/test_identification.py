@@ -124,3 +124,21 @@ def test_bad_samples_are_counted_and_teach_nothing(identification):
     assert thetas(identification) == before
     assert identification.counters(0)["not_finite"] == 10
     assert {r.quality for r in identification.result(0).estimators.values()} == {Quality.BAD}
+
+
+def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identification):
+    identification.take_samples(0, plant(3000))
+    for name, result in identification.result(0).estimators.items():
+        Q, lower, upper, status = identification.predict_measurement(
+            "Valvistor", name, 50.0, 100.0, np.nan
+        )
+        assert (Q, status) == (identification.predict("Valvistor", name, 50.0, 100.0, np.nan)[::2])
+        assert 1.0 < (upper - lower) / result.noise_std < 8.0
+    checkpoints = identification.checkpoints()
+    before = identification.lane("Valvistor", "RLS").scatter
+    identification.reset("Valvistor", "RLS")
+    assert np.isnan(identification.result(0).estimators["RLS"].noise_std)
+    identification.restore(checkpoints)
+    after = identification.lane("Valvistor", "RLS").scatter
+    assert after.cells.tobytes() == before.cells.tobytes()
+    assert after.multiple == before.multiple

@@ -1,0 +1,77 @@
+"""The loop that learns, region by region, how far measurements lie off the map."""
+
+import numpy as np
+
+from service.identification.kernels.compiled import inner, kernel
+from service.identification.samples import Floats, Times
+
+CELLS_U, CELLS_S = 10, 12
+WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
+
+# Places in a cell, and in `overall`.
+WEIGHT, SQUARES, LAST = range(3)
+QUANTILE = 2
+PLACES_OF_CELL, PLACES_OVERALL = 3, 3
+
+CELL_MEMORY, MEMORY = 100.0, 400.0  # samples
+BORROWED = 8.0  # samples' worth of the whole map in each cell's mean square
+BEYOND = 0.05  # share of measurements that the interval leaves out
+PACE = 0.02
+GAUSSIAN = 1.959963984540054
+SETTLED, LARGEST = 20.0, 16.0
+
+
+@kernel
+def learn(
+    t: Times, U: Floats, dp: Floats, residual: Floats, cells: Floats, overall: Floats
+) -> None:
+    """Take N residuals in, in place; one that is not finite counts nowhere.
+
+    Parameters
+    ----------
+    cells : (120, 3)
+        Weight, mean square of the residuals and time of the last one of each cell.
+    overall : (3,)
+        The same weight and mean square over all cells; how many times its cell's root mean square
+        a residual must be to belong to the outer 5 %.
+    """
+    for i in range(len(residual)):
+        e = residual[i]
+        if not (abs(e) < 1e100 and np.isfinite(U[i]) and np.isfinite(dp[i])):
+            continue
+        c = cell_of(U[i], dp[i])
+        square, expected = e * e, mean_square(cells, overall, c)
+        if overall[WEIGHT] > SETTLED and expected > 0.0:
+            missed = 1.0 if square > overall[QUANTILE] ** 2 * expected else 0.0
+            overall[QUANTILE] *= np.exp(PACE * (missed - BEYOND))
+            square = min(square, LARGEST * expected)
+        overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
+        overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
+        cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
+        cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
+        cells[c, LAST] = t[i]
+
+
+@inner
+def cell_of(U: float, dp: float) -> int:
+    """Number of the cell that a point falls into; the outermost reach on for ever."""
+    row = min(max(U / WIDTH_U, 0.0), CELLS_U - 1.0)
+    column = min(np.sqrt(abs(dp)) / WIDTH_S, CELLS_S - 1.0)
+    return int(row) * CELLS_S + int(column)
+
+
+@inner
+def mean_square(cells: Floats, overall: Floats, c: int) -> float:
+    """Mean square of a cell's residuals, leaning on all others while it has few of its own."""
+    weight = cells[c, WEIGHT] + BORROWED
+    total = cells[c, WEIGHT] * cells[c, SQUARES] + BORROWED * overall[SQUARES]
+    return float(total / weight)
+
+
+@kernel
+def spread(cells: Floats, overall: Floats, U: Floats, dp: Floats, out: Floats) -> None:
+    """Write the root mean square of the residuals around N points; NaN before the first."""
+    for i in range(len(U)):
+        out[i] = np.nan
+        if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):
+            out[i] = np.sqrt(mean_square(cells, overall, cell_of(U[i], dp[i])))

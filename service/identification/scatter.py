@@ -1,0 +1,100 @@
+"""Where a new measurement will lie: the spread of the residuals, region by region."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.kernels import scatter as kernel
+from service.identification.samples import Floats, Samples, Trace
+
+TWO_SIDED_95: Final = kernel.GAUSSIAN
+EDGES_U: Final = kernel.WIDTH_U * np.arange(kernel.CELLS_U + 1)
+EDGES_DP: Final = (kernel.WIDTH_S * np.arange(kernel.CELLS_S + 1)) ** 2
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How far measurements lay off the map of late, by region of (U, dp), for any structure.
+
+    The standard deviation of an estimator's Q̂ says how well the *map* is known if its structure
+    is right. A new measurement lies off that map by its noise and by what the structure cannot
+    follow *there*. Both are in the residuals one step ahead, so their mean square is kept in 120
+    cells of 10 % by 1.5 √bar. Its 95 % interval is then::
+
+        Q̂ ± √((k·m(U, dp))² + (1.96·std)²)
+
+    with m the root mean square around the point, std the map's own standard deviation, and k the
+    multiple that 5 % of the residuals exceed: 1.96 where they are Gaussian, otherwise what they
+    are seen to be. k climbs a little with each measurement outside and falls with each inside, so
+    that 95 % of them are covered in the long run, whatever the structure and the noise.
+
+    Attributes
+    ----------
+    cells : (120, 3), overall : (3,)
+        See :mod:`service.identification.kernels.scatter`.
+
+    References
+    ----------
+    I. Gibbs, E. Candès, Adaptive conformal inference under distribution shift, NeurIPS 2021.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> U, dp, e = rng.uniform(0, 100, 5000), rng.uniform(0, 200, 5000), rng.normal(0, 2, 5000)
+    >>> samples = Samples.of(np.arange(5000), U, dp, 0 * dp, e)
+    >>> scatter = Scatter.none().add(samples, Trace(0 * e, e, np.zeros(5000, np.uint8)))
+    >>> half = scatter.half_width(U, dp, np.zeros(5000))
+    >>> 3.7 < float(half.mean()) < 4.2
+    True
+    """
+
+    cells: Floats
+    overall: Floats
+
+    @classmethod
+    def none(cls) -> "Scatter":
+        """Nothing measured yet."""
+        cells = np.zeros((kernel.CELLS_U * kernel.CELLS_S, kernel.PLACES_OF_CELL))
+        return cls(cells, np.array([0.0, 0.0, TWO_SIDED_95]))
+
+    def add(self, samples: Samples, trace: Trace) -> "Scatter":
+        """Take in what was predicted of N samples; NaN residuals count nowhere."""
+        cells, overall = self.cells.copy(), self.overall.copy()
+        kernel.learn(samples.t, samples.U, samples.dp, trace.residual, cells, overall)
+        return Scatter(cells, overall)
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation of a measurement about the map, l/min; NaN before the first."""
+        known = self.overall[kernel.WEIGHT] > 0.0
+        return float(np.sqrt(self.overall[kernel.SQUARES])) if known else np.nan
+
+    @property
+    def multiple(self) -> float:
+        """Root mean squares that hold 95 % of the measurements; 1.96 for Gaussian noise."""
+        return float(self.overall[kernel.QUANTILE])
+
+    def around(self, U: Floats, dp: Floats) -> Floats:
+        """Root mean square of the residuals around N points (N,), l/min."""
+        out = np.empty(len(U))
+        U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
+        kernel.spread(self.cells, self.overall, U, dp, out)
+        return out
+
+    def half_width(self, U: Floats, dp: Floats, std: Floats) -> Floats:
+        """Half the 95 % interval of a new measurement (N,), l/min; ``std`` is that of Q̂."""
+        return np.hypot(self.multiple * self.around(U, dp), TWO_SIDED_95 * std)
+
+    @property
+    def weights(self) -> Floats:
+        """Samples of late in each cell, (10, 12) over U and √dp."""
+        return self.cells[:, kernel.WEIGHT].reshape(kernel.CELLS_U, kernel.CELLS_S)
+
+    @property
+    def last(self) -> NDArray[np.float64]:
+        """Time of each cell's last sample, UTC ns, (10, 12); NaN where there was none."""
+        seen = self.cells[:, kernel.WEIGHT] > 0.0
+        last = np.where(seen, self.cells[:, kernel.LAST], np.nan)
+        return last.reshape(kernel.CELLS_U, kernel.CELLS_S)

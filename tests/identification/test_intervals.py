@@ -1,0 +1,178 @@
+"""95 % intervals cover what they say: the true flow, the true opening, the next measurement."""
+
+import numpy as np
+import pytest
+
+from service.identification.auto import Auto
+from service.identification.forgetting import Adaptive, Directional, Exponential, Subspace
+from service.identification.inverse_map import invert
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.model_structures import FiveTerms, TensorSpline
+from service.identification.radial_basis import RadialBasis
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.rising import Rising
+from service.identification.samples import Samples
+from service.identification.scatter import Scatter
+from service.streaming.pipeline import fresh_lane, predicted_measurement
+
+SIGMA, SEEDS, N = 1.0, 400, 600
+FIVE = np.array([-2.0, 0.03, 0.1, 0.14, -0.02])
+SPLINE = TensorSpline.uniform(6, 4)
+
+
+def eq_7(U, dp):
+    return FiveTerms().regressors(U, dp, dp) @ FIVE
+
+
+def spline(U, dp):
+    sites_U, sites_s = (x.ravel() for x in np.meshgrid(*SPLINE.sites, indexing="ij"))
+    theta = 0.12 * sites_U * sites_s * (1 - 0.003 * sites_U) + 2.0 * sites_s
+    return SPLINE.regressors(U, dp, dp) @ theta
+
+
+def dead_band_and_saturation(U, dp):
+    return 2.0 * np.clip(U - 12.0, 0.0, 70.0) * np.sqrt(dp / 200.0)
+
+
+def rls(structure, forgetting):
+    return RecursiveLeastSquares(structure, forgetting)
+
+
+EXACT = {
+    "least squares": (rls(FiveTerms(), Exponential(1.0)), eq_7),
+    "exponential .99": (rls(FiveTerms(), Exponential(0.99)), eq_7),
+    "directional .99": (rls(FiveTerms(), Directional(0.99)), eq_7),
+    "subspace .99": (rls(FiveTerms(), Subspace(0.99)), eq_7),
+    "adaptive": (rls(FiveTerms(), Adaptive()), eq_7),
+    "rising": (Rising(rls(FiveTerms(), Exponential(1.0))), eq_7),
+    "maximum likelihood": (MaximumLikelihood(), eq_7),
+    "maximum likelihood .99": (MaximumLikelihood(lam=0.99), eq_7),
+    "spline": (rls(SPLINE, Exponential(1.0)), spline),
+    "spline .998": (rls(SPLINE, Exponential(0.998)), spline),
+    "adaptive spline": (rls(SPLINE, Adaptive()), spline),
+}
+ANY = {
+    "eq. (7)": rls(FiveTerms(), Adaptive()),
+    "eq. (7), λ = .99": rls(FiveTerms(), Exponential(0.99)),
+    "maximum likelihood": MaximumLikelihood(lam=0.999),
+    "network": RbfNetwork(),
+    "spline": rls(SPLINE, Adaptive()),
+    "radial basis": rls(RadialBasis.uniform(), Adaptive()),
+    "auto": Auto(),
+}
+
+
+def recording(truth, seed, n=N, colour=0.0, sigma=SIGMA):
+    rng = np.random.default_rng(seed)
+    U, dp, v = rng.uniform(0, 100, n), rng.uniform(2, 200, n), sigma * rng.normal(size=n + 1)
+    noise = v[1:] + colour * v[:-1]
+    return Samples.of(np.arange(n), U, dp, np.zeros(n), truth(U, dp) + noise, np.full(n, 40.0))
+
+
+def covered(estimator, truth, seeds, n=N, colour=0.0):
+    """Shares of true flows and of true openings inside their intervals, pooled over seeds."""
+    in_Q, in_U = [], []
+    for seed in range(seeds):
+        samples = recording(truth, seed, n, colour)
+        state, _ = estimator.update(estimator.initial_state(), samples)
+        rng = np.random.default_rng(10_000 + seed)
+        U, dp, T = rng.uniform(3, 97, 20), rng.uniform(2, 200, 20), np.full(20, 40.0)
+        Q, std = estimator.predict(state, U, dp, T)
+        in_Q.append(np.abs(Q - truth(U, dp)) <= 1.959964 * std)
+        inverse = invert(estimator, state, truth(U, dp), dp, T)
+        in_U.append((inverse.lower <= U) & (inverse.upper >= U))
+    return float(np.mean(in_Q)), float(np.mean(in_U))
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_of_an_exact_structure_the_true_flow_and_opening_are_covered(name):
+    estimator, truth = EXACT[name]
+    slow = truth is spline
+    in_Q, in_U = covered(estimator, truth, SEEDS // 4 if slow else SEEDS, 5 * N if slow else N)
+    assert 0.93 <= in_Q <= 0.97
+    assert 0.93 <= in_U <= 0.97
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("n", [100, 600, 4000])
+@pytest.mark.parametrize("name", [name for name in EXACT if EXACT[name][1] is eq_7])
+def test_of_an_exact_structure_they_are_covered_after_few_and_many_samples(name, n):
+    in_Q, in_U = covered(*EXACT[name], SEEDS, n)
+    assert 0.93 <= in_Q <= 0.97
+    assert 0.93 <= in_U <= 0.97
+
+
+@pytest.mark.parametrize("lam", [1.0, 0.99])
+def test_in_coloured_noise_the_intervals_of_maximum_likelihood_still_cover(lam):
+    in_Q, in_U = covered(MaximumLikelihood(lam=lam), eq_7, SEEDS, 2 * N, colour=0.8)
+    assert 0.93 <= in_Q <= 0.97
+    assert 0.93 <= in_U <= 0.97
+
+
+def test_auto_finds_eq_7_and_covers_it():
+    in_Q, in_U = covered(Auto(), eq_7, 40)
+    assert 0.91 <= in_Q <= 0.98  # 40 seeds alone, 800 points; 400 seeds: the soak
+    assert 0.91 <= in_U <= 0.98
+
+
+@pytest.mark.soak
+def test_auto_covers_eq_7_over_400_seeds():
+    in_Q, in_U = covered(Auto(), eq_7, SEEDS)
+    assert 0.93 <= in_Q <= 0.97
+    assert 0.93 <= in_U <= 0.97
+
+
+@pytest.mark.parametrize("truth", [eq_7, dead_band_and_saturation])
+@pytest.mark.parametrize("name", ANY)
+def test_whatever_the_structure_the_next_measurement_is_covered(name, truth):
+    """Learnt from 4,000 samples; then the interval is asked before each of 20 batches of 50."""
+    inside = []
+    for seed in range(2):
+        samples = recording(truth, seed, 5000, sigma=0.5)
+        lane = fresh_lane(ANY[name])
+        for start in (0, *range(4000, 5000, 50)):
+            batch = samples[start : 4000 if start == 0 else start + 50]
+            if start:
+                Q, half = predicted_measurement(lane, batch.U, batch.dp, batch.T)
+                inside.append(np.abs(batch.Q - Q) <= half)
+            state, trace = lane.estimator.update(lane.state, batch)
+            scatter = lane.scatter.add(batch, trace)
+            lane = type(lane)(lane.estimator, state, lane.score, scatter)
+    assert 0.93 <= np.mean(inside) <= 0.97
+
+
+def test_where_the_structure_does_not_fit_the_interval_is_wider_than_where_it_does():
+    samples = recording(dead_band_and_saturation, 1, 6000, sigma=0.2)
+    estimator = rls(FiveTerms(), Adaptive())
+    state, trace = estimator.update(estimator.initial_state(), samples)
+    scatter = Scatter.none().add(samples, trace)
+    U, dp, T = np.array([5.0, 45.0]), np.full(2, 180.0), np.full(2, 40.0)
+    at_the_kink, inside = scatter.half_width(U, dp, estimator.predict(state, U, dp, T)[1])
+    assert at_the_kink > 1.5 * inside
+
+
+def test_the_same_stream_in_other_batches_gives_the_same_scatter():
+    samples = recording(eq_7, 3)
+    estimator = rls(FiveTerms(), Adaptive())
+    _, trace = estimator.update(estimator.initial_state(), samples)
+    whole, parts = Scatter.none().add(samples, trace), Scatter.none()
+    for start in range(0, N, 7):
+        rows = slice(start, start + 7)
+        piece = type(trace)(trace.predicted[rows], trace.residual[rows], trace.status[rows])
+        parts = parts.add(samples[rows], piece)
+    assert whole.cells.tobytes() == parts.cells.tobytes()
+    assert whole.overall.tobytes() == parts.overall.tobytes()
+
+
+def test_nothing_measured_is_nothing_known_and_nonsense_is_passed_over():
+    scatter = Scatter.none()
+    assert np.isnan(scatter.noise_std)
+    assert np.isnan(scatter.around(np.array([50.0]), np.array([100.0]))).all()
+    wild = np.array([np.nan, np.inf, 1e308, -1e308, 50.0])
+    samples = Samples.of(range(5), wild, wild, np.zeros(5), wild)
+    _, trace = RecursiveLeastSquares().update(RecursiveLeastSquares().initial_state(), samples)
+    trace = type(trace)(trace.predicted, wild, trace.status)
+    after = scatter.add(samples, trace)
+    assert np.isfinite(after.cells).all()
+    assert after.weights.sum() == 1.0
