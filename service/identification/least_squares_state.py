@@ -157,6 +157,13 @@ def matrix_P(state: RlsState) -> Floats:
     return np.asarray(inverse @ inverse.T)
 
 
+def information(state: RlsState) -> Floats:
+    """P⁻¹ (n, n), the inverse of `matrix_P`; singular while theta is not determined."""
+    if state.counters[recursion.FACTORED]:
+        return np.asarray(np.linalg.inv(covariance(state.factor)))
+    return np.asarray(state.factor.T @ state.factor)
+
+
 def is_determined(state: RlsState) -> bool:
     """Whether the samples determine theta."""
     return bool(state.counters[recursion.FACTORED]) or bool(np.diag(state.factor).all())

@@ -162,6 +162,12 @@ class MaximumLikelihood:
         known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
         return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
 
+    def information(self, state: MaximumLikelihoodState) -> Floats:
+        """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
+        n = len(self._scale)
+        P = covariance(state.factor)[:n, :n] / np.outer(self._scale, self._scale)
+        return np.asarray(np.linalg.inv(P))
+
     def root_margin(self, state: MaximumLikelihoodState) -> float:
         """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""
         n = len(state.theta)

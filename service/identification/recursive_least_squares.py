@@ -10,6 +10,7 @@ from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels import change_detection, recursion
 from service.identification.least_squares_state import (
     RlsState,
+    information,
     initial_state,
     is_determined,
     learn,
@@ -143,6 +144,10 @@ class RecursiveLeastSquares:
         return theta, np.sqrt(
             np.maximum(np.diag(parameter_covariance(state, self.forgetting)), 0.0)
         )
+
+    def information(self, state: RlsState) -> Floats:
+        """P⁻¹ (n, n); singular while theta is not determined."""
+        return information(state)
 
     def last_change(self, state: RlsState) -> Change | None:
         """Return the last change of the plant that was found, None if there was none."""

@@ -94,6 +94,10 @@ class Rising:
         """Theta under the constraint, and its standard deviations without it."""
         return self._theta(state), self.estimator.parameters(state)[1]
 
+    def information(self, state: RlsState) -> Floats:
+        """P⁻¹ (n, n) of the free recursion."""
+        return self.estimator.information(state)
+
     def _theta(self, state: RlsState) -> Floats:
         theta, _ = self.estimator.parameters(state)
         covariance = parameter_covariance(state, self.estimator.forgetting)

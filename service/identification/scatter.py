@@ -87,6 +87,15 @@ class Scatter:
         """Half the 95 % interval of a new measurement (N,), l/min; ``std`` is that of Q̂."""
         return np.hypot(self.multiple * self.around(U, dp), TWO_SIDED_95 * std)
 
+    def density(self, U: Floats, dp: Floats) -> Floats:
+        """How many samples of late lie around N points (N,), near ones counting more."""
+        middles_U = (EDGES_U[:-1] + EDGES_U[1:]) / 2.0
+        middles_s = (np.sqrt(EDGES_DP[:-1]) + np.sqrt(EDGES_DP[1:])) / 2.0
+        far_U = (U[:, None] - middles_U) / (2.0 * kernel.WIDTH_U)
+        far_s = (np.sqrt(np.abs(dp))[:, None] - middles_s) / (2.0 * kernel.WIDTH_S)
+        near_U, near_s = np.exp(-(far_U**2) / 2.0), np.exp(-(far_s**2) / 2.0)
+        return np.asarray(((near_U @ self.weights) * near_s).sum(axis=1))
+
     @property
     def weights(self) -> Floats:
         """Samples of late in each cell, (10, 12) over U and √dp."""
