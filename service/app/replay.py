@@ -16,6 +16,7 @@ from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Quality, Samples, Trace
+from service.identification.survey import Survey
 from service.storage.recordings import read_recording
 from service.streaming import pipeline
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
@@ -33,7 +34,9 @@ class EstimatorReport:
 
     Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
-    inverse calls feasible, ``infeasible`` the number of the others.
+    inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
+    spread of measurements about the map of late, ``covered`` the share of the samples tried that
+    lay within their 95 % interval, ``survey`` what the map does not know.
     """
 
     lane: Lane
@@ -43,6 +46,9 @@ class EstimatorReport:
     verify: Score | None
     round_trip_max: float
     infeasible: int
+    noise_std: float
+    covered: float
+    survey: Survey
 
 
 Report = Mapping[str, Mapping[str, EstimatorReport]]
@@ -120,6 +126,9 @@ def as_json(report: Report) -> dict[str, Any]:
                 "inverse": _numbers(
                     {"round_trip_max": r.round_trip_max, "infeasible": r.infeasible}
                 ),
+                "interval": _numbers({"noise_std": r.noise_std, "covered": r.covered}),
+                "next_point": _numbers({"U": r.survey.suggested_U, "dp": r.survey.suggested_dp}),
+                "coverage": _numbers({"share": r.survey.share, "condition": r.survey.condition}),
             }
             for name, r in estimators.items()
             if name != BEST_FIT
@@ -154,6 +163,7 @@ class _Check:
     score: Score
     round_trip_max: float
     infeasible: int
+    covered: int
 
 
 def _check(valve: _Learnt, samples: Samples) -> Mapping[str, _Check]:
@@ -171,7 +181,9 @@ def _check_lane(lane: Lane, samples: Samples) -> _Check:
     feasible = inverse.status == InverseStatus.OK
     U, dp, T = (x[feasible] for x in (inverse.U, samples.dp, samples.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
+    _, half = pipeline.predicted_measurement(lane, samples.U, samples.dp, samples.T)
     return _Check(
+        covered=int((np.abs(trace.residual) <= half).sum()),
         score=Score.none().add(samples, trace),
         round_trip_max=float(np.abs(Q_back - samples.Q[feasible]).max(initial=0.0)),
         infeasible=int((~feasible).sum()),
@@ -185,6 +197,7 @@ def _summed(checks: Sequence[Mapping[str, _Check]]) -> Mapping[str, _Check]:
             score=Score.merged([check[name].score for check in checks]),
             round_trip_max=max(check[name].round_trip_max for check in checks),
             infeasible=sum(check[name].infeasible for check in checks),
+            covered=sum(check[name].covered for check in checks),
         )
         for name in names
     }
@@ -205,6 +218,9 @@ def _report(
             verify=check.score if check is not None and verified else None,
             round_trip_max=np.nan if check is None else check.round_trip_max,
             infeasible=0 if check is None else check.infeasible,
+            noise_std=result.noise_std,
+            covered=check.covered / check.score.n if check and check.score.n else np.nan,
+            survey=pipeline.survey_of(valve.plan, valve.state, name),
         )
     return report
 

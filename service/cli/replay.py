@@ -2,15 +2,19 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from service.cli.options import ConfigOption
 from service.config.loading import load_config
 from service.errors import StorageError
+
+if TYPE_CHECKING:
+    from service.app.replay import Report
 
 
 def replay(
@@ -56,12 +60,28 @@ def replay(
     if verify is not None:
         verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
         console.print(verification_table(f"Verified on {verify.name}, no adaptation", verified))
+    console.print(_trust_table(report))
     if json_out is not None:
         write_json(json_out, as_json(report))
     if plots is not None:
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         for written in plots.write(lanes):
             console.print(f"written: {written}")
+
+
+def _trust_table(report: "Report") -> Table:
+    """How far each map can be trusted, and where a test would help it most."""
+    table = Table(title="Trust: noise, 95 % interval, where to measure next", title_justify="left")
+    for heading in ("valve", "estimator"):
+        table.add_column(heading)
+    for heading in ("noise, l/min", "covered, %", "regions seen, %", "next U, %", "next dp, bar"):
+        table.add_column(heading, justify="right")
+    for valve, estimators in report.items():
+        for name, r in estimators.items():
+            figures = r.noise_std, 100 * r.covered, 100 * r.survey.share
+            shown = [f"{x:.3g}" for x in (*figures, r.survey.suggested_U, r.survey.suggested_dp)]
+            table.add_row(valve, name, *shown)
+    return table
 
 
 def write_json(file: Path, content: object) -> None:

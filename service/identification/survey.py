@@ -1,7 +1,6 @@
 """Where the map is well known, where it is stale, and which test point would help most."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -96,9 +95,8 @@ def survey(
     (100.0, 0.32)
     """
     T = T if np.isfinite(T) else T_DEFAULT
-    cells = EDGES_DP[:-1] < dp_max
-    middles_dp = np.minimum(((np.sqrt(EDGES_DP[:-1]) + np.sqrt(EDGES_DP[1:])) / 2.0) ** 2, dp_max)
-    middles_U, middles_dp = (EDGES_U[:-1] + EDGES_U[1:]) / 2.0, middles_dp[cells]
+    middles_U, middles_dp = axes(dp_max)
+    cells = slice(len(middles_dp))
     U, dp = (x.ravel() for x in np.meshgrid(middles_U, middles_dp, indexing="ij"))
     _, std = estimator.predict(state, U, dp, np.full_like(U, T))
     seen = scatter.weights[:, cells] > 0.0
@@ -119,12 +117,23 @@ def survey(
     )
 
 
+def axes(dp_max: float) -> tuple[Floats, Floats]:
+    """Middles of the regions over U (10,), % and dp (n,), bar.
+
+    >>> axes(100.0)[1].round(1)
+    array([ 0.6,  5.1, 14.1, 27.6, 45.6, 68.1, 95.1])
+    """
+    low, high = np.sqrt(EDGES_DP[:-1]), np.sqrt(EDGES_DP[1:])
+    middles = np.minimum(((low + high) / 2.0) ** 2, dp_max)
+    return (EDGES_U[:-1] + EDGES_U[1:]) / 2.0, middles[EDGES_DP[:-1] < dp_max]
+
+
 def _gain(
     estimator: Estimator[S], state: S, scatter: Scatter, U: Floats, dp: Floats, T: float
 ) -> tuple[Floats, float]:
     """What a sample at each of N points would tell, in some unit, and the condition of P."""
     if isinstance(estimator, Informed):
-        X = _regressors(estimator.structure, tuple(U), tuple(dp), T)
+        X = estimator.structure.regressors(U, dp, np.full_like(U, T))
         P = _inverse(estimator.information(state), X)
         A = X @ P @ X.T
         gain = (A * A).sum(axis=0) / (1.0 + np.maximum(np.diag(A), 0.0))
@@ -156,10 +165,3 @@ def _grid(dp_max: float) -> tuple[Floats, Floats]:
     levels = np.linspace(0.0, 100.0, POINTS_U), dp_max * np.linspace(0.1, 1.0, POINTS_DP)
     U, dp = np.meshgrid(*levels, indexing="ij")
     return U.ravel(), dp.ravel()
-
-
-@lru_cache(maxsize=64)
-def _regressors(
-    structure: Structure, U: tuple[float, ...], dp: tuple[float, ...], T: float
-) -> Floats:
-    return structure.regressors(np.array(U), np.array(dp), np.full(len(U), T))

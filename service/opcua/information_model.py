@@ -26,6 +26,7 @@ INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 
 U_RANGE = (0.0, 100.0)
+YEAR_S = 3.15e7
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
@@ -130,6 +131,74 @@ def estimator_variables(
             f"What the estimator did with the newest sample. {_sentences(Status)}",
             ua.VariantType.Int32,
             statuses=Status,
+        ),
+    )
+
+
+def survey_variables(
+    valve: ValveDescription, estimator: EstimatorDescription
+) -> tuple[VariableNode, ...]:
+    """What is shown of how well one estimator knows the map."""
+    prefix = f"{valve.name}.{estimator.name}"
+    litres = Unit.LITRE_PER_MINUTE
+    return (
+        VariableNode(
+            f"{prefix}.Coverage",
+            "Standard deviation of the map over U (rows, Diagnostics.CoverageU) and pressure drop "
+            "(columns, Diagnostics.CoverageDp); NaN where nothing is known.",
+            unit=litres,
+            range=valve.Q_range,
+            dimensions=(0, 0),
+        ),
+        VariableNode(
+            f"{prefix}.CoverageAge",
+            "Time since the last sample in each region of Coverage, s; NaN where there was none.",
+            unit=Unit.SECOND,
+            range=(0.0, YEAR_S),
+            dimensions=(0, 0),
+        ),
+        VariableNode(
+            f"{prefix}.CoverageShare",
+            "Part of the regions of Coverage that samples of late lie in.",
+            range=(0.0, 1.0),
+        ),
+        VariableNode(
+            f"{prefix}.Conditioning",
+            "How much better the best known combination of parameters is known than the worst; "
+            "infinite while one is not excited at all, NaN where the map has no such parameters.",
+        ),
+        VariableNode(
+            f"{prefix}.SuggestedU",
+            "Control voltage of the test point that would make the map surer than any other.",
+            unit=Unit.PERCENT,
+            range=U_RANGE,
+        ),
+        VariableNode(
+            f"{prefix}.SuggestedDp",
+            "Pressure drop of that test point.",
+            unit=Unit.BAR,
+            range=valve.dp_range,
+        ),
+    )
+
+
+def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """The regions of every estimator's Coverage on one valve."""
+    prefix = f"{valve.name}.{DIAGNOSTICS}"
+    return (
+        VariableNode(
+            f"{prefix}.CoverageU",
+            "Middles of the rows of each Coverage and CoverageAge.",
+            unit=Unit.PERCENT,
+            range=U_RANGE,
+            dimensions=(0,),
+        ),
+        VariableNode(
+            f"{prefix}.CoverageDp",
+            "Middles of the columns of each Coverage and CoverageAge.",
+            unit=Unit.BAR,
+            range=valve.dp_range,
+            dimensions=(0,),
         ),
     )
 

@@ -51,6 +51,23 @@ def values_of(result: ValveResult, now: int) -> Iterator[Shown]:
     yield from _inverse_values(f"{result.valve}.{INVERSE}", result.inverse, now)
 
 
+def survey_values(valve: str, name: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
+    """How well an estimator knows its map; nothing before the first survey."""
+    survey = result.survey
+    if survey is None:
+        return
+    code, t = _own_words(estimator_code(result)), result.t or now
+    for variable, value in (
+        ("Coverage", survey.std),
+        ("CoverageAge", survey.age_s),
+        ("CoverageShare", survey.share),
+        ("Conditioning", survey.condition),
+        ("SuggestedU", survey.suggested_U),
+        ("SuggestedDp", survey.suggested_dp),
+    ):
+        yield Shown(f"{valve}.{name}.{variable}", value, code, t)
+
+
 def map_value(result: ValveResult, now: int) -> Shown:
     """The inverse map of one valve."""
     inverse = result.inverse

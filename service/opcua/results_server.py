@@ -11,7 +11,8 @@ from asyncua.common.node import Node
 
 from service.clock import Clock, SystemClock
 from service.identification.inversion import InverseStatus
-from service.identification.samples import Floats, Status
+from service.identification.samples import Floats, Quality, Status
+from service.identification.survey import Survey, axes
 from service.opcua.hardened import (
     Argument,
     HardenedServer,
@@ -37,8 +38,10 @@ from service.opcua.information_model import (
     estimator_variables,
     inverse_variables,
     map_variable,
+    survey_axes,
+    survey_variables,
 )
-from service.opcua.result_values import Shown, map_value, values_of
+from service.opcua.result_values import Shown, map_value, survey_values, values_of
 from service.streaming.ports import EstimatorDescription, Operator, ValveDescription, ValveResult
 
 __all__ = ["NAMESPACE", "ResultsServer"]
@@ -86,6 +89,7 @@ class ResultsServer:
         self._server: HardenedServer | None = None
         self._variables: dict[str, Variable] = {}
         self._maps: dict[str, tuple[Floats, int]] = {}
+        self._surveys: dict[str, tuple[Survey | None, Quality]] = {}
         self._counts: dict[str, int] = {}
         self._diagnostics: dict[str, ua.NodeId] = {}
         self._demands: dict[str, tuple[float, float]] = {}
@@ -141,6 +145,7 @@ class ResultsServer:
         for result in results:
             shown += values_of(result, now)
             shown += self._map_if_new(result, now)
+            shown += self._surveys_if_new(result, now)
             shown += await self._new_counts(self._server, result, now)
         self._server.write(
             (self._variables[new.id], new.value, new.code, new.t)
@@ -156,6 +161,17 @@ class ResultsServer:
             return []
         self._maps[result.valve] = (result.inverse.map_U, shown.code)
         return [shown]
+
+    def _surveys_if_new(self, result: ValveResult, now: int) -> list[Shown]:
+        """Surveys are made now and then, and go out once each."""
+        shown: list[Shown] = []
+        for name, estimator in result.estimators.items():
+            key = f"{result.valve}.{name}"
+            old, quality = self._surveys.get(key, (None, None))
+            if estimator.survey is not old or estimator.quality != quality:
+                self._surveys[key] = estimator.survey, estimator.quality
+                shown += survey_values(result.valve, name, estimator, now)
+        return shown
 
     async def _new_counts(
         self, server: HardenedServer, result: ValveResult, now: int
@@ -185,6 +201,8 @@ class ResultsServer:
             f"{valve.name}.{DIAGNOSTICS}",
             description="What became of the valve's data on their way into the model.",
         )
+        for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
+            await self._add_variable(server, self._diagnostics[valve.name], node, middles.tolist())
 
     async def _add_estimator(
         self,
@@ -198,6 +216,8 @@ class ResultsServer:
         for node in estimator_variables(valve, estimator):
             names = list(estimator.parameter_names) if node.id.endswith(".ParameterNames") else None
             await self._add_variable(server, parent, node, names)
+        for node in survey_variables(valve, estimator):
+            await self._add_variable(server, parent, node, None)
         command = partial(_add_command, server, parent, prefix)
         who = (valve.name, estimator.name)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")

@@ -13,6 +13,7 @@ from service.errors import CommandRejected
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import Inversion
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import Alignment
 from service.streaming.data_changes import DataChanges
@@ -35,6 +36,7 @@ class Identification:
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
         self._states = [pipeline.start(plan) for plan in self.plans]
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
+        self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
 
     def take(self, changes: DataChanges) -> Mapping[int, Samples]:
         """Take data changes in; return the samples they completed, by valve."""
@@ -59,13 +61,20 @@ class Identification:
         return self._states[valve]
 
     def refresh_maps(self) -> None:
-        """Compute the tables of the inverse anew; results show the newest of them."""
+        """Compute the inverse's tables and the surveys anew; results show the newest of them."""
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
+        self._surveys = [
+            {name: pipeline.survey_of(plan, state, name) for name in state.lanes}
+            for plan, state in self._pairs()
+        ]
 
     def result(self, valve: int, *, lost: bool = False) -> ValveResult:
         """What is published of one valve; all of it is BAD where its sensors are ``lost``."""
         plan, state = self.plans[valve], self._states[valve]
-        estimators = {name: pipeline.estimator_result(lane) for name, lane in state.lanes.items()}
+        estimators = {
+            name: replace(pipeline.estimator_result(lane), survey=self._surveys[valve].get(name))
+            for name, lane in state.lanes.items()
+        }
         inverse = pipeline.inverse_result(plan, state, self._maps[valve])
         if lost:
             estimators = {n: replace(r, quality=Quality.BAD) for n, r in estimators.items()}

@@ -12,6 +12,7 @@ from service.identification.inversion import Inversion
 from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
 from service.identification.scatter import TWO_SIDED_95, Scatter
+from service.identification.survey import Survey, survey
 from service.streaming.ports import EstimatorResult, InverseResult
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
@@ -138,6 +139,15 @@ def estimator_result(lane: Lane) -> EstimatorResult:
         sample_count=lane.count,
         status=status,
         noise_std=lane.scatter.noise_std,
+    )
+
+
+def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
+    """What an estimator's map knows and does not know, at the last temperature."""
+    lane = state.lanes[name]
+    dp_max, Q_max = max(plan.map_dp), max(plan.map_Q)
+    return survey(
+        lane.estimator, lane.state, lane.scatter, state.t, state.T, dp_max=dp_max, Q_max=Q_max
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from service.identification.inversion import Inversion
 from service.identification.samples import Floats, Quality, Status
+from service.identification.survey import Survey
 from service.streaming.data_changes import DataChanges
 
 
@@ -98,7 +99,7 @@ class EstimatorResult:
 
     ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
-    the sensors are lost.
+    the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
     """
 
     t: int
@@ -112,6 +113,7 @@ class EstimatorResult:
     sample_count: int
     status: Status
     noise_std: float = np.nan
+    survey: Survey | None = None
 
 
 @dataclass(frozen=True)

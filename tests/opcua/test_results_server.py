@@ -10,6 +10,7 @@ from service.clock import ManualClock
 from service.errors import CommandRejected, ServerError
 from service.identification.inversion import Inversion
 from service.identification.samples import Quality, Status
+from service.identification.survey import Survey
 from service.opcua.hardened import Role, ServerSettings, UserStore
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
@@ -42,6 +43,16 @@ VALVES = (
         "V2", (EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True),)
     ),
 )
+SURVEY = Survey(
+    U=np.array([25.0, 75.0]),
+    dp=np.array([50.0]),
+    std=np.array([[0.5], [1.5]]),
+    age_s=np.array([[1.0], [60.0]]),
+    share=1.0,
+    condition=12.0,
+    suggested_U=80.0,
+    suggested_dp=100.0,
+)
 ESTIMATOR = EstimatorResult(
     t=T,
     quality=Quality.GOOD,
@@ -54,6 +65,7 @@ ESTIMATOR = EstimatorResult(
     sample_count=2**40,
     status=Status.OK,
     noise_std=0.3,
+    survey=SURVEY,
 )
 MAP = np.arange(6.0).reshape(3, 2)
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, MAP)
@@ -197,6 +209,12 @@ async def test_a_result_is_read_as_it_was_published(server, observer):
         "RLS.Residual": 0.5,
         "RLS.ResidualRmse": 0.4,
         "RLS.NoiseStd": 0.3,
+        "RLS.Coverage": [[0.5], [1.5]],
+        "RLS.CoverageAge": [[1.0], [60.0]],
+        "RLS.CoverageShare": 1.0,
+        "RLS.Conditioning": 12.0,
+        "RLS.SuggestedU": 80.0,
+        "RLS.SuggestedDp": 100.0,
         "RLS.SampleCount": 2**40,
         "RLS.Status": 0,
         "Inverse.RequiredU": 42.0,

@@ -142,3 +142,14 @@ def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identif
     after = identification.lane("Valvistor", "RLS").scatter
     assert after.cells.tobytes() == before.cells.tobytes()
     assert after.multiple == before.multiple
+
+
+def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification):
+    identification.take_samples(0, plant(1000))
+    assert identification.result(0).estimators["RLS"].survey is None
+    identification.refresh_maps()
+    for result in identification.result(0).estimators.values():
+        assert result.survey.std.shape == (10, 10)
+        assert np.nanmin(result.survey.age_s) >= 0.0
+        assert 0.5 < result.survey.share <= 1.0
+        assert 0.0 <= result.survey.suggested_U <= 100.0
