@@ -226,6 +226,19 @@ class Auto:
         play = _shape(state, CHAMPION).play
         return np.array([memory.follow(u, play, scalars) for u in U], np.float64)
 
+    def approached(self, state: AutoState, U: Floats) -> Floats:
+        """U (N,) that brings the valve to where U in the middle of the hysteresis would hold it.
+
+        From where the valve stands now: through its play in the direction it has to go. Less than
+        an eighth of the loop is no reason to move.
+        """
+        last, play = float(state.scalars[memory.LAST_U]), _shape(state, CHAMPION).play
+        if not play or math.isnan(last):
+            return U
+        way = U - (last - play * float(state.scalars[memory.TOWARDS]))
+        moved = np.clip(U + np.copysign(play, way), 0.0, 100.0)
+        return np.where(np.abs(way) < play / 4.0, last, moved)
+
     def parameters(self, state: AutoState) -> tuple[Floats, Floats]:
         """Q at the 55 points and its standard deviation."""
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))

@@ -38,7 +38,12 @@ class HasSurface(Protocol):
 
 
 def invert(
-    estimator: Estimator[S], state: S, Q: ArrayLike, dp: ArrayLike, T: ArrayLike
+    estimator: Estimator[S],
+    state: S,
+    Q: ArrayLike,
+    dp: ArrayLike,
+    T: ArrayLike,
+    direction: ArrayLike = 0.0,
 ) -> Inversion:
     """Control voltage that delivers the demanded flow, at N points at once.
 
@@ -50,6 +55,9 @@ def invert(
     Q, dp, T : (N,) or scalar
         Demanded flow in l/min, pressure drop in bar, oil temperature in °C (NaN where unknown:
         harmless to a map that does not depend on it).
+    direction : (N,) or scalar
+        Where U comes from, if the map has a hysteresis: 1 from below, -1 from above, 0 in the
+        middle of the loop. Other maps do not mind.
 
     Returns
     -------
@@ -73,9 +81,11 @@ def invert(
                 nodes = np.array(structure.T, np.float64)
                 found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
             case _ if isinstance(estimator, HasSurface):
-                knots_U, knots_s, nodes, theta, _ = estimator.surface(state)
+                knots_U, knots_s, nodes, theta, play = estimator.surface(state)
                 warm = np.where(np.isfinite(temperature), temperature, T_REFERENCE)
                 found = _invert_spline(knots_U, knots_s, nodes, theta, demand, drop, warm)
+                lag = play * np.broadcast_to(np.asarray(direction, np.float64), demand.shape)
+                found = _on_branch(found, lag)
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
         std, lacking = _spread(estimator, state, np.nan_to_num(found.U), drop, temperature)
@@ -145,6 +155,19 @@ def _invert_spline(
     theta = np.ascontiguousarray(theta)
     kernel.invert(knots_U, knots_s, nodes, theta, Q, dp, T, U, unclipped, slope, status)
     return _Found(U, unclipped, slope, status)
+
+
+def _on_branch(found: _Found, lag: Floats) -> _Found:
+    """The map lags by ``lag`` (%) behind U: U leads by as much, as far as its range reaches."""
+    led = found.unclipped + lag
+    moved = (lag != 0.0) & (found.status <= InverseStatus.BELOW_REACH) & np.isfinite(led)
+    reach = _select((led > U_MAX, InverseStatus.ABOVE_REACH), (led < 0, InverseStatus.BELOW_REACH))
+    return _Found(
+        U=np.where(moved, np.clip(led, 0.0, U_MAX), found.U),
+        unclipped=np.where(moved, led, found.unclipped),
+        slope=found.slope,
+        status=np.where(moved, reach, found.status).astype(np.uint8),
+    )
 
 
 def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats) -> _Found:

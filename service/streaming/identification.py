@@ -168,12 +168,7 @@ class Identification:
 
     def required_U(self) -> Floats:
         """The answers to the standing demands, one per valve; NaN where there is none."""
-        return np.array(
-            [
-                pipeline.demanded(plan, state, state.demand_Q, state.demand_dp, np.nan).U[0]
-                for plan, state in self._pairs()
-            ]
-        )
+        return np.array([pipeline.required(*pair)[0] for pair in self._pairs()])
 
     def checkpoints(self) -> list[Checkpoint]:
         """Every estimator's state as bytes."""

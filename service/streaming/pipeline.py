@@ -8,7 +8,7 @@ import numpy as np
 
 from service.identification.estimator import Estimator, State, key_of
 from service.identification.inverse_map import inverse_table, invert
-from service.identification.inversion import Inversion
+from service.identification.inversion import InverseStatus, Inversion
 from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
 from service.identification.scatter import TWO_SIDED_95, Scatter
@@ -48,6 +48,9 @@ class PathDependent(Protocol):
         direction: Floats,
     ) -> tuple[Floats, Floats]:
         """Flow and standard deviation, l/min, at N points of given directions."""
+
+    def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
+        """U (N,) that brings the valve from where it is to where U holds it."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +157,13 @@ def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
 def inverse_result(plan: ValvePlan, state: ValveState, table: Floats) -> InverseResult:
     """Answer to the standing demand; ``table`` is what :func:`inverse_map` gave."""
     lane = state.lanes[plan.inverse]
-    answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
+    U, answer = required(plan, state)
     status = Status.WARMING_UP if lane.status is None else lane.status
     return InverseResult(
         t=lane.t,
         quality=_QUALITY[status],
-        required_U=float(answer.U[0]),
-        status=int(answer.status[0]),
+        required_U=U,
+        status=answer,
         map_U=table,
     )
 
@@ -170,6 +173,15 @@ def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
     lane = state.lanes[plan.inverse]
     axes = np.array(plan.map_Q), np.array(plan.map_dp)
     return inverse_table(lane.estimator, lane.state, *axes, state.T)
+
+
+def required(plan: ValvePlan, state: ValveState) -> tuple[float, InverseStatus]:
+    """U for the standing demand, hysteresis passed through, and its status."""
+    answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
+    lane, U = state.lanes[plan.inverse], answer.U
+    if answer.status[0] == InverseStatus.OK and isinstance(lane.estimator, PathDependent):
+        U = lane.estimator.approached(lane.state, U)
+    return float(U[0]), InverseStatus(int(answer.status[0]))
 
 
 def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) -> Inversion:

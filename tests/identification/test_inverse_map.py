@@ -9,11 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from service.identification.auto import Auto
 from service.identification.estimator import State
+from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus
+from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import FiveTerms, Polynomial, TensorSpline
+from service.identification.radial_basis import RadialBasis
+from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.rising import Rising
 from service.identification.samples import Floats, Samples, Trace
 
 Q_MAX = 200.0
@@ -325,3 +331,94 @@ def test_a_spline_that_does_not_span_all_of_U_is_searched():
 def test_no_points_are_no_trouble():
     for estimator in (five_terms(), KnownMap(_eq_7)):
         assert len(invert(estimator, STATE, [], [], []).U) == 0
+
+
+GRID = np.linspace(0.0, 100.0, 65)
+LEARNERS = {
+    "eq. (7)": RecursiveLeastSquares(),
+    "eq. (7), adaptive": RecursiveLeastSquares(forgetting=Adaptive()),
+    "maximum likelihood": MaximumLikelihood(),
+    "rising eq. (7)": Rising(RecursiveLeastSquares()),
+    "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4), Adaptive()),
+    "rising spline": Rising(RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
+    "spline with temperature": RecursiveLeastSquares(TensorSpline.uniform(4, 3, T=(30.0, 50.0))),
+    "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
+    "network": RbfNetwork(),
+    "polynomial of third order": RecursiveLeastSquares(Polynomial.of_order(3)),
+    "auto": Auto(),
+}
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """Every structure, taught by a valve with dead band, saturation and noise."""
+    rng = np.random.default_rng(5)
+    U, dp, T = rng.uniform(0, 100, 6000), rng.uniform(0, 200, 6000), rng.uniform(25, 55, 6000)
+    Q = dead_band_and_saturation(U, dp, T) * (1 + 0.001 * (T - 40)) + 0.4 * rng.normal(size=6000)
+    samples = Samples.of(np.arange(6000), U, dp, 0 * dp, Q, T)
+    return {name: e.update(e.initial_state(), samples)[0] for name, e in LEARNERS.items()}
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_whatever_was_learnt_the_inverse_delivers_or_says_why_not(name, learnt):
+    estimator, state = LEARNERS[name], learnt[name]
+    rng = np.random.default_rng(6)
+    Q, dp, T = rng.uniform(-20, 220, 400), rng.uniform(0.5, 200, 400), rng.uniform(25, 55, 400)
+    answer = invert(estimator, state, Q, dp, T)
+    ok = answer.status == InverseStatus.OK
+    assert 0.2 < ok.mean() < 0.9
+    delivered = estimator.predict(state, answer.U[ok], dp[ok], T[ok])[0]
+    np.testing.assert_allclose(delivered, Q[ok], rtol=0, atol=1e-9 * Q_MAX)
+    levels = np.stack([estimator.predict(state, np.full(400, U), dp, T)[0] for U in GRID])
+    highest, lowest = levels.max(axis=0), levels.min(axis=0)
+    assert (answer.status[highest + 1e-9 < Q] != InverseStatus.OK).mean() > 0.99
+    above, below = (answer.status == s for s in InverseStatus if s.name.endswith("REACH"))
+    assert (Q[above] >= highest[above] - 1e-9).all()
+    assert (Q[below] <= lowest[below] + 1e-9).all()
+    assert (answer.U[above] == 100.0).all()
+    assert (answer.U[below] == 0.0).all()
+    rises = ((levels[:-1] < Q - 1e-6) & (levels[1:] > Q + 1e-6)).any(axis=0)
+    assert ok[rises].all()
+
+
+@pytest.fixture(scope="module")
+def hysteretic():
+    """`Auto`, taught by a valve whose U lags by 2 %."""
+    rng = np.random.default_rng(8)
+    n = 12_000
+    U = 50.0 + 50.0 * np.sin(np.arange(n) / 60.0) * rng.uniform(0.5, 1, n // 200).repeat(200)
+    held = np.empty(n)
+    last = U[0]
+    for i, u in enumerate(U):
+        last = held[i] = min(max(last, u - 1.0), u + 1.0)
+    dp = 100.0 + 90.0 * np.sin(np.arange(n) / 37.3)
+    Q = 0.12 * held * np.sqrt(dp) + 0.2 * rng.normal(size=n)
+    auto = Auto()
+    samples = Samples.of(np.arange(n), U, dp, 0 * dp, Q, np.full(n, 40.0))
+    return auto, auto.update(auto.initial_state(), samples)[0]
+
+
+@pytest.mark.parametrize("direction", [-1.0, 0.0, 1.0])
+def test_on_either_branch_of_a_hysteresis_the_inverse_delivers(hysteretic, direction):
+    auto, state = hysteretic
+    assert "hysteresis" in auto.describe(state)
+    rng = np.random.default_rng(9)
+    Q, dp, T = rng.uniform(5, 110, 200), rng.uniform(20, 180, 200), np.full(200, 40.0)
+    answer = invert(auto, state, Q, dp, T, direction)
+    ok = answer.status == InverseStatus.OK
+    assert 0.3 < ok.mean() < 1.0
+    d = np.full(int(ok.sum()), direction)
+    delivered, _ = auto.predict_along(state, answer.U[ok], dp[ok], T[ok], d)
+    np.testing.assert_allclose(delivered, Q[ok], rtol=0, atol=1e-9 * Q_MAX)
+    ends = auto.predict_along(state, np.full(200, 100.0), dp, T, np.full(200, direction))[0]
+    assert (answer.status[ends + 1e-6 < Q] == InverseStatus.ABOVE_REACH).all()
+
+
+def test_the_way_to_a_place_leads_through_the_play_and_none_leads_to_where_the_valve_is(hysteretic):
+    auto, state = hysteretic
+    play = auto.surface(state).play
+    stands = float(state.scalars[0] - play * state.scalars[1])
+    goals = np.array([stands - 5.0, stands - play / 8, stands + play / 8, stands + 5.0])
+    U = auto.approached(state, goals)
+    np.testing.assert_allclose(U[[0, 3]], goals[[0, 3]] + [-play, play])
+    assert (U[1:3] == state.scalars[0]).all()
