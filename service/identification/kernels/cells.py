@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.surface import T_REFERENCE, Surface, value
 from service.identification.samples import Floats, Status
 
@@ -36,7 +36,7 @@ _OK, _WARMING_UP, _UNEXCITED = int(Status.OK), int(Status.WARMING_UP), int(Statu
 _REJECTED, _HELD = int(Status.REJECTED), int(Status.HELD)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def run(
     start: int,
     U: Floats,
@@ -92,13 +92,13 @@ def run(
     return len(U)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def is_due(counters: np.ndarray) -> bool:
     """Whether enough samples, or enough new cells, came in for a new fit."""
     return bool(counters[USED] >= counters[NEXT_FIT] or counters[NEW_CELLS] <= 0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def follow(U: float, play: float, scalars: Floats) -> float:
     """Direction of U from -1 (falling) to 1 (rising); to turn it takes a way of twice the play."""
     last: float = scalars[LAST_U]
@@ -108,7 +108,7 @@ def follow(U: float, play: float, scalars: Floats) -> float:
     return towards
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def place(U: float, s: float, T: float, direction: float) -> int:
     """Which cell a point falls into; those of both directions stand side by side.
 
@@ -122,13 +122,13 @@ def place(U: float, s: float, T: float, direction: float) -> int:
     return ((in_U * CELLS_S + in_s) * CELLS_T + in_T) * 2 + rising
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratch: Floats) -> float:
     at, knots_U, knots_s = U - surface.play * direction, surface.knots_U, surface.knots_s
     return value(knots_U, knots_s, surface.nodes_T, surface.theta, at, s, T, scratch)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _compare(
     model: Surface,
     cell: Floats,
@@ -167,13 +167,13 @@ def _compare(
     return taken
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _know_noise(error: float, scalars: Floats) -> None:
     scalars[NOISE_WEIGHT] = min(scalars[NOISE_WEIGHT] + 1.0, NOISE_MEMORY)
     scalars[NOISE] += (error**2 - scalars[NOISE]) / scalars[NOISE_WEIGHT]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _watch(z: float, scalars: Floats) -> None:
     """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
     clipped = min(max(z, -FAR), FAR)
@@ -182,7 +182,7 @@ def _watch(z: float, scalars: Floats) -> None:
     scalars[WILDER] = max(0.0, scalars[WILDER] + abs(clipped) - WILD)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _learn(
     cell: Floats, longest: float, U: float, s: float, T: float, direction: float, Q: float
 ) -> None:
@@ -195,7 +195,7 @@ def _learn(
     cell[MEAN_Q] += (Q - cell[MEAN_Q]) / weight
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _open(cells: Floats, scalars: Floats, counters: np.ndarray) -> None:
     """Open the memory: the valve has changed, what was learnt stays as a faint prior."""
     for i in range(len(cells)):

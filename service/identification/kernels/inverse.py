@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from service.identification.inversion import InverseStatus
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.spline import basis, hats
 from service.identification.samples import Floats
 
@@ -20,7 +20,7 @@ _OK, _ABOVE, _BELOW = (
 _NOT_MONOTONE, _UNIDENTIFIED = int(InverseStatus.NOT_MONOTONE), int(InverseStatus.UNIDENTIFIED)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert(
     knots_U: Floats,
     knots_s: Floats,
@@ -92,7 +92,7 @@ def invert(
             status[i] = _NOT_MONOTONE
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def variances(
     knots_U: Floats,
     knots_s: Floats,
@@ -131,7 +131,7 @@ def variances(
         out[i] = total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _section(
     knots_s: Floats, nodes_T: Floats, theta: Floats, dp: float, T: float, along: Floats
 ) -> float:
@@ -152,7 +152,7 @@ def _section(
     return size
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _power_forms(knots: Floats) -> tuple[Floats, np.ndarray]:
     """For each span that is not empty: the matrix (4, 4) from its coefficients to powers of t."""
     n = len(knots) - 4
@@ -178,7 +178,7 @@ def _power_forms(knots: Floats) -> tuple[Floats, np.ndarray]:
     return forms, spans
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _powers(forms: Floats, spans: np.ndarray, along: Floats, k: int, cubic: Floats) -> None:
     for p in range(4):
         total = 0.0
@@ -187,13 +187,13 @@ def _powers(forms: Floats, spans: np.ndarray, along: Floats, k: int, cubic: Floa
         cubic[p] = total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _at(cubic: Floats, t: float) -> float:
     total: float = cubic[0] + t * (cubic[1] + t * (cubic[2] + t * cubic[3]))
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _turns(cubic: Floats) -> tuple[float, float]:
     """Where the cubic turns round, ascending, clipped to [0, 1]."""
     a, b, c = 3.0 * cubic[3], cubic[2], cubic[1]
@@ -206,7 +206,7 @@ def _turns(cubic: Floats) -> tuple[float, float]:
     return min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _extremes(cubic: Floats, highest: float, lowest: float) -> tuple[float, float]:
     first, second = _turns(cubic)
     for t in (0.0, first, second, 1.0):
@@ -215,7 +215,7 @@ def _extremes(cubic: Floats, highest: float, lowest: float) -> tuple[float, floa
     return highest, lowest
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _rise(cubic: Floats, Q: float, tolerance: float) -> float:
     """Smallest t in [0, 1] at which the cubic rises through Q; -1 if there is none."""
     first, second = _turns(cubic)
@@ -229,7 +229,7 @@ def _rise(cubic: Floats, Q: float, tolerance: float) -> float:
     return -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _root(cubic: Floats, Q: float, tolerance: float, low: float, high: float) -> float:
     """Newton's method between low (below Q) and high (above Q), bisection where it leaves them."""
     t = 0.5 * (low + high)

@@ -7,9 +7,9 @@ where RML predicts worse than it for long, RML starts again from there.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import covariance, project, rank_one
 from service.identification.kernels.stability import is_stable
 from service.identification.samples import Codes, Floats, Status
@@ -35,6 +35,7 @@ LARGEST_RESULT = 1e100  # beyond it the state itself has left the range of numbe
 HALVINGS = 12
 FADING = 0.01
 PATIENCE = 200  # samples before RML may be judged against plain RLS
+LOUDER = 4.0  # growth of the noise variance after which d's prior is drawn in
 TOO_BAD = 1.5  # times the mean square of plain RLS
 ROUNDING = 1e-14  # relative to the terms of a sum
 
@@ -81,7 +82,7 @@ class _Scratch(NamedTuple):
     work: Floats
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def run(
     memory: Memory,
     rule: Rule,
@@ -146,7 +147,7 @@ def run(
                 history[t, j] = memory.theta[j]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def learn(memory: Memory, rows: Floats, values: Floats) -> None:
     """Take a structure's prior in: pseudo-samples row·theta = value, no samples."""
     n, ns = len(memory.theta), rows.shape[1]
@@ -167,7 +168,7 @@ def learn(memory: Memory, rows: Floats, values: Floats) -> None:
         rank_one(memory.rls_factor, f[:ns], scratch.work, 1.0, 1.0, 1.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, shares: Floats) -> None:
     """Write Xᵀ·theta, its variance over σ², and that over the variance before any sample (N,)."""
     n, ns = len(memory.theta), X.shape[1]
@@ -186,12 +187,12 @@ def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, share
             variances[t] = _spread_along(memory.spread, x, scratch.Sh)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _scratch(n: int) -> _Scratch:
     return _Scratch(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _take(to: Floats, values: Floats) -> None:
     """Copy a matrix; ``to[:] = values`` takes numba five seconds to compile."""
     for i in range(to.shape[0]):
@@ -199,7 +200,7 @@ def _take(to: Floats, values: Floats) -> None:
             to[i, j] = values[i, j]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _dot(a: Floats, b: Floats, n: int) -> float:
     total = 0.0
     for j in range(n):
@@ -207,7 +208,7 @@ def _dot(a: Floats, b: Floats, n: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
     """Y - hᵀtheta; 0 where it is rounding, or the noise model would learn the rounding."""
     total = y
@@ -219,7 +220,7 @@ def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
     return total if abs(total) > ROUNDING * magnitude else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _push(memory: Memory, d: Floats, c: int, value: float) -> None:
     """Shift a value into channel c, and value/D(q) into its filtered twin."""
     raw, filtered = memory.raw, memory.filtered
@@ -233,7 +234,7 @@ def _push(memory: Memory, d: Floats, c: int, value: float) -> None:
     filtered[c, 0] = through
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
     """Fill h and h_f from the channels: lags of -y, of the inputs, of the residual."""
     q = 0
@@ -246,7 +247,7 @@ def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
         sign = 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _step(
     memory: Memory,
     rule: Rule,
@@ -274,6 +275,12 @@ def _step(
     r = project(memory.factor, hf, f, Ph)
     share[t] = r / before if before > 0.0 else 0.0
     e = _rest(h, theta, n, y)  # the a-priori innovation
+    if nd > 0 and memory.prior[ns] > 0.0:
+        variance = monitor[VARIANCE]
+        variance += (e * e / (1.0 + r) - variance) / (monitor[WEIGHT] + 1.0)
+        if memory.prior[ns] * variance > LOUDER * 10.0 * NOISE_PRIOR:
+            _draw_noise_in(memory, scratch, ns, NOISE_PRIOR / variance)
+            r = project(memory.factor, hf, f, Ph)
 
     ramp, lam = monitor[RAMP], rule.lam
     holds = not _may_grow(memory.factor, memory.prior, ramp * lam)
@@ -304,13 +311,15 @@ def _step(
     _forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
 
     rls_e = _rest(h, memory.rls_theta, ns, y)
-    monitor[POWER] += FADING * (e * e - monitor[POWER])
-    monitor[RLS_POWER] += FADING * (rls_e * rls_e - monitor[RLS_POWER])
-    monitor[OUTPUT_POWER] += FADING * (y * y - monitor[OUTPUT_POWER])
     before = 0.0
     for j in range(ns):
         before += memory.prior[j] * h[j] * h[j]
     r = project(memory.rls_factor, h[:ns], f, Ph)
+    # Where plain RLS itself knows nothing, neither is judged.
+    trust = 1.0 / (1.0 + r)
+    monitor[POWER] += FADING * (trust * e * e - monitor[POWER])
+    monitor[RLS_POWER] += FADING * (trust * rls_e * rls_e - monitor[RLS_POWER])
+    monitor[OUTPUT_POWER] += FADING * (trust * y * y - monitor[OUTPUT_POWER])
     lam = rule.lam if _may_grow(memory.rls_factor, memory.prior, rule.lam) else 1.0
     for j in range(ns):
         memory.rls_theta[j] += rls_e / (lam + r) * Ph[j]
@@ -330,7 +339,7 @@ def _step(
     return _OK if known and not (holds and rule.lam < 1.0) else _UNEXCITED
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _let_noise_in(memory: Memory, ns: int) -> None:
     """Give d its prior variance, in units of the noise variance that is known by now."""
     variance = min(NOISE_PRIOR / memory.monitor[VARIANCE], BOUNDLESS)
@@ -340,7 +349,20 @@ def _let_noise_in(memory: Memory, ns: int) -> None:
         memory.spread[j, j] = variance
 
 
-@njit(cache=True, error_model="numpy")
+@inner
+def _draw_noise_in(memory: Memory, scratch: _Scratch, ns: int, variance: float) -> None:
+    """Give d the smaller prior variance of a noise that turns out to be louder."""
+    information = 1.0 / variance - 10.0 / memory.prior[ns]
+    for j in range(ns, len(memory.theta)):
+        memory.prior[j] = 10.0 * variance
+        scratch.work[:] = 0.0
+        scratch.work[j] = 1.0
+        project(memory.factor, scratch.work, scratch.f, scratch.Ph)
+        rank_one(memory.factor, scratch.f, scratch.work, 1.0, information, 1.0)
+    _take(memory.spread, covariance(memory.factor))
+
+
+@inner
 def _variance(factor: Floats, i: int) -> float:
     """P[i, i]."""
     total = float(factor[i, i])
@@ -349,7 +371,7 @@ def _variance(factor: Floats, i: int) -> float:
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _may_grow(factor: Floats, prior: Floats, lam: float) -> bool:
     """Whether P/λ stays below the prior: else nothing is forgotten, for ever bounded."""
     if lam < 1.0:
@@ -359,7 +381,7 @@ def _may_grow(factor: Floats, prior: Floats, lam: float) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _forget(
     factor: Floats, kind: int, lam: float, ramp: float, scratch: _Scratch, r: float, before: float
 ) -> None:
@@ -374,7 +396,7 @@ def _forget(
         rank_one(factor, f, scratch.work, ramp * lam, 1.0, 1.0 / (ramp * lam))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _largest_share(memory: Memory, ns: int) -> float:
     """Largest variance of a parameter of the structure over that before any sample."""
     largest = 0.0
@@ -383,7 +405,7 @@ def _largest_share(memory: Memory, ns: int) -> float:
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
     """S·x from the lower triangle of S, and xᵀ·S·x."""
     for j in range(len(x)):
@@ -394,7 +416,7 @@ def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
     return max(_dot(x, Sx, len(x)), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> None:
     """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, whatever the gain L."""
     c = gain * gain * (1.0 + q)
@@ -403,7 +425,7 @@ def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> 
             S[j, i] += c * Px[j] * Px[i] - gain * (Px[j] * Sx[i] + Sx[j] * Px[i])
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
     """Start again from plain RLS where RML is lost, from nothing where that is lost too."""
     monitor, nd = memory.monitor, len(memory.theta) - len(memory.rls_theta)
@@ -429,7 +451,7 @@ def _watch(memory: Memory, after: float, status: Codes, t: int) -> None:
         _restart(memory)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _restart(memory: Memory) -> None:
     """Take theta and P of plain RLS over, without a noise model."""
     ns, monitor = len(memory.rls_theta), memory.monitor

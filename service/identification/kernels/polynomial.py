@@ -3,14 +3,14 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 FACTORS = ("U", "s", "|s|", "dp", "|dp|", "T", "nu")
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def products(
     U: Floats, dp: Floats, T: Floats, exponents: np.ndarray, walther: tuple[float, float]
 ) -> Floats:
@@ -35,7 +35,7 @@ def products(
     return rows
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _viscosity(T: float, walther: tuple[float, float]) -> float:
     """Kinematic viscosity in mm²/s, ASTM D341: lg lg(nu + 0.7) = a - b·lg(T in K)."""
     a, b = walther

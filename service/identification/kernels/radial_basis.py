@@ -3,14 +3,14 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 TAIL = 5
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def rows(
     U: Floats, dp: Floats, centres_U: Floats, centres_s: Floats, width_U: float, width_s: float
 ) -> Floats:
@@ -33,7 +33,7 @@ def rows(
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _gaussians(centres: Floats, width: float, x: float, value: Floats) -> None:
     for j in range(len(centres)):
         z = (x - centres[j]) / width

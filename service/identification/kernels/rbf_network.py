@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import kernel
 from service.identification.samples import Codes, Floats
 
 # Elements of ``monitor``.
@@ -21,7 +21,7 @@ LOG_WIDTH_BOUNDS = (-3.9, 1.1)  # b from 0.02 to 3 ranges
 FADING = 1e-3
 
 
-@njit(cache=True)
+@kernel
 def update(
     y: Floats,
     x: Floats,
@@ -86,7 +86,7 @@ def update(
         status[t] = WARMING_UP if monitor[COUNT] < 4 * m else OK
 
 
-@njit(cache=True)
+@kernel
 def evaluate(
     x: Floats,
     w: Floats,

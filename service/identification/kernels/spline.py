@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def basis(knots: Floats, x: float, value: Floats, slope: Floats) -> int:
     """Fill ``value`` and ``slope`` (4,) and give the index of the first of the four functions.
 
@@ -44,7 +44,7 @@ def basis(knots: Floats, x: float, value: Floats, slope: Floats) -> int:
     return low - 3
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _slopes(knots: Floats, span: int, quadratic: Floats, slope: Floats) -> None:
     before = 0.0
     for r in range(3):
@@ -54,7 +54,7 @@ def _slopes(knots: Floats, span: int, quadratic: Floats, slope: Floats) -> None:
     slope[3] = before
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def hats(nodes: Floats, x: float, value: Floats) -> int:
     """Fill ``value`` (2,) for linear interpolation between nodes; extrapolated along the ends."""
     n = len(nodes)
@@ -69,7 +69,7 @@ def hats(nodes: Floats, x: float, value: Floats) -> int:
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def tensor_rows(
     U: Floats,
     dp: Floats,

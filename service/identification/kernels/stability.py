@@ -1,12 +1,12 @@
 """Where the roots of D(q) = 1 + d1·q⁻¹ + … + dm·q⁻ᵐ lie."""
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import kernel
 from service.identification.samples import Floats
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def is_stable(d: Floats, radius: float) -> bool:
     """Whether all roots of zᵐ + d1·zᵐ⁻¹ + … + dm lie inside ``radius`` (Schur and Cohn)."""
     m = len(d)
@@ -31,7 +31,7 @@ def is_stable(d: Floats, radius: float) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def root_margins(d: Floats) -> Floats:
     """1 - max|root of D| for each of N polynomials, rows of ``d`` (N, m), to 1e-9."""
     margins = np.ones(len(d))

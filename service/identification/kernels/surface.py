@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.spline import basis, hats
 from service.identification.samples import Floats
 
@@ -35,7 +35,7 @@ class Surface(NamedTuple):
     play: float
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def value(
     knots_U: Floats,
     knots_s: Floats,
@@ -61,7 +61,7 @@ def value(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _border(U: float, s: float, T: float, row: Floats) -> None:
     """Fill the border, behind the spline: eq. (7), then its trend with temperature; all ~1."""
     opening, root, warmth = U / 100.0, s / 10.0, (T - T_REFERENCE) / T_UNIT
@@ -75,7 +75,7 @@ def _border(U: float, s: float, T: float, row: Floats) -> None:
     row[SPLINE_ROW + 7] = warmth * root * abs(root)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fit(
     points: Floats,
     play: float,
@@ -155,7 +155,7 @@ def fit(
     return rss, penalty, n + m - prior_trace
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def misfit(surface: Surface, points: Floats) -> Floats:
     """|Q - Q̂|·√weight of each point (weight, U, s, T, direction, Q)."""
     out, scratch = np.empty(len(points)), np.empty((4, 4))
@@ -168,7 +168,7 @@ def misfit(surface: Surface, points: Floats) -> Floats:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def evaluate(
     knots_U: Floats,
     knots_s: Floats,
@@ -195,7 +195,7 @@ def evaluate(
         variance[i] = spread(knots_U, knots_s, inverse, mixed, corner, point, scratch)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def spread(
     knots_U: Floats,
     knots_s: Floats,
@@ -228,7 +228,7 @@ def spread(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _row(
     point: Floats,
     play: float,
@@ -255,7 +255,7 @@ def _row(
     return first_U * (len(knots_s) - 4) + first_s
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _add_row(
     x: Floats,
     weight: float,
@@ -283,12 +283,12 @@ def _add_row(
             rhs[here] += weighted_Q * value_here
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _border_ridge(column: int) -> float:
     return BORDER_RIDGE if column < FIVE_TERMS else TREND_RIDGE
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _add_prior(information: Floats, rough_U: Floats, rough_s: Floats) -> None:
     n_U, n_s = len(rough_U), len(rough_s)
     for i in range(n_U):
@@ -301,7 +301,7 @@ def _add_prior(information: Floats, rough_U: Floats, rough_s: Floats) -> None:
                 information[here, j - k] += rough_s[j, k]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _prior_terms(
     rough_U: Floats, rough_s: Floats, theta: Floats, inverse: Floats, mixed: Floats, corner: Floats
 ) -> tuple[float, float]:
@@ -330,7 +330,7 @@ def _prior_terms(
     return penalty, trace
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _inverse_at(inverse: Floats, mixed: Floats, spread_out: Floats, i: int, k: int) -> float:
     """Element (i, k), i - k within the band, of the whole inverse's spline block."""
     total: float = inverse[i, i - k]
@@ -339,7 +339,7 @@ def _inverse_at(inverse: Floats, mixed: Floats, spread_out: Floats, i: int, k: i
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _solve(
     information: Floats,
     C: Floats,
@@ -384,7 +384,7 @@ def _solve(
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _factorise(A: Floats) -> bool:
     """Cholesky in place; A[i, k] is element (i, i - k)."""
     n, band = A.shape
@@ -402,7 +402,7 @@ def _factorise(A: Floats) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _substitute(L: Floats, x: Floats) -> None:
     """Solve L·Lᵀ·x = x in place."""
     n, band = L.shape
@@ -416,7 +416,7 @@ def _substitute(L: Floats, x: Floats) -> None:
             x[i - k] -= L[i, k] * x[i]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _invert_band(L: Floats, Z: Floats) -> None:
     """Elements of (L·Lᵀ)⁻¹ within the band: Takahashi's equations."""
     n, band = L.shape
@@ -431,7 +431,7 @@ def _invert_band(L: Floats, Z: Floats) -> None:
             Z[i, i - j] = total / L[j, 0]
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _invert(A: Floats) -> bool:
     """Invert a small symmetric positive matrix in place, Gauss and Jordan on its diagonal."""
     n = len(A)
