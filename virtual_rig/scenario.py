@@ -19,7 +19,7 @@ from virtual_rig.excitation import (
     Verification,
     low_discrepancy_points,
 )
-from virtual_rig.faults import Fault
+from virtual_rig.faults import Fault, FaultKind
 from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters
 from virtual_rig.sensors import Sensors
@@ -104,6 +104,16 @@ BUILTIN: Mapping[str, Scenario] = MappingProxyType(
                 description="U from outside (UCommand), against a load that is swept in 20 s.",
                 excitation=External(p2_low_bar=20, p2_high_bar=180),
             ),
+            Scenario(
+                name="feedforward",
+                description="Three equal valves, U from outside; damaged for 40 s, then hot oil.",
+                excitation=External(sweep_s=40, p2_low_bar=20, p2_high_bar=140),
+                valves=tuple(ValveBench(name=n) for n in ("Valvistor", "FixedMap", "FrozenEq7")),
+                faults=(
+                    Fault(kind=FaultKind.DAMAGE, start_s=20, size=-30, duration_s=40),
+                    Fault(kind=FaultKind.TEMPERATURE_RAMP, start_s=75, size=20, duration_s=2),
+                ),
+            ),
         )
     }
 )
@@ -124,7 +134,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     >>> load_scenario("circus")
     Traceback (most recent call last):
     virtual_rig.scenario.ScenarioError: circus: no such file, nor built in: demo, structured, \
-scattered, verification, cycle, external
+scattered, verification, cycle, external, feedforward
     """
     if str(name_or_path) in BUILTIN:
         return BUILTIN[str(name_or_path)]

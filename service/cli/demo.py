@@ -7,18 +7,22 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import typer
+from pydantic import SecretStr
 from rich.console import Console
 from rich.live import Live
+from rich.table import Table
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
 from service.app.serve import serve, stop_on_signal
 from service.app.warm_up import warm_up
+from service.cli import feedforward
 from service.cli.demo_view import Verdict, status_table, verdict_table
 from service.cli.logs import set_up_logs
+from service.clock import SystemClock
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, StateConfig, ValveConfig
 from service.errors import ServerError
@@ -39,27 +43,69 @@ def demo(
         float | None, typer.Option(min=0.0, metavar="S", help="End after S seconds.")
     ] = None,
     scenario: Annotated[
-        str, typer.Option(metavar="NAME", help="Built-in scenario of the rig, or a TOML file.")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Scenario of the rig, built in or a TOML file; feedforward compares maps.",
+        ),
     ] = "demo",
 ) -> None:
     """Run rig and service, until Ctrl-C."""
     loaded = load_scenario(scenario)
     set_up_logs(LogConfig(level="error"))
     with TemporaryDirectory(prefix="valvemap-demo-") as folder:
-        config = _demo_config(loaded, Path(folder))
+        fed_forward = scenario == feedforward.NAME
+        config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
         console = Console()
         console.print("preparing (the very first start compiles for half a minute) ...")
-        asyncio.run(_demo(config, scenario, loaded, duration, console))
+        run = _feed_forward_demo if fed_forward else _demo
+        asyncio.run(run(config, scenario, loaded, duration, console))
 
 
 async def _demo(
     config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
 ) -> None:
-    stop = asyncio.Event()
-    users, password = UserStore.one_time("operator", Role.OPERATOR)
     identification = build_identification(config)
     view = _View(identification, scenario)
-    settings = ServerSettings(
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    stop = asyncio.Event()
+    with stop_on_signal(stop):
+        compiling = asyncio.ensure_future(asyncio.to_thread(warm_up, config))
+        async with _rig_process(config.source.url, name, password) as rig_url:
+            await compiling
+            serving = asyncio.ensure_future(
+                serve(config, stop, _settings(config, users), identification, view.count)
+            )
+            _say_where(console, config, rig_url, password)
+            await _show(view, console, stop, serving, duration)
+    console.print(verdict_table(view.verdicts()))
+
+
+async def _feed_forward_demo(
+    config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
+) -> None:
+    """Commission, then follow a flow with three maps until the scenario is through."""
+    identification = build_identification(config)
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    writer = {"user": "operator", "password": SecretStr(password)}
+    config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
+    stop = asyncio.Event()
+    with stop_on_signal(stop):
+        await asyncio.to_thread(warm_up, config)
+        await asyncio.to_thread(feedforward.commission, identification, scenario)
+        async with _rig_process(config.source.url, name, password) as rig_url:
+            course = feedforward.Course(identification, SystemClock().now())
+            serving = asyncio.ensure_future(
+                serve(config, stop, _settings(config, users), identification, course.take)
+            )
+            _say_where(console, config, rig_url, password)
+            end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
+            await _show(course, console, stop, serving, end)
+    console.print(course.table())
+
+
+def _settings(config: Config, users: UserStore) -> ServerSettings:
+    return ServerSettings(
         url=config.server.url,
         application_uri=APPLICATION_URI,
         application_name=APPLICATION_NAME,
@@ -67,34 +113,48 @@ async def _demo(
         users=users,
         none_on_loopback=True,
     )
-    with stop_on_signal(stop):
-        compiling = asyncio.ensure_future(asyncio.to_thread(warm_up, config))
-        async with _rig_process(config.source.url, name, password) as rig_url:
-            await compiling
-            serving = asyncio.ensure_future(
-                serve(config, stop, settings, identification, view.count)
-            )
-            console.print(f"rig       {rig_url}")
-            console.print(f"service   {config.server.url}")
-            console.print("security  None, on this machine only; anonymous may look")
-            console.print(f"operator  user operator, password {password}")
-            console.print("Ctrl-C ends it.\n")
-            try:
-                await _show(view, console, stop, serving, duration)
-            finally:
-                stop.set()
-                await serving
-    console.print(verdict_table(view.verdicts()))
+
+
+def _say_where(console: Console, config: Config, rig_url: str, password: str) -> None:
+    console.print(f"rig       {rig_url}")
+    console.print(f"service   {config.server.url}")
+    console.print("security  None, on this machine only; anonymous may look")
+    console.print(f"operator  user operator, password {password}")
+    console.print("Ctrl-C ends it.\n")
+
+
+class _Watched(Protocol):
+    """What can be shown while the demo runs."""
+
+    def table(self) -> Table:
+        """For a terminal."""
+
+    def lines(self) -> list[str]:
+        """For a log."""
 
 
 async def _show(
-    view: "_View",
+    view: _Watched,
     console: Console,
     stop: asyncio.Event,
     serving: "asyncio.Future[None]",
     duration: float | None,
 ) -> None:
-    """Show the state of things every second; where nobody watches, a line now and then."""
+    """Show the state of things every second, where nobody watches a line now and then; then end."""
+    try:
+        await _watch(view, console, stop, serving, duration)
+    finally:
+        stop.set()
+        await serving
+
+
+async def _watch(
+    view: _Watched,
+    console: Console,
+    stop: asyncio.Event,
+    serving: "asyncio.Future[None]",
+    duration: float | None,
+) -> None:
     loop = asyncio.get_running_loop()
     end = None if duration is None else loop.time() + duration
     pause = _REFRESH_S if console.is_terminal else _LINE_S
@@ -108,10 +168,10 @@ async def _show(
             await asyncio.wait(ends, timeout=left, return_when=asyncio.FIRST_COMPLETED)
             stopped.cancel()
             if console.is_terminal:
-                live.update(status_table(view.identification, view.verdicts()), refresh=True)
+                live.update(view.table(), refresh=True)
             else:
-                for verdict in view.verdicts():
-                    console.print(verdict.line())
+                for line in view.lines():
+                    console.print(line, soft_wrap=True)
 
 
 class _View:
@@ -128,6 +188,14 @@ class _View:
     def count(self, valve: str, samples: Samples) -> None:
         """Count samples as they are identified from."""
         self._samples[valve] += len(samples)
+
+    def table(self) -> Table:
+        """The state of things."""
+        return status_table(self.identification, self.verdicts())
+
+    def lines(self) -> list[str]:
+        """A line per valve."""
+        return [verdict.line() for verdict in self.verdicts()]
 
     def verdicts(self) -> list[Verdict]:
         """Compare every estimator's map with the truth."""
@@ -157,14 +225,19 @@ def _best_fit(points: VerificationPoints) -> float:
     return float(np.sqrt(np.mean((points.Q - X @ batch_least_squares(X, points.Q)) ** 2)))
 
 
-def _demo_config(scenario: Scenario, folder: Path) -> Config:
+def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:
     """Fit the default configuration to the scenario's valves, open on loopback, state apart."""
     config = load_config()
-    source = config.source.model_copy(update={"security": "None", "startup_timeout_s": 30.0})
+    update = {"security": "None", "startup_timeout_s": 30.0}
+    if fed_forward:
+        update["publishing_interval_ms"] = 1000.0 * feedforward.INTERVAL_S
+    source = config.source.model_copy(update=update)
     valves = tuple(
         ValveConfig(name=bench.name, nodes=NodesConfig.of_rig(bench.name))
         for bench in scenario.valves
     )
+    if fed_forward:
+        valves = feedforward.valves()
     state = StateConfig(file=folder / "state.sqlite")
     return config.model_copy(update={"source": source, "valves": valves, "state": state})
 

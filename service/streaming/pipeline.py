@@ -179,7 +179,8 @@ def required(plan: ValvePlan, state: ValveState) -> tuple[float, InverseStatus]:
     """U for the standing demand, hysteresis passed through, and its status."""
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
-    if answer.status[0] == InverseStatus.OK and isinstance(lane.estimator, PathDependent):
+    moving = answer.status[0] == InverseStatus.OK and not lane.frozen
+    if moving and isinstance(lane.estimator, PathDependent):
         U = lane.estimator.approached(lane.state, U)
     return float(U[0]), InverseStatus(int(answer.status[0]))
 

@@ -16,7 +16,9 @@ from virtual_rig.valvistor import Valvistor
 EXAMPLES = Path(__file__).parents[2] / "config" / "scenarios"
 
 
-@pytest.mark.parametrize("name", ["structured", "scattered", "verification", "cycle", "external"])
+@pytest.mark.parametrize(
+    "name", ["structured", "scattered", "verification", "cycle", "external", "feedforward"]
+)
 def test_the_example_file_is_the_built_in_scenario(name):
     assert load_scenario(EXAMPLES / f"{name}.toml") == BUILTIN[name]
 
