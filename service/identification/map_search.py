@@ -18,6 +18,7 @@ BAND: Final = 3 * MOST_S + 4
 RICH: Final = {"cells": 20, "axis": 2}
 LEAST_GAIN: Final = 0.1
 NEVER_BELOW: Final = 1e-5
+FALLING: Final = 0.2  # weight of a fall in the choice
 STARTS: Final = tuple(product((None, 4.0, 8.0, 14.0), (None, 97.0)))
 MOVE, IDLE = 0, 1
 
@@ -32,11 +33,12 @@ class Fit:
     corner: Floats
     rss: float
     penalty: float
+    fall: float
     n_effective: float
 
     def bic(self, sigma_2: float, n_points: int) -> float:
-        """(Σ w·e² + penalty) / σ² + n_effective · ln(points); infinite if it is no number."""
-        misfit = (self.rss + self.penalty) / sigma_2
+        """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
+        misfit = (self.rss + self.penalty + self.fall) / sigma_2
         bic = misfit + self.n_effective * math.log(n_points)
         return bic if math.isfinite(bic) else math.inf
 
@@ -63,7 +65,17 @@ def fit(points: Floats, shape: Shape, top: float) -> Fit:
         mixed[:n],
         corner,
     )
-    return Fit(theta, inverse, mixed, corner, rss, penalty, n_effective)
+    fall = _fall(shape.coefficients(theta, top)[:, :, 0])
+    return Fit(theta, inverse, mixed, corner, rss, penalty, fall, n_effective)
+
+
+def _fall(coefficients: Floats) -> float:
+    """How far the map falls where U rises, (l/min)²: between levels of U nothing else forbids it.
+
+    A valve opens with U; a fall that the samples do show outweighs this.
+    """
+    falls = np.minimum(np.diff(coefficients, axis=0), 0.0).sum(axis=0)
+    return FALLING * float(np.square(falls).sum())
 
 
 def noise(points: Floats, shape: Shape, top: float) -> float:
