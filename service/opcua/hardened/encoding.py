@@ -14,8 +14,8 @@ from asyncua.ua import ua_binary
 TICKS_1970 = 116_444_736_000_000_000  # 100 ns from 1601 to 1970
 _EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 _MICROSECOND = dt.timedelta(microseconds=1)
-_VALUE, _STATUS, _SOURCE, _SERVER, _SOURCE_PS, _SERVER_PS = 1, 2, 4, 8, 16, 32
-_ARRAY = 0x80
+VALUE, STATUS, SOURCE, SERVER = 1, 2, 4, 8  # what a DataValue holds
+ARRAY = 0x80
 
 _FORMATS = {
     ua.VariantType.Boolean: "?",
@@ -30,9 +30,10 @@ _FORMATS = {
     ua.VariantType.Float: "f",
     ua.VariantType.Double: "d",
 }
+DTYPES = {kind: f"<{letter}" for kind, letter in _FORMATS.items()}
 # good value with both times: mask, type, value, source time, server time
 _PLAIN = {kind: struct.Struct(f"<BB{letter}qq") for kind, letter in _FORMATS.items()}
-_PLAIN_MASK = _VALUE | _SOURCE | _SERVER
+_PLAIN_MASK = VALUE | SOURCE | SERVER
 
 DATA_CHANGE = 811
 EVENTS = 916
@@ -102,16 +103,16 @@ def encode_data_value(value: ua.DataValue, stamps: ua.TimestampsToReturn) -> byt
         )
     mask, parts = 0, [b""]
     if variant is not None and variant.VariantType != ua.VariantType.Null:
-        mask |= _VALUE
+        mask |= VALUE
         parts.append(encode_variant(variant))
     if code:
-        mask |= _STATUS
+        mask |= STATUS
         parts.append(code.to_bytes(4, "little"))
     if source is not None and stamps in _WITH_SOURCE:
-        mask |= _SOURCE
+        mask |= SOURCE
         parts.append(ticks(source).to_bytes(8, "little", signed=True))
     if server is not None and stamps in _WITH_SERVER:
-        mask |= _SERVER
+        mask |= SERVER
         parts.append(ticks(server).to_bytes(8, "little", signed=True))
     parts[0] = bytes((mask,))
     return b"".join(parts)
@@ -127,14 +128,18 @@ def encode_variant(variant: ua.Variant) -> bytes:
     if letter is not None and variant.is_array and variant.Dimensions is None:
         values = variant.Value or ()
         return struct.pack(
-            f"<Bi{len(values)}{letter}", variant.VariantType | _ARRAY, len(values), *values
+            f"<Bi{len(values)}{letter}", variant.VariantType | ARRAY, len(values), *values
         )
     return ua_binary.variant_to_binary(variant)
 
 
-def encode_data_changes(records: Sequence[bytes]) -> bytes:
-    """Encode a DataChangeNotification of records: client handle, then value."""
-    body = b"".join((len(records).to_bytes(4, "little"), *records, _NO_DIAGNOSTICS))
+def encode_data_changes(pieces: Sequence[bytes], count: int | None = None) -> bytes:
+    """Encode a DataChangeNotification of records: client handle, then value.
+
+    ``count`` says how many there are if a piece holds more than one.
+    """
+    count = len(pieces) if count is None else count
+    body = b"".join((count.to_bytes(4, "little"), *pieces, _NO_DIAGNOSTICS))
     return _extension_object(DATA_CHANGE, body)
 
 

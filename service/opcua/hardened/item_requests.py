@@ -7,14 +7,17 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 from asyncua.server.monitored_item_service import WhereClauseEvaluator
 
+from service.opcua.hardened.block_items import BlockItem, serves
+from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.data_change import DataChangeFilter, FilterRefused, change_rule
 from service.opcua.hardened.index_range import IndexRangeError, Ranges, parse_index_range
 from service.opcua.hardened.logs import bounded_logger
-from service.opcua.hardened.monitored_item import DataItem, EventItem, Item, Monitoring
+from service.opcua.hardened.monitored_item import DataItem, EventItem, Monitoring
 from service.opcua.hardened.settings import Limits
-from service.opcua.hardened.subscription import Subscription
+from service.opcua.hardened.subscription import Item, Subscription
 
 _log = bounded_logger(__name__)
+Place = tuple[Block, int]
 _Codes = ua.StatusCodes
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
 _MAX_SELECT_CLAUSES = 100
@@ -36,8 +39,9 @@ def data_item(
     number: int,
     request: ua.MonitoredItemCreateRequest,
     stamps: ua.TimestampsToReturn,
-) -> tuple[DataItem, ua.MonitoredItemCreateResult]:
-    """Make an item that monitors an attribute.
+    place: Place | None,
+) -> tuple[DataItem | BlockItem, ua.MonitoredItemCreateResult]:
+    """Make an item that monitors an attribute; ``place`` is the variable's in a block.
 
     Raises
     ------
@@ -49,7 +53,17 @@ def data_item(
     monitoring = _monitoring(
         aspace, limits, subscription, wanted, request.RequestedParameters, stamps
     )
-    item = DataItem(subscription, number, wanted, request.MonitoringMode, monitoring, ranges)
+    item: DataItem | BlockItem
+    if (
+        place
+        and wanted.AttributeId == ua.AttributeIds.Value
+        and ranges is None
+        and serves(place[0], monitoring)
+    ):
+        item = subscription.block_items(place[0]).add(number, wanted, place[1], monitoring)
+        item.set_mode(request.MonitoringMode)
+    else:
+        item = DataItem(subscription, number, wanted, request.MonitoringMode, monitoring, ranges)
     return item, ua.MonitoredItemCreateResult(
         MonitoredItemId=number,
         RevisedSamplingInterval=monitoring.interval_s * 1e3,
@@ -120,11 +134,38 @@ def modified(
     if isinstance(item, EventItem):
         raise ItemRefused(_Codes.BadMonitoredItemFilterUnsupported)
     monitoring = _monitoring(aspace, limits, subscription, item.wanted, asked, stamps)
+    if isinstance(item, BlockItem) and not serves(item.of.block, monitoring):
+        item = one_by_one(aspace, subscription, item)
     item.modify(monitoring)
     return ua.MonitoredItemModifyResult(
         RevisedSamplingInterval=monitoring.interval_s * 1e3,
         RevisedQueueSize=monitoring.queue_size,
     )
+
+
+def watch(aspace: AddressSpace, item: DataItem) -> None:
+    """Let an item hear of changes."""
+    wanted = item.wanted
+    code, handle = aspace.add_datachange_callback(wanted.NodeId, wanted.AttributeId, item)
+    if not code.is_good():
+        raise ItemRefused(code.value)
+    item.callback_handle = handle
+
+
+def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem) -> DataItem:
+    """Serve an item by itself from now on, with all that it has queued."""
+    mode = item.mode
+    queued, reported, since = item.of.release(item)
+    single = DataItem(subscription, item.number, item.wanted, mode, item.monitoring, None)
+    single.adopt(queued, reported)
+    subscription.items[item.number] = single
+    watch(aspace, single)
+    callbacks = aspace[item.wanted.NodeId].attributes[ua.AttributeIds.Value].datachange_callbacks
+    in_order = sorted(callbacks.items(), key=lambda held: getattr(held[1], "number", 0))
+    callbacks.clear()
+    callbacks.update(in_order)  # whoever came first is told first
+    subscription.take_over(single, since)
+    return single
 
 
 def _monitoring(

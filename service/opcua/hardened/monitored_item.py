@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from service.opcua.hardened.index_range import Ranges, select
 if TYPE_CHECKING:
     from service.opcua.hardened.subscription import Subscription
 
-_OVERFLOW = 0x0480  # InfoType DataValue, Overflow (Part 4, 7.39.1)
+OVERFLOW = 0x0480  # InfoType DataValue, Overflow (Part 4, 7.39.1)
 
 
 class _Done:
@@ -30,12 +30,16 @@ _DONE = _Done()
 
 @dataclass
 class Ledger:
-    """What all queues hold and have lost, and among how many sessions the room is shared."""
+    """What all queues hold and have lost, and among how many sessions the room is shared.
+
+    ``moment`` counts changes, so that what changed first is published first.
+    """
 
     capacity: int
     queued: int = 0
     lost: int = 0
     sessions: int = 1
+    moment: int = 0
 
 
 class Holding:
@@ -49,10 +53,20 @@ class Holding:
         self.queued = 0
         self._ledger = ledger
 
+    @property
+    def moment(self) -> int:
+        """Number of the change that is being told of."""
+        return self._ledger.moment
+
     def has_room(self) -> bool:
         """Tell whether one more notification fits."""
+        return self.room() > 0
+
+    def room(self) -> int:
+        """Return how many more notifications fit."""
         ledger = self._ledger
-        return ledger.queued < ledger.capacity or self.queued * ledger.sessions < ledger.capacity
+        share = -(-ledger.capacity // ledger.sessions)
+        return max(ledger.capacity - ledger.queued, share - self.queued)
 
     def add(self, count: int) -> None:
         """Count what was queued, or taken out."""
@@ -186,6 +200,11 @@ class DataItem:
         count = min(most, len(queue))
         self._subscription.holding.add(-count)
         return [handle + encode_data_value(queue.popleft(), stamps) for _ in range(count)]
+
+    def adopt(self, queue: Iterable[ua.DataValue], reported: ua.DataValue | None) -> None:
+        """Take over what was queued and reported for this item before; it is counted already."""
+        self._queue.extend(queue)
+        self._reported = reported
 
     def clear(self) -> None:
         """Forget what is queued."""
@@ -321,9 +340,6 @@ class EventItem:
         self._queue.clear()
 
 
-Item = DataItem | EventItem
-
-
 def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:
     if value.StatusCode is not None and value.StatusCode.is_bad():
         return value
@@ -336,4 +352,4 @@ def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:
 
 def _overflown(value: ua.DataValue) -> ua.DataValue:
     code = value.StatusCode.value if value.StatusCode is not None else 0
-    return dataclasses.replace(value, StatusCode=ua.StatusCode(code | _OVERFLOW))
+    return dataclasses.replace(value, StatusCode=ua.StatusCode(code | OVERFLOW))

@@ -4,9 +4,9 @@ import asyncio
 import dataclasses
 import datetime as dt
 import ipaddress
-from collections.abc import Coroutine, Iterable
+from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 from urllib.parse import urlparse
 
 from asyncua import Server, ua
@@ -14,12 +14,14 @@ from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
+from numpy.typing import ArrayLike
 
 from service.clock import Clock, SystemClock
 from service.errors import CertificateError, ConfigurationError, ServerError
 from service.opcua.hardened import seams
 from service.opcua.hardened.announcements import Announcements
 from service.opcua.hardened.attributes import Attributes
+from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -37,6 +39,7 @@ from service.opcua.hardened.services import Services
 from service.opcua.hardened.session import Sessions
 from service.opcua.hardened.settings import ServerSettings
 from service.opcua.hardened.subscription_service import Subscriptions
+from service.opcua.hardened.telling import tell
 from service.opcua.hardened.view import View
 
 _log = bounded_logger(__name__)
@@ -190,6 +193,51 @@ class HardenedServer:
             data = ua.DataValue(content, ua.StatusCode(code), source_time, server_time)
             self._write_data_value(variable.id, data)
 
+    def add_block(self, variables: Sequence[Variable], length: int | None = None) -> Block:
+        """Keep variables of one type as arrays, to be written by :meth:`write_block`.
+
+        Parameters
+        ----------
+        variables
+            What changes together; each belongs to one block at most.
+        length
+            Length of the variables' values if they are arrays.
+
+        Raises
+        ------
+        ServerError
+            if the variables are not of one type, or no numbers.
+        """
+        aspace, known = self._inside.aspace, self._subscriptions.blocks
+        block = Block(variables, length, aspace, self._subscriptions.ledger)
+        known.update({variable.id: (block, i) for i, variable in enumerate(block.variables)})
+        return block
+
+    def write_block(
+        self,
+        block: Block,
+        values: ArrayLike,
+        source_times: ArrayLike,
+        codes: ArrayLike = ua.StatusCodes.Good,
+        present: ArrayLike | None = None,
+    ) -> None:
+        """Publish k successive samples of a block, as :meth:`write` would one by one.
+
+        Parameters
+        ----------
+        block
+            n variables.
+        values
+            Shape (k, n); (k, n, length) if the variables are arrays.
+        source_times
+            UTC ns, shape (k,) or (k, n).
+        codes
+            StatusCodes, one for all or of shape (k, n). A Bad one drops the value.
+        present
+            Shape (k, n), False where there is no sample; None: all are there.
+        """
+        block.take(block.batch(values, source_times, codes, present, self._clock.now()))
+
     def mark(self, variable: Variable, code: int) -> None:
         """Change the status of a variable's value, keeping value and source time."""
         held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
@@ -198,6 +246,10 @@ class HardenedServer:
             held, StatusCode=ua.StatusCode(code), ServerTimestamp=server_time
         )
         self._write_data_value(variable.id, data)
+
+    def mark_block(self, block: Block, code: int) -> None:
+        """Change the status of a block's values, keeping values and source times."""
+        block.take(block.marked(code, self._clock.now()))
 
     def set_service_level(self, level: int) -> None:
         """Say how well the server can serve: 255 best, 0 not at all."""
@@ -264,14 +316,18 @@ class HardenedServer:
         await self.stop()
 
     def _write_data_value(self, nodeid: ua.NodeId, data: ua.DataValue) -> None:
+        if place := self._subscriptions.blocks.get(nodeid):
+            block, column = place
+            block.take(block.batch_of(column, data))
+            return
         held = self._inside.aspace[nodeid].attributes[ua.AttributeIds.Value]
         held.value = data
         held.value_callback = None
+        ledger = self._subscriptions.ledger
+        ledger.moment += 1
         if held.datachange_callbacks:
-            for handle, callback in list(held.datachange_callbacks.items()):
-                outcome = callback(handle, data)
-                if isinstance(outcome, Coroutine):  # of the server's own session
-                    _drive(outcome)
+            tell(held, data)
+        ledger.moment += 1
 
     def _take_write(self, variable: Variable, value: Value, at: dt.datetime | None) -> None:
         source = self._clock.now() if at is None else nanoseconds(at)
@@ -329,16 +385,6 @@ def _certificate(settings: ServerSettings) -> tuple[x509.Certificate, rsa.RSAPri
     if not isinstance(loaded, rsa.RSAPrivateKey):
         raise CertificateError(f"{own.key}: an RSA key is needed")
     return load_certificate(own.certificate), loaded
-
-
-def _drive(coroutine: Coroutine[Any, Any, Any]) -> None:
-    """Run a coroutine that never waits: the callbacks behind a write only queue."""
-    try:
-        coroutine.send(None)
-    except StopIteration:
-        return
-    coroutine.close()
-    raise RuntimeError("a data change callback waits")
 
 
 def _bracketed(host: str) -> str:

@@ -8,13 +8,13 @@ from typing import Protocol
 
 from asyncua import ua
 
-from service.opcua.hardened.encoding import (
-    encode_data_changes,
-    encode_events,
-    encode_message,
-    encode_status_change,
-)
-from service.opcua.hardened.monitored_item import DataItem, Event, Holding, Item
+from service.opcua.hardened.block_items import BlockItem, BlockItems
+from service.opcua.hardened.blocks import Block
+from service.opcua.hardened.encoding import encode_message, encode_status_change
+from service.opcua.hardened.monitored_item import DataItem, EventItem, Holding
+from service.opcua.hardened.news import News
+
+Item = DataItem | EventItem | BlockItem
 
 _LAST_SEQUENCE = 2**32 - 1
 
@@ -89,7 +89,7 @@ class Subscription:
         self._store = store
         self._utc_ticks = utc_ticks
         self._expired = expired
-        self._news: dict[int, Item] = {}
+        self._news = News()
         self._pending: dict[int, DataItem] = {}
         self._status_changes: list[int] = []
         self._unacknowledged: OrderedDict[int, bytes] = OrderedDict()
@@ -119,7 +119,20 @@ class Subscription:
 
     def has_news(self, item: Item) -> None:
         """Note that an item has something to report."""
-        self._news[item.number] = item
+        self._news.add(item, self.holding.moment)
+
+    def block_items(self, block: Block) -> BlockItems:
+        """Return the items on a block that are served as arrays."""
+        found = self._news.blocks.get(block)
+        if found is None:
+            found = self._news.blocks[block] = BlockItems(self, block)
+            block.watchers.append(found)
+        return found
+
+    def take_over(self, item: DataItem, since: int) -> None:
+        """Note what an item has to report that was served otherwise before (0: nothing)."""
+        if since:
+            self._news.add(item, since)
 
     def has_pending(self, item: DataItem) -> None:
         """Note that an item holds a value back until its sampling time."""
@@ -130,7 +143,7 @@ class Subscription:
         for number in item.links:
             linked = self.items.get(number)
             if linked is not None and len(linked):
-                self._news[number] = linked
+                self.has_news(linked)
 
     def tell_status(self, code: int) -> None:
         """Tell the client of the end of the subscription, or of its transfer."""
@@ -187,9 +200,12 @@ class Subscription:
 
     def forget(self, item: Item) -> None:
         """Drop an item and what it had queued."""
-        item.clear()
+        if isinstance(item, BlockItem):
+            item.of.remove(item)
+        else:
+            item.clear()
         self.items.pop(item.number, None)
-        self._news.pop(item.number, None)
+        self._news.forget(item.number)
         self._pending.pop(item.number, None)
         for other in self.items.values():
             other.links.discard(item.number)
@@ -199,6 +215,8 @@ class Subscription:
         self._timer.cancel()
         for item in self.items.values():
             item.clear()
+        for block, items in self._news.blocks.items():
+            block.watchers.remove(items)
         self._news.clear()
         self._pending.clear()
         self._store.held -= sum(map(len, self._unacknowledged.values()))
@@ -231,26 +249,7 @@ class Subscription:
             return [encode_status_change(self._status_changes.pop(0))]
         if not self.publishing or not self._news:
             return []
-        room = self.timing.notifications_per_publish
-        changes: list[bytes] = []
-        events: list[Event] = []
-        for number, item in list(self._news.items()):
-            if room <= 0:
-                break
-            before = len(item)
-            if isinstance(item, DataItem):
-                changes += item.take(room)
-            else:
-                events += item.take(room)
-            room -= before - len(item)
-            if not len(item):
-                del self._news[number]
-        notifications = []
-        if changes:
-            notifications.append(encode_data_changes(changes))
-        if events:
-            notifications.append(encode_events(events))
-        return notifications
+        return self._news.take(self.timing.notifications_per_publish)
 
     def _keep(self, sequence: int, content: bytes) -> None:
         self._unacknowledged[sequence] = content

@@ -9,16 +9,20 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AddressSpace
 
+from service.opcua.hardened.block_items import BlockItem
 from service.opcua.hardened.item_requests import (
     ItemRefused,
+    Place,
     data_item,
     event_item,
     modified,
+    one_by_one,
+    watch,
 )
 from service.opcua.hardened.logs import bounded_logger
-from service.opcua.hardened.monitored_item import DataItem, EventItem, Item, Ledger
+from service.opcua.hardened.monitored_item import DataItem, EventItem, Ledger
 from service.opcua.hardened.settings import Limits
-from service.opcua.hardened.subscription import RepublishStore, Subscription, Timing
+from service.opcua.hardened.subscription import Item, RepublishStore, Subscription, Timing
 
 if TYPE_CHECKING:
     from service.opcua.hardened.session import Session
@@ -41,6 +45,7 @@ class Subscriptions:
         self._item_numbers = itertools.count(1)
         self._items = 0
         self._watchers: dict[tuple[ua.NodeId, int], dict[int, int]] = {}
+        self.blocks: dict[ua.NodeId, Place] = {}
         self._event_items: dict[ua.NodeId, dict[int, tuple[EventItem, Any, Any]]] = {}
 
     def create(
@@ -207,7 +212,7 @@ class Subscriptions:
             if item is None:
                 codes.append(_Codes.BadMonitoredItemIdInvalid)
                 continue
-            if item.set_mode(params.MonitoringMode) and isinstance(item, DataItem):
+            if item.set_mode(params.MonitoringMode) and not isinstance(item, EventItem):
                 item.start(self._current(item))
             codes.append(_Codes.Good)
         return codes
@@ -221,6 +226,12 @@ class Subscriptions:
         item = subscription.items.get(params.TriggeringItemId)
         if item is None:
             raise ServiceError(_Codes.BadMonitoredItemIdInvalid)
+        for number in params.LinksToAdd or ():  # who is linked needs the order of single samples
+            linked = subscription.items.get(number)
+            if isinstance(linked, BlockItem):
+                one_by_one(self._aspace, subscription, linked)
+        if params.LinksToAdd and isinstance(item, BlockItem):
+            item = one_by_one(self._aspace, subscription, item)
         if not params.LinksToAdd and not params.LinksToRemove:
             raise ServiceError(_Codes.BadNothingToDo)
         result = ua.SetTriggeringResult()
@@ -241,7 +252,7 @@ class Subscriptions:
         """Report the current values of all items again (method ResendData)."""
         subscription = self._owned(session, number)
         for item in subscription.items.values():
-            if isinstance(item, DataItem):
+            if not isinstance(item, EventItem):
                 item.repeat(self._current(item))
 
     def items_of(self, session: "Session", number: int) -> list[tuple[int, int]]:
@@ -313,14 +324,14 @@ class Subscriptions:
         try:
             if wanted.AttributeId == ua.AttributeIds.EventNotifier:
                 return self._create_event_item(subscription, number, request)
-            item, result = data_item(self._aspace, limits, subscription, number, request, stamps)
+            place = self.blocks.get(wanted.NodeId)
+            item, result = data_item(
+                self._aspace, limits, subscription, number, request, stamps, place
+            )
         except ItemRefused as refused:
             return _refused(refused.code)
-        code, item.callback_handle = self._aspace.add_datachange_callback(
-            wanted.NodeId, wanted.AttributeId, item
-        )
-        if not code.is_good():
-            return _refused(code.value)
+        if isinstance(item, DataItem):
+            watch(self._aspace, item)
         self._keep(subscription, item)
         if item.mode != ua.MonitoringMode.Disabled:
             item.start(self._current(item))
@@ -363,13 +374,13 @@ class Subscriptions:
     def _forget(self, subscription: Subscription, item: Item) -> None:
         if isinstance(item, DataItem):
             self._aspace.delete_datachange_callback(item.callback_handle)
-        else:
+        elif isinstance(item, EventItem):
             self._event_items[item.wanted.NodeId].pop(item.number, None)
         subscription.forget(item)
         self._items -= 1
         self._watch(subscription.owner, item, -1)
 
-    def _current(self, item: DataItem) -> ua.DataValue:
+    def _current(self, item: Item) -> ua.DataValue:
         return self._aspace.read_attribute_value(item.wanted.NodeId, item.wanted.AttributeId)
 
     def _transfer(
