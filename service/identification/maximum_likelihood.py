@@ -162,6 +162,11 @@ class MaximumLikelihood:
         known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
         return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
 
+    def covariance(self, state: MaximumLikelihoodState) -> Floats:
+        """Covariance (n, n) of the structure's parameters."""
+        n = len(self._scale)
+        return _parameter_covariance(state)[:n, :n] / np.outer(self._scale, self._scale)
+
     def information(self, state: MaximumLikelihoodState) -> Floats:
         """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
         n = len(self._scale)
@@ -412,7 +417,8 @@ def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
     """Covariance of theta (n, n), an upper bound until theta is determined."""
     over = covariance(state.factor)
     if state.monitor[kernel.DETERMINED] > 0:
-        over = state.spread + np.tril(state.spread, -1).T
+        lower = np.tril(state.spread)  # what lies above the diagonal is no part of it
+        over = lower + np.tril(lower, -1).T
     with np.errstate(all="ignore"):
         return np.asarray(_noise_variance(state) * over)
 

@@ -145,6 +145,10 @@ class RecursiveLeastSquares:
             np.maximum(np.diag(parameter_covariance(state, self.forgetting)), 0.0)
         )
 
+    def covariance(self, state: RlsState) -> Floats:
+        """Covariance of theta (n, n); NaN while not determined."""
+        return parameter_covariance(state, self.forgetting)
+
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n); singular while theta is not determined."""
         return information(state)

@@ -94,6 +94,10 @@ class Rising:
         """Theta under the constraint, and its standard deviations without it."""
         return self._theta(state), self.estimator.parameters(state)[1]
 
+    def covariance(self, state: RlsState) -> Floats:
+        """Covariance (n, n) of theta without the constraint."""
+        return self.estimator.covariance(state)
+
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n) of the free recursion."""
         return self.estimator.information(state)

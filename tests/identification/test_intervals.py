@@ -6,7 +6,10 @@ import pytest
 from service.identification.auto import Auto
 from service.identification.forgetting import Adaptive, Directional, Exponential, Subspace
 from service.identification.inverse_map import invert
-from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.maximum_likelihood import (
+    MaximumLikelihood,
+    recursive_maximum_likelihood,
+)
 from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork
@@ -176,3 +179,18 @@ def test_nothing_measured_is_nothing_known_and_nonsense_is_passed_over():
     after = scatter.add(samples, trace)
     assert np.isfinite(after.cells).all()
     assert after.weights.sum() == 1.0
+
+
+def test_the_covariance_of_maximum_likelihood_is_that_of_its_predictions():
+    estimator = MaximumLikelihood()
+    state, _ = estimator.update(estimator.initial_state(), recording(eq_7, 1, 2000, 0.5))
+    C = estimator.covariance(state)
+    assert np.array_equal(C, C.T)
+    U, dp = np.array([10.0, 50.0, 90.0]), np.array([5.0, 100.0, 150.0])
+    X = FiveTerms().regressors(U, dp, dp)
+    std = estimator.predict(state, U, dp, dp)[1]
+    np.testing.assert_allclose(np.sqrt(np.einsum("ij,jk,ik->i", X, C, X)), std, rtol=1e-9)
+    y = np.random.default_rng(0).normal(size=500)
+    found = recursive_maximum_likelihood(y[1:], y[:-1], na=1, nb=1, nd=1).covariance
+    assert np.array_equal(found, found.T)
+    assert np.linalg.eigvalsh(found).min() > 0.0

@@ -1,0 +1,159 @@
+import json
+
+import numpy as np
+import pytest
+
+from service.errors import StorageError
+from service.identification.auto import Auto
+from service.identification.forgetting import Adaptive, Exponential
+from service.identification.inverse_map import invert
+from service.identification.linear_map import LinearMap
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.model_structures import Polynomial, TensorSpline
+from service.identification.radial_basis import RadialBasis
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.rising import Rising
+from service.identification.samples import Quality, Samples, Status
+from service.identification.scatter import Scatter
+from service.storage.models import load_model, save_model
+
+ESTIMATORS = {
+    "eq. (7)": RecursiveLeastSquares(forgetting=Adaptive()),
+    "exponential": RecursiveLeastSquares(forgetting=Exponential(0.99)),
+    "polynomial": RecursiveLeastSquares(Polynomial(terms=("s", "U*s", "dp*nu^-1"))),
+    "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4), Adaptive()),
+    "kinked spline": RecursiveLeastSquares(
+        TensorSpline((0, 30, 100), (0, 7, 15), (20, 60), 8.0, 91.0, at_rest="zero")
+    ),
+    "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
+    "rising": Rising(RecursiveLeastSquares(TensorSpline.uniform(4, 3))),
+    "maximum likelihood": MaximumLikelihood(),
+    "network": RbfNetwork(),
+    "auto": Auto(),
+}
+
+
+def recording(n=3000):
+    rng = np.random.default_rng(2)
+    U, dp, T = rng.uniform(0, 100, n), rng.uniform(1, 200, n), rng.uniform(25, 55, n)
+    Q = 2.0 * np.clip(U - 8.0, 0, 80) * np.sqrt(dp / 200) * (1 + 0.001 * (T - 40))
+    return Samples.of(np.arange(n), U, dp, 0 * dp, Q + 0.4 * rng.normal(size=n), T)
+
+
+def taught(estimator):
+    samples = recording()
+    state, trace = estimator.update(estimator.initial_state(), samples)
+    return state, Scatter.none().add(samples, trace)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_loaded_model_predicts_and_inverts_as_the_saved_one(name, tmp_path):
+    estimator = ESTIMATORS[name]
+    state, scatter = taught(estimator)
+    file = tmp_path / "model.json"
+    save_model(file, "V1", name, estimator, state, scatter, t=7, T=41.5)
+    model = load_model(file)
+    assert (model.valve, model.name, model.t, model.T) == ("V1", name, 7, 41.5)
+    assert model.noise_std == scatter.noise_std
+    assert np.array_equal(model.samples, scatter.weights)
+    rng = np.random.default_rng(3)
+    U, dp, T = rng.uniform(0, 100, 200), rng.uniform(1, 200, 200), rng.uniform(25, 55, 200)
+    before = estimator.predict(state, U, dp, T)
+    after = model.estimator.predict(model.state, U, dp, T)
+    np.testing.assert_allclose(after[0], before[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(after[1], before[1], rtol=1e-6)
+    Q = rng.uniform(0, 150, 200)
+    mine, its = invert(estimator, state, Q, dp, T), invert(model.estimator, model.state, Q, dp, T)
+    assert np.array_equal(mine.status, its.status)
+    np.testing.assert_allclose(its.U, mine.U, atol=1e-8)
+    np.testing.assert_allclose(its.lower, mine.lower, atol=1e-4)
+
+
+def test_the_file_says_what_it_holds_in_physical_units(tmp_path):
+    estimator = ESTIMATORS["eq. (7)"]
+    state, scatter = taught(estimator)
+    save_model(tmp_path / "m.json", "V1", "RLS", estimator, state, scatter)
+    document = json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))
+    assert (document["format"], document["version"]) == ("valvemap-model", 1)
+    assert document["units"] == {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
+    assert list(document["parameters"]) == ["a1", "a2", "a3", "a4", "a5"]
+    theta, std = estimator.parameters(state)
+    assert list(document["parameters"].values()) == theta.tolist()
+    np.testing.assert_allclose(np.sqrt(np.diag(document["map"]["covariance"])), std)
+    assert np.shape(document["region"]["samples"]) == (10, 12)
+    assert document["temperature"] is None
+
+
+@pytest.mark.parametrize("name", ["eq. (7)", "maximum likelihood", "auto"])
+def test_what_is_not_determined_yet_is_not_saved(name, tmp_path):
+    estimator = ESTIMATORS[name]
+    state = estimator.initial_state()
+    with pytest.raises(StorageError, match=r"m\.json: V1\.X is not saved: .* not determined yet"):
+        save_model(tmp_path / "m.json", "V1", "X", estimator, state, Scatter.none())
+    assert not (tmp_path / "m.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
+        ("version", 2, r"version: Input should be 1, not 2"),
+        ("format", "other", r"format: Input should be 'valvemap-model', not 'other'"),
+        ("units", {"U": "V"}, r"units are \{'U': 'V'\}; .* is allowed"),
+        ("noise_std", "much", r"noise_std: .* not 'much'"),
+        ("extra", 1, r"extra: Extra inputs are not permitted"),
+        ("map.theta", [1.0], r"map: theta has 1 numbers; 5 are allowed"),
+        ("map.covariance", [[1.0]], r"map: covariance: 5 rows of 5 numbers are allowed"),
+        ("map.structure.terms", ["U^x"], r"map.*U\^x"),
+        ("map.kind", "magic", r"map: .*linear"),
+        ("map.theta", [1e999] * 5, r"map\.theta\.0: .* finite"),
+    ],
+)
+def test_a_mistake_in_a_model_is_one_line_with_file_field_and_what_is_allowed(
+    field, value, sentence, tmp_path
+):
+    file = tmp_path / "m.json"
+    estimator = ESTIMATORS["eq. (7)"]
+    save_model(file, "V1", "RLS", estimator, *taught(estimator))
+    document = json.loads(file.read_text(encoding="utf-8"))
+    *path, last = field.split(".")
+    place = document
+    for key in path:
+        place = place[key]
+    place[last] = value
+    file.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(StorageError, match=sentence) as raised:
+        load_model(file)
+    assert str(raised.value).startswith(f"{file}: ")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b"null"])
+def test_what_is_no_model_is_refused_in_one_line(content, tmp_path):
+    file = tmp_path / "m.json"
+    file.write_bytes(content)
+    with pytest.raises(StorageError, match=r"m\.json: ") as raised:
+        load_model(file)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_cannot_be_written_or_read_is_named(tmp_path):
+    estimator = ESTIMATORS["eq. (7)"]
+    with pytest.raises(StorageError, match=r"nowhere"):
+        save_model(tmp_path / "nowhere" / "m.json", "V", "R", estimator, *taught(estimator))
+    with pytest.raises(StorageError, match=r"m\.json: no such file"):
+        load_model(tmp_path / "m.json")
+
+
+def test_a_loaded_map_never_learns(tmp_path):
+    estimator = ESTIMATORS["eq. (7)"]
+    state, scatter = taught(estimator)
+    save_model(tmp_path / "m.json", "V", "R", estimator, state, scatter)
+    model = load_model(tmp_path / "m.json")
+    assert isinstance(model.estimator, LinearMap)
+    samples = recording(10)
+    samples.quality[3] = Quality.BAD
+    after, trace = model.estimator.update(model.state, samples)
+    assert after is model.state
+    assert trace.status.tolist() == [Status.FROZEN] * 3 + [Status.REJECTED] + [Status.FROZEN] * 6
+    assert np.isnan(model.estimator.initial_state().theta).all()
