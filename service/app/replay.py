@@ -36,7 +36,8 @@ class EstimatorReport:
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
     inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
     spread of measurements about the map of late, ``covered`` the share of the samples tried that
-    lay within their 95 % interval, ``survey`` what the map does not know.
+    lay within their 95 % interval, ``survey`` what the map does not know, ``T`` (°C) the oil
+    temperature measured last.
     """
 
     lane: Lane
@@ -49,6 +50,7 @@ class EstimatorReport:
     noise_std: float
     covered: float
     survey: Survey
+    T: float
 
 
 Report = Mapping[str, Mapping[str, EstimatorReport]]
@@ -221,6 +223,7 @@ def _report(
             noise_std=result.noise_std,
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
             survey=pipeline.survey_of(valve.plan, valve.state, name),
+            T=valve.state.T,
         )
     return report
 

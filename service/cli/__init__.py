@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from service.cli import demo, replay, report, rig, security, serve
+from service.cli import demo, invert, replay, report, rig, security, serve
 from service.errors import ValvemapError
 from virtual_rig.scenario import ScenarioError
 
@@ -23,6 +23,8 @@ app.command()(demo.demo)
 app.command()(rig.rig)
 app.command()(serve.serve)
 app.command()(replay.replay)
+app.command()(invert.invert)
+app.command()(invert.export)
 app.command()(report.report)
 app.command()(serve.record)
 app.command()(serve.check_config)

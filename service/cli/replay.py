@@ -27,11 +27,18 @@ def replay(
     json_out: Annotated[
         Path | None, typer.Option("--json", metavar="OUT", help="Write all figures as JSON.")
     ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL", help="Save the map (FILE.json), or every map in a folder, for later."
+        ),
+    ] = None,
     plot: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw what was identified (PNG).")
     ] = None,
 ) -> None:
     """Identify from recordings, as live."""
+    from service.app.models import save_models
     from service.app.replay import as_json
     from service.app.replay import replay as run
     from service.report.replay_plots import ReplayPlots
@@ -63,6 +70,9 @@ def replay(
     console.print(_trust_table(report))
     if json_out is not None:
         write_json(json_out, as_json(report))
+    if save is not None:
+        for written in save_models(save, report):
+            console.print(f"written: {written}")
     if plots is not None:
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         for written in plots.write(lanes):

@@ -14,12 +14,10 @@ from service.identification.estimator import Estimator, State
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.kernels import inverse as kernel
 from service.identification.kernels.surface import T_REFERENCE, Surface
+from service.identification.linear_map import LinearMap
 from service.identification.model_structures import Polynomial, Structure, TensorSpline
 from service.identification.monotone_search import search
-from service.identification.recursive_least_squares import (
-    RecursiveLeastSquares,
-    parameter_covariance,
-)
+from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Codes, Floats
 
 U_MAX: Final = 100.0
@@ -186,10 +184,10 @@ def _spread(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Standard deviation of Q̂, infinite where unknown, and whether T is what is missing."""
     match estimator, getattr(estimator, "structure", None):
-        case RecursiveLeastSquares(), TensorSpline() as structure if (
+        case RecursiveLeastSquares() | LinearMap(), TensorSpline() as structure if (
             not structure.T or np.isfinite(T).all()
         ):
-            covariance = parameter_covariance(state, estimator.forgetting)
+            covariance = np.ascontiguousarray(estimator.covariance(state))
             nodes, variance = np.array(structure.T, np.float64), np.empty_like(U)
             kernel.variances(
                 *structure.knots, nodes, covariance, structure.held, U, dp, T, variance

@@ -1,0 +1,233 @@
+"""Exported tables: the C compiles without a warning and says what the service says."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from service.errors import ConfigurationError, StorageError
+from service.identification.auto import Auto
+from service.identification.inverse_map import invert
+from service.identification.inversion import InverseStatus
+from service.identification.linear_map import LinearMap, LinearMapState
+from service.identification.lookup_table import OUTSIDE, LookupTable, lookup_table
+from service.identification.model_structures import FiveTerms, TensorSpline
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Samples
+from service.storage.lookup_tables import as_c, as_csv, as_structured_text, write_table
+
+ESTIMATORS = {
+    "eq. (7)": RecursiveLeastSquares(),
+    "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4)),
+    "network": RbfNetwork(),
+    "auto": Auto(),
+}
+
+
+def dead_band(U, dp):
+    return 2.0 * np.clip(U - 6.0, 0, 90) * np.sqrt(dp / 200)
+
+
+@pytest.fixture(scope="module", params=ESTIMATORS)
+def exported(request):
+    estimator = ESTIMATORS[request.param]
+    rng = np.random.default_rng(4)
+    U, dp = rng.uniform(0, 100, 5000), rng.uniform(1, 200, 5000)
+    Q = dead_band(U, dp) + 0.3 * rng.normal(size=5000)
+    samples = Samples.of(np.arange(5000), U, dp, 0 * dp, Q, np.full(5000, 40.0))
+    state, _ = estimator.update(estimator.initial_state(), samples)
+    return estimator, state, lookup_table(estimator, state)
+
+
+def compiled(table, folder):
+    """The exported function, compiled with all warnings as errors."""
+    gcc = shutil.which("gcc") or shutil.which("cc")
+    if gcc is None:
+        pytest.skip("no C compiler here")
+    source, library = folder / "map.c", folder / "map.so"
+    write_table(source, table, "Valvistor */ by RLS")
+    options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fPIC", "-shared"]
+    subprocess.run([gcc, *options, source, "-o", library], check=True)
+    function = ctypes.CDLL(str(library)).valvemap_required_U
+    function.argtypes = [ctypes.c_double, ctypes.c_double, ctypes.POINTER(ctypes.c_double)]
+
+    def ask(Q, dp):
+        U = ctypes.c_double(np.nan)
+        status = function(Q, dp, ctypes.byref(U))
+        return U.value, status
+
+    return ask
+
+
+def test_the_compiled_table_is_within_its_stated_error_of_the_services_inverse(exported, tmp_path):
+    estimator, state, table = exported
+    ask = compiled(table, tmp_path)
+    rng = np.random.default_rng(5)
+    Q, dp = rng.uniform(0, 220, 5000), rng.uniform(5, 200, 5000)
+    answers = np.array([ask(*point) for point in zip(Q, dp, strict=True)])
+    U, status = answers[:, 0], answers[:, 1].astype(int)
+    mine, codes = table.interpolate(Q, dp)
+    np.testing.assert_allclose(U, mine, atol=1e-6, equal_nan=True)
+    assert np.mean(status == codes) > 0.999
+    exact = invert(estimator, state, Q, dp, 40.0)
+    both = np.isfinite(U) & np.isfinite(exact.U)
+    assert both.mean() > 0.95
+    assert np.abs(U - exact.U)[both].max() <= table.error_U
+    T = np.full(int(both.sum()), 40.0)
+    flows = [estimator.predict(state, x[both], dp[both], T)[0] for x in (U, exact.U)]
+    assert np.abs(np.subtract(*flows)).max() <= table.error_Q
+    assert table.error_U < 8.0  # a dead band is a jump of that size
+    assert table.error_Q < 2.0
+    inside = both & (exact.lower > 1.0) & (exact.upper < 99.0)
+    assert (status[inside] == InverseStatus.OK).mean() > 0.98
+
+
+def test_outside_the_axes_and_for_no_numbers_the_compiled_table_says_so(exported, tmp_path):
+    _, _, table = exported
+    ask = compiled(table, tmp_path)
+    assert ask(50.0, 1.0)[1] == OUTSIDE
+    assert ask(50.0, 1.0)[0] == pytest.approx(ask(50.0, 5.0)[0])
+    assert ask(1e9, 100.0) == (100.0, InverseStatus.ABOVE_REACH)
+    assert ask(-1e9, 100.0) == (0.0, InverseStatus.BELOW_REACH)
+    for point in ((np.nan, 50.0), (50.0, np.inf), (-np.inf, np.nan)):
+        U, status = ask(*point)
+        assert status == InverseStatus.NOT_FINITE
+        assert np.isnan(U)
+
+
+def test_where_the_map_is_not_known_the_compiled_table_gives_no_U(tmp_path):
+    axis = np.array([0.0, 0.5, 1.0])
+    U = np.array([[0.0, 10.0, 20.0], [50.0, np.nan, 60.0], [90.0, 90.0, 100.0]])
+    table = LookupTable(10 * axis, 0 * axis, np.full(3, 20.0), axis, U, 40.0, 0.1, 0.1)
+    ask = compiled(table, tmp_path)
+    assert ask(5.0, 2.5)[1] == InverseStatus.UNIDENTIFIED
+    assert np.isnan(ask(5.0, 2.5)[0])
+    assert table.interpolate(np.array([5.0]), np.array([2.5]))[1] == [InverseStatus.UNIDENTIFIED]
+
+
+def test_the_csv_reads_back_as_the_table(exported):
+    table = exported[2]
+    lines = as_csv(table, "V").splitlines()
+    rows = [[np.nan if x == "" else float(x) for x in row.split(",")[1:]] for row in lines[2:]]
+    expected = np.vstack([table.dp, table.lowest, table.highest, table.U])
+    np.testing.assert_allclose(rows, expected, rtol=1e-11, atol=1e-9)
+    r = [float(row.split(",")[0].removeprefix("r=")) for row in lines[5:]]
+    np.testing.assert_allclose(r, table.r, rtol=1e-11)
+    assert f"within {table.error_U:.3g} % of U" in lines[1]
+
+
+BLOCKS = ("FUNCTION_BLOCK", "VAR", "IF", "WHILE")
+
+
+def test_the_structured_text_is_well_formed(exported):
+    table = exported[2]
+    text = as_structured_text(table, "Valvistor (* by *) RLS")
+    code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
+    assert "(*" not in code
+    assert "*)" not in code
+    words = re.findall(r"[A-Za-z_]+", code)
+    opens = {"FUNCTION_BLOCK": 1, "VAR": 3, "IF": 6, "WHILE": 2}
+    for block, n in opens.items():
+        starts = [w for w in words if w == block or (block == "VAR" and w.startswith("VAR"))]
+        assert len(starts) == n, block
+        assert words.count(f"END_{block}") == n, block
+    assert words.count("THEN") == words.count("IF") + words.count("ELSIF")
+    assert code.count("(") == code.count(")")
+    assert code.count("[") == code.count("]")
+    declared = {m[1] for m in re.finditer(r"^    (\w+) : ", code, re.MULTILINE)}
+    used = set(re.findall(r"\b(?:[A-Za-z]\w*)\b", code.split("END_VAR")[-1]))
+    keywords = {"IF", "THEN", "ELSE", "ELSIF", "OR", "AND", "DO", "WHILE", "LIMIT"}
+    assert used - keywords - {f"END_{b}" for b in BLOCKS} <= declared
+    for name, values in (
+        ("AxisR", table.r),
+        ("AxisDp", table.dp),
+        ("Lowest", table.lowest),
+        ("Highest", table.highest),
+        ("TableU", table.U.ravel()),
+    ):
+        size, listed = re.search(
+            rf"{name} : ARRAY\[0\.\.(\d+)\] OF LREAL := \[(.*?)\]", code, re.DOTALL
+        ).groups()
+        numbers = [float(x) for x in listed.split(",")]
+        assert int(size) + 1 == len(numbers) == len(values)
+        np.testing.assert_allclose(
+            numbers, np.nan_to_num(values, nan=-1000.0), rtol=1e-8, atol=1e-8
+        )
+        assert all("." in x for x in listed.split(","))
+
+
+def test_the_structured_text_computes_what_the_table_says(exported):
+    """Its body, translated word by word into Python, gives the same U."""
+    table = exported[2]
+    run = as_python(as_structured_text(table, "V"))
+    rng = np.random.default_rng(6)
+    Q, dp = rng.uniform(-5, 220, 300), rng.uniform(2, 220, 300)
+    U, status = table.interpolate(Q, dp)
+    for k in range(300):
+        found = run(float(Q[k]), float(dp[k]))
+        if not np.isnan(U[k]):
+            assert found["U"] == pytest.approx(U[k], abs=1e-6)
+        assert found["Status"] == status[k] or abs(U[k] % 100.0) < 1e-6
+
+
+def as_python(text):
+    """The function block as a Python function, statement by statement."""
+    code = re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL)
+    head, _, body = code.rpartition("END_VAR")
+    arrays = {
+        m[1]: [float(x) for x in m[2].split(",")]
+        for m in re.finditer(r"(\w+) : ARRAY[^=]*:= \[(.*?)\]", head, re.DOTALL)
+    }
+    lines, depth, statement = [], 0, ""
+    for line in body.replace("END_FUNCTION_BLOCK", "").splitlines():
+        statement += " " + line.strip()
+        if not statement.rstrip().endswith((";", "THEN", "DO", "ELSE")):
+            continue
+        s = statement.strip().rstrip(";").replace("<>", "!=").replace(" OR ", " or ")
+        s = s.replace(" AND ", " and ").replace("Status = 0", "Status == 0")
+        statement = ""
+        if s.startswith("END_"):
+            depth -= 1
+            continue
+        depth -= s.startswith(("ELSE", "ELSIF"))
+        s = re.sub(r"^ELSIF (.*) THEN$", r"elif \1:", s)
+        s = re.sub(r"^IF (.*) THEN$", r"if \1:", s)
+        s = re.sub(r"^WHILE (.*) DO$", r"while \1:", s)
+        s = "else:" if s == "ELSE" else s.replace(":=", "=")
+        lines.append("    " * depth + s)
+        depth += s.endswith(":")
+    program = compile("\n".join(lines), "block.st", "exec")
+
+    def run(Q, dp):
+        names = {**arrays, "Q": Q, "dp": dp, "U": np.nan}
+        names["LIMIT"] = lambda low, x, high: min(max(x, low), high)
+        exec(program, names)  # noqa: S102 - our own text
+        return names
+
+    return run
+
+
+def test_a_table_is_written_in_the_form_of_its_name(exported, tmp_path):
+    table = exported[2]
+    for name, start in (("a.csv", "# V;"), ("a.c", "/* V"), ("a.st", "(* V"), ("b.CSV", "# V;")):
+        write_table(tmp_path / name, table, "V")
+        assert (tmp_path / name).read_text(encoding="utf-8").startswith(start)
+    with pytest.raises(ConfigurationError, match=r"a\.xlsx: \.xlsx; \.csv, \.c, \.st are allowed"):
+        write_table(tmp_path / "a.xlsx", table, "V")
+    with pytest.raises(StorageError, match=r"nowhere"):
+        write_table(tmp_path / "nowhere" / "a.c", table, "V")
+    assert as_c(table, "V").count("{") == as_c(table, "V").count("}")
+
+
+def test_a_table_needs_axes_and_a_map():
+    known = LinearMap(FiveTerms()), LinearMapState(np.array([0, 0, 0, 0.1, 0.0]), np.zeros((5, 5)))
+    for wrong in ({"dp_min": 0.0}, {"dp_min": 300.0}, {"points": (1, 5)}):
+        with pytest.raises(ValueError, match="a table of"):
+            lookup_table(*known, **wrong)
+    nothing = LinearMap(FiveTerms())
+    with pytest.raises(ValueError, match="not determined"):
+        lookup_table(nothing, nothing.initial_state())
