@@ -218,9 +218,9 @@ def environment(name):
 def command_line(name):
     import typer.main
 
-    from service.cli import app
+    from service.cli import application
 
-    group = typer.main.get_command(app)
+    group = typer.main.get_command(application())
     command = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in SERVICES[name]["command"]]
     return group.commands[command[0]], command
 

@@ -59,7 +59,7 @@ async def serve(
         at start: of the configuration, the source, the server's address, the stores; at the end:
         if the states cannot be kept.
     """
-    await asyncio.to_thread(warm_up, config)
+    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config))
     clock = SystemClock()
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
@@ -74,6 +74,7 @@ async def serve(
         async with server:
             await live.start()
             log.info("results served", url=server.url)
+            await compiled  # no sample waits for a compiler
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:

@@ -1,47 +1,45 @@
 """The command ``valvemap``: exit code 0, 1 (it could not be done) or 2 (it was asked wrongly)."""
 
+import gc
 import sys
-from typing import Any
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import Any, Final
 
 import typer
 
-from service.cli import demo, invert, replay, report, rig, security, serve
 from service.errors import ValvemapError
-from virtual_rig.scenario import ScenarioError
+
+COMMANDS: Final[Mapping[str, str]] = {
+    "demo": "demo",
+    "rig": "rig",
+    "serve": "serve",
+    "replay": "replay",
+    "invert": "invert",
+    "export": "invert",
+    "report": "report",
+    "record": "serve",
+    "check-config": "serve",
+    "init": "security",
+    "trust": "security",
+    "warm-up": "serve",
+}
+"""Each command and the module that holds it: what others need is not imported, so `serve` starts
+in half the time."""
 
 _UsageError: Any = typer.BadParameter.__base__  # typer exports its children only
-
-app = typer.Typer(
-    name="valvemap",
-    help="Identify hydraulic valves' flow maps online, over OPC UA.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-app.command()(demo.demo)
-app.command()(rig.rig)
-app.command()(serve.serve)
-app.command()(replay.replay)
-app.command()(invert.invert)
-app.command()(invert.export)
-app.command()(report.report)
-app.command()(serve.record)
-app.command()(serve.check_config)
-app.command()(security.init)
-app.command()(security.trust)
-app.command()(serve.warm_up)
 
 
 def main() -> None:
     """Run the command line; a user's mistake is one line, never a traceback."""
+    gc.set_threshold(50_000, 20, 20)  # what imports and address spaces make is no garbage
     sys.exit(run(sys.argv[1:]))
 
 
 def run(arguments: list[str]) -> int:
     """Run one command; return its exit code."""
     try:
-        code = app(arguments, standalone_mode=False)
+        code = application(arguments[:1])(arguments, standalone_mode=False)
     except typer.Exit as end:
         return int(end.exit_code)
     except _UsageError as error:
@@ -49,9 +47,36 @@ def run(arguments: list[str]) -> int:
         return _say(f"{'' if asked_nothing else 'valvemap: '}{error.format_message()}", 2)
     except (KeyboardInterrupt, typer.Abort):
         return _say("valvemap: interrupted", 1)
-    except (ScenarioError, ValvemapError) as error:
+    except Exception as error:
+        if not _is_for_the_user(error):
+            raise
         return _say(f"valvemap: {error}", getattr(error, "exit_code", 2))
     return int(code or 0)
+
+
+def application(asked: Sequence[str] = ()) -> typer.Typer:
+    """The command line with the commands ``asked`` for, with all if one of them is unknown."""
+    app = typer.Typer(
+        name="valvemap",
+        help="Identify hydraulic valves' flow maps online, over OPC UA.",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(lambda: None)  # one command alone keeps its name, too
+    for name in asked if asked and COMMANDS.keys() >= set(asked) else COMMANDS:
+        module = import_module(f"{__name__}.{COMMANDS[name]}")
+        app.command(name)(getattr(module, name.replace("-", "_")))
+    return app
+
+
+def _is_for_the_user(error: Exception) -> bool:
+    if isinstance(error, ValvemapError):
+        return True
+    from virtual_rig.scenario import ScenarioError
+
+    return isinstance(error, ScenarioError)
 
 
 def _say(line: str, code: int) -> int:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import TypeVar, assert_never
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from service.identification.estimator import State
 from service.identification.forgetting import (
@@ -153,7 +152,7 @@ def matrix_P(state: RlsState) -> Floats:
         return np.full_like(state.factor, np.nan)
     if state.counters[recursion.FACTORED]:
         return np.asarray(covariance(state.factor))
-    inverse = solve_triangular(state.factor, np.eye(len(state.theta)))
+    inverse = np.linalg.inv(state.factor)  # of a triangle: no row is ever exchanged
     return np.asarray(inverse @ inverse.T)
 
 

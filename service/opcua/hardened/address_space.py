@@ -7,19 +7,20 @@ import pickle
 import stat
 import sys
 import tempfile
+import zlib
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeManagementService
 from asyncua.server.standard_address_space import standard_address_space
 
 from service.opcua.hardened.logs import bounded_logger
+from service.opcua.hardened.packed_nodes import PackedNodes, pack
 from service.opcua.hardened.users import write_owner_only
 
 _log = bounded_logger(__name__)
-_FORMAT = 1  # raise it when the preparation below changes
+_FORMAT = 2  # raise it when the preparation below changes
 
 
 async def load_standard_address_space(
@@ -34,13 +35,13 @@ async def load_standard_address_space(
     gc_was_enabled = gc.isenabled()
     gc.disable()  # half a million new objects and no garbage: three times faster
     try:
-        nodes = _read(file)
-        if nodes is None:
+        packed = _read(file)
+        if packed is None:
             await asyncio.to_thread(standard_address_space.fill_address_space, management)
             _close_for_writing(aspace)
-            _write(file, aspace._nodes)  # noqa: SLF001 - as AddressSpace.dump does
-        else:
-            aspace._nodes = nodes  # noqa: SLF001 - as AddressSpace.load does
+            packed = pack(aspace._nodes)  # noqa: SLF001 - as AddressSpace.dump does
+            _write(file, packed)
+        aspace._nodes = PackedNodes(packed)  # noqa: SLF001 - as AddressSpace.load does
     finally:
         if gc_was_enabled:
             gc.enable()
@@ -61,24 +62,28 @@ def _file_name() -> str:
     return f"address-space-{version('asyncua')}-{python}-{_FORMAT}.pickle"
 
 
-def _read(file: Path) -> dict[ua.NodeId, Any] | None:
+def _read(file: Path) -> dict[ua.NodeId, bytes] | None:
     if not _ours(file.parent, directory=True) or not _ours(file, directory=False):
         return None
     try:
-        nodes = pickle.loads(file.read_bytes())  # noqa: S301 - only a file of our own, see above
+        content = file.read_bytes()
+        if zlib.crc32(content[4:]) != int.from_bytes(content[:4]):
+            raise ValueError("its checksum is wrong")  # noqa: TRY301 - as any other damage
+        packed = pickle.loads(content[4:])  # noqa: S301 - only a file of our own, see above
     except Exception as error:  # noqa: BLE001 - a damaged pickle raises anything
         _log.warning("%s: damaged, made anew: %s", file, error)
         return None
-    return nodes if isinstance(nodes, dict) else None
+    return packed if isinstance(packed, dict) else None
 
 
-def _write(file: Path, nodes: dict[ua.NodeId, Any]) -> None:
+def _write(file: Path, packed: dict[ua.NodeId, bytes]) -> None:
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _ours(file.parent, directory=True):
             _log.warning("%s: not the user's own folder, nothing is kept there", file.parent)
             return
-        write_owner_only(file, pickle.dumps(nodes, pickle.HIGHEST_PROTOCOL))
+        content = pickle.dumps(packed, pickle.HIGHEST_PROTOCOL)
+        write_owner_only(file, zlib.crc32(content).to_bytes(4) + content)
     except OSError as error:
         _log.warning("%s: cannot be written: %s", file, error.strerror)
 
