@@ -1,14 +1,16 @@
 """What the rig publishes: its nodes, and how a block of samples becomes updates of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
 from service.opcua.hardened import (
     Argument,
+    Block,
     HardenedServer,
     Role,
     Unit,
@@ -18,7 +20,8 @@ from service.opcua.hardened import (
     add_variable,
 )
 from virtual_rig.circuit import largest_drop
-from virtual_rig.faults import FaultKind
+from virtual_rig.faults import SIGNALS, FaultKind
+from virtual_rig.kernels import Floats
 from virtual_rig.scenario import BUILTIN, Scenario, ValveBench
 from virtual_rig.simulation import RigBlock, ValveBlock
 
@@ -29,7 +32,8 @@ StartScenario = Callable[[str], None]
 StopScenario = Callable[[], None]
 InjectFault = Callable[[str, str, float, float], None]
 CommandU = Callable[[str, float], None]
-Update = tuple[Variable, object, int, int]
+Signals = tuple[list[Variable], Variable]  # U, p1, p2, Q, T; sequence
+Updates = list[tuple[Variable, object, int, int]]
 
 
 @dataclass(frozen=True)
@@ -43,39 +47,42 @@ class Actions:
 
 
 @dataclass(frozen=True)
-class ValveNodes:
-    """The variables of one valve."""
+class RigStatus:
+    """How the rig is doing."""
 
-    U: Variable
-    p1: Variable
-    p2: Variable
-    Q: Variable
-    T: Variable
-    sequence: Variable
-    U_command: Variable
-
-    @property
-    def signals(self) -> tuple[tuple[str, Variable], ...]:
-        """The measured signals by their names in a block."""
-        return (
-            ("U", self.U),
-            ("p1", self.p1),
-            ("p2", self.p2),
-            ("Q", self.Q),
-            ("T", self.T),
-        )
-
-
-@dataclass(frozen=True)
-class RigNodes:
-    """The variables of the rig itself and of its valves."""
-
-    scenario: Variable
     sample_count: Variable
     late_ticks: Variable
     lag: Variable
     overflows: Variable
-    valves: Mapping[str, ValveNodes]
+
+    def updates(self, samples: int, late_ticks: int, lag_s: float, lost: int, now: int) -> Updates:
+        """Say it, at ``now`` (UTC ns)."""
+        return [
+            (self.sample_count, samples, GOOD, now),
+            (self.late_ticks, late_ticks, GOOD, now),
+            (self.lag, max(lag_s, 0.0), GOOD, now),
+            (self.overflows, lost, GOOD, now),
+        ]
+
+
+@dataclass(frozen=True)
+class FleetNodes:
+    """What changes in a fleet.
+
+    ``signals`` has the columns U, p1, p2, Q, T of the first valve, then those of the next;
+    ``sequences`` one per valve.
+    """
+
+    status: RigStatus
+    signals: Block
+    sequences: Block
+
+
+@dataclass(frozen=True)
+class RigNodes(FleetNodes):
+    """What changes in a rig."""
+
+    scenario: Variable
 
 
 NOTHING = RigBlock(np.empty(0, np.uint32), np.empty(0, np.int64), {})
@@ -85,7 +92,7 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
     """Add all nodes of the rig below Objects/TestRig."""
     rig = await add_object(server, None, "TestRig", description="Test rig with proportional valves")
     await _add_methods(server, rig, scenario, actions)
-    text, count = ua.VariantType.String, ua.VariantType.UInt32
+    text = ua.VariantType.String
     names = [*dict.fromkeys((scenario.name, *BUILTIN))]
     await add_variable(
         server,
@@ -96,81 +103,51 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
         dimensions=(0,),
         description="Names that StartScenario takes",
     )
-    rate_range = (1.0, 100_000.0)
-    await add_variable(
-        server,
-        rig,
-        "Rig.SampleRate",
-        scenario.sample_rate_hz * scenario.time_factor,
-        unit=Unit.HERTZ,
-        value_range=rate_range,
-        description="Samples per second of real time",
+    status = await _add_status(server, rig, scenario)
+    running = await add_variable(
+        server, rig, "Rig.Scenario", "", type=text, description="Running scenario, or empty"
     )
-    return RigNodes(
-        scenario=await add_variable(
-            server, rig, "Rig.Scenario", "", type=text, description="Running scenario, or empty"
-        ),
-        sample_count=await add_variable(
-            server,
-            rig,
-            "Rig.SampleCount",
-            0,
-            type=ua.VariantType.UInt64,
-            description="Samples published since the start of the server",
-        ),
-        late_ticks=await add_variable(
-            server,
-            rig,
-            "Rig.LateTicks",
-            0,
-            type=count,
-            description="How often samples were published more than 0.1 s late",
-        ),
-        lag=await add_variable(
-            server,
-            rig,
-            "Rig.Lag",
-            0.0,
-            unit=Unit.SECOND,
-            value_range=(0.0, 86_400.0),
-            description="By how much the newest sample was published late",
-        ),
-        overflows=await add_variable(
-            server,
-            rig,
-            "Rig.Overflows",
-            0,
-            type=ua.VariantType.UInt64,
-            description="Notifications that clients lost because their queues were full",
-        ),
-        valves={
-            bench.name: await _add_valve(server, rig, bench, actions) for bench in scenario.valves
-        },
-    )
+    valves = [await _add_valve(server, rig, bench, actions) for bench in scenario.valves]
+    return RigNodes(status, *_blocks(server, valves), scenario=running)
 
 
-def updates(nodes: RigNodes, block: RigBlock, sequence_offset: int) -> list[Update]:
-    """Turn a block into updates, sample by sample; one sample's signals share their time.
+async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[str]) -> FleetNodes:
+    """Add the nodes of many valves that nobody operates, below Objects/TestRig, too."""
+    rig = await add_object(server, None, "TestRig", description="Many valves, from a recording")
+    status = await _add_status(server, rig, scenario)
+    valves = []
+    for name in names:
+        valve = await add_object(server, rig, name, description="Valve from a recording")
+        valves.append(await _add_signals(server, valve, name, scenario.valves[0]))
+    return FleetNodes(status, *_blocks(server, valves))
+
+
+def publish(server: HardenedServer, nodes: RigNodes, block: RigBlock, sequence_offset: int) -> None:
+    """Publish a block; one sample's signals share their time.
 
     A signal that is not present is left out; ``Sequence`` never is.
     """
-    columns = []
-    sequence = ((block.sequence.astype(np.int64) + sequence_offset) % 2**32).tolist()
-    for name, valve in nodes.valves.items():
-        samples = block.valves[name]
-        t = samples.t.tolist()
-        for signal, variable in valve.signals:
-            values = getattr(samples, signal).tolist()
-            status = samples.status[signal].tolist()  # type: ignore[index]
-            present = samples.present[signal].tolist()  # type: ignore[index]
-            columns.append((variable, values, status, present, t))
-        columns.append((valve.sequence, sequence, [GOOD] * len(t), [True] * len(t), t))
-    return [
-        (variable, values[i], status[i], t[i])
-        for i in range(len(block))
-        for variable, values, status, present, t in columns
-        if present[i]
-    ]
+    valves = list(block.valves.values())
+    t = np.stack([valve.t for valve in valves], axis=1)
+    server.write_block(
+        nodes.signals,
+        _columns([getattr(valve, signal) for valve in valves for signal in SIGNALS]),
+        np.repeat(t, len(SIGNALS), axis=1),
+        _columns([valve.status[signal] for valve in valves for signal in SIGNALS]),
+        _columns([valve.present[signal] for valve in valves for signal in SIGNALS]),
+    )
+    sequence = (block.sequence.astype(np.int64) + sequence_offset) % 2**32
+    server.write_block(nodes.sequences, np.repeat(sequence[:, None], len(valves), axis=1), t)
+
+
+def publish_fleet(
+    server: HardenedServer, nodes: FleetNodes, samples: Floats, start: int, t: NDArray[np.int64]
+) -> None:
+    """Publish samples (n, valves, 5), the first of which has the number ``start``."""
+    n, count = samples.shape[:2]
+    server.write_block(nodes.signals, samples.reshape(n, -1), t)
+    sequence = np.arange(start, start + n) % 2**32
+    server.write_block(nodes.sequences, np.repeat(sequence[:, None], count, axis=1), t)
 
 
 def part(block: RigBlock, start: int, stop: int) -> RigBlock:
@@ -190,10 +167,68 @@ def part(block: RigBlock, start: int, stop: int) -> RigBlock:
     return RigBlock(block.sequence[chosen], block.t[chosen], valves)
 
 
+def _blocks(server: HardenedServer, valves: Sequence[Signals]) -> tuple[Block, Block]:
+    return (
+        server.add_block([variable for signals, _ in valves for variable in signals]),
+        server.add_block([sequence for _, sequence in valves]),
+    )
+
+
+def _columns(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    return np.stack(arrays, axis=1)
+
+
 def _cut(column: Any, chosen: slice) -> Any:  # noqa: ANN401 - an array, or arrays by signal
     if isinstance(column, Mapping):
         return {signal: array[chosen] for signal, array in column.items()}
     return column[chosen]
+
+
+async def _add_status(server: HardenedServer, rig: ua.NodeId, scenario: Scenario) -> RigStatus:
+    await add_variable(
+        server,
+        rig,
+        "Rig.SampleRate",
+        scenario.sample_rate_hz * scenario.time_factor,
+        unit=Unit.HERTZ,
+        value_range=(1.0, 100_000.0),
+        description="Samples per second of real time",
+    )
+    return RigStatus(
+        sample_count=await add_variable(
+            server,
+            rig,
+            "Rig.SampleCount",
+            0,
+            type=ua.VariantType.UInt64,
+            description="Samples published since the start of the server",
+        ),
+        late_ticks=await add_variable(
+            server,
+            rig,
+            "Rig.LateTicks",
+            0,
+            type=ua.VariantType.UInt32,
+            description="How often samples were published more than 0.1 s late",
+        ),
+        lag=await add_variable(
+            server,
+            rig,
+            "Rig.Lag",
+            0.0,
+            unit=Unit.SECOND,
+            value_range=(0.0, 86_400.0),
+            description="By how much the newest sample was published late",
+        ),
+        overflows=await add_variable(
+            server,
+            rig,
+            "Rig.Overflows",
+            0,
+            type=ua.VariantType.UInt64,
+            description="Notifications that clients lost because their queues were full",
+        ),
+    )
 
 
 async def _add_methods(
@@ -221,21 +256,9 @@ async def _add_methods(
 
 async def _add_valve(
     server: HardenedServer, rig: ua.NodeId, bench: ValveBench, actions: Actions
-) -> ValveNodes:
+) -> Signals:
     name, circuit = bench.name, bench.circuit
     valve = await add_object(server, rig, name, description="Proportional valve on its bench")
-
-    async def signal(last: str, unit: Unit, high: float, description: str) -> Variable:
-        low = -0.05 * high  # noise around zero is no error
-        return await add_variable(
-            server,
-            valve,
-            f"{name}.{last}",
-            None,
-            unit=unit,
-            value_range=(low, 1.05 * high),
-            description=description,
-        )
 
     reach = largest_drop(bench, _REACHABLE_U)
     for last, values, unit, high, description in (
@@ -286,29 +309,48 @@ async def _add_valve(
         required=Role.OPERATOR,
         description="Make something go wrong with this valve, its oil or its sensors",
     )
-    return ValveNodes(
-        U=await signal("U", Unit.PERCENT, 100.0, "Control signal"),
-        p1=await signal("p1", Unit.BAR, circuit.p0_bar, "Pressure before the valve"),
-        p2=await signal("p2", Unit.BAR, circuit.p0_bar, "Pressure behind the valve"),
-        Q=await signal("Q", Unit.LITRE_PER_MINUTE, circuit.Q_pump_l_min, "Flow through the valve"),
-        T=await signal("Temperature", Unit.DEGREE_CELSIUS, 100.0, "Oil temperature"),
-        sequence=await add_variable(
-            server,
-            valve,
-            f"{name}.Sequence",
-            None,
-            type=ua.VariantType.UInt32,
-            description="Number of the sample, modulo 2^32; a jump is a loss",
-        ),
-        U_command=await add_variable(
-            server,
-            valve,
-            f"{name}.UCommand",
-            0.0,
-            unit=Unit.PERCENT,
-            value_range=(0.0, 100.0),
-            writable_by=Role.OPERATOR,
-            on_write=lambda U: actions.command_U(name, U),
-            description="Control signal from outside; taken by the scenario 'external'",
-        ),
+    await add_variable(
+        server,
+        valve,
+        f"{name}.UCommand",
+        0.0,
+        unit=Unit.PERCENT,
+        value_range=(0.0, 100.0),
+        writable_by=Role.OPERATOR,
+        on_write=lambda U: actions.command_U(name, U),
+        description="Control signal from outside; taken by the scenario 'external'",
     )
+    return await _add_signals(server, valve, name, bench)
+
+
+async def _add_signals(
+    server: HardenedServer, valve: ua.NodeId, name: str, bench: ValveBench
+) -> Signals:
+    p0, Q = bench.circuit.p0_bar, bench.circuit.Q_pump_l_min
+    signals = [
+        await add_variable(
+            server,
+            valve,
+            f"{name}.{last}",
+            None,
+            unit=unit,
+            value_range=(-0.05 * high, 1.05 * high),  # noise around zero is no error
+            description=description,
+        )
+        for last, unit, high, description in (
+            ("U", Unit.PERCENT, 100.0, "Control signal"),
+            ("p1", Unit.BAR, p0, "Pressure before the valve"),
+            ("p2", Unit.BAR, p0, "Pressure behind the valve"),
+            ("Q", Unit.LITRE_PER_MINUTE, Q, "Flow through the valve"),
+            ("Temperature", Unit.DEGREE_CELSIUS, 100.0, "Oil temperature"),
+        )
+    ]
+    sequence = await add_variable(
+        server,
+        valve,
+        f"{name}.Sequence",
+        None,
+        type=ua.VariantType.UInt32,
+        description="Number of the sample, modulo 2^32; a jump is a loss",
+    )
+    return signals, sequence

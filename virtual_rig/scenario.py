@@ -35,6 +35,13 @@ class ValveBench(Bench):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")] = "Valvistor"
 
 
+class Fleet(Parameters):
+    """Many valves that play a loop of the first one's recording, each from another place."""
+
+    valves: int = Field(ge=1, le=20_000, description="how many")
+    loop_s: float = Field(default=20.0, gt=0, le=3600, description="length of the recording")
+
+
 class Scenario(Parameters):
     """What runs, how fast, on what valves, seen by what sensors, and what goes wrong."""
 
@@ -48,6 +55,7 @@ class Scenario(Parameters):
     )
     excitation: Excitation = Structured()
     valves: tuple[ValveBench, ...] = Field(default=(ValveBench(),), min_length=1, max_length=100)
+    fleet: Fleet | None = None
     sensors: Sensors = Sensors()
     faults: tuple[Fault, ...] = Field(default=(), max_length=100)
 

@@ -15,7 +15,7 @@ from service.opcua.hardened import (
     SystemClock,
 )
 from virtual_rig.faults import Fault, FaultError, commanded_fault
-from virtual_rig.information_model import GOOD, NOTHING, Actions, RigNodes, add_rig, part, updates
+from virtual_rig.information_model import GOOD, NOTHING, Actions, RigNodes, add_rig, part, publish
 from virtual_rig.scenario import BUILTIN, Scenario
 from virtual_rig.simulation import (
     MOST_FAULTS,
@@ -197,9 +197,7 @@ class RigServer:
         self._leave()
         now = self._clock.now()
         self._server.write([(self._nodes.scenario, "", GOOD, now)])
-        for valve in self._nodes.valves.values():
-            for _, variable in valve.signals:
-                self._server.mark(variable, _UNCERTAIN_LAST_USABLE_VALUE)
+        self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
 
     def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> None:
         """Make something go wrong, within a tenth of a second.
@@ -258,7 +256,7 @@ class RigServer:
 
     def _publish(self, n: int, lag_s: float) -> None:
         samples = part(self._block, self._taken, self._taken + n)
-        self._server.write(updates(self._nodes, samples, self._sequence_offset))
+        publish(self._server, self._nodes, samples, self._sequence_offset)
         self._taken += n
         self._played += n
         self._samples += n
@@ -270,13 +268,7 @@ class RigServer:
 
     def _report(self, lag_s: float) -> None:
         self._report_due = self._clock.monotonic() + _REPORT_S
-        now = self._clock.now()
-        nodes = self._nodes
+        status, lost = self._nodes.status, self._server.counters.lost_notifications
         self._server.write(
-            [
-                (nodes.sample_count, self._samples, GOOD, now),
-                (nodes.late_ticks, self._late_ticks, GOOD, now),
-                (nodes.lag, max(lag_s, 0.0), GOOD, now),
-                (nodes.overflows, self._server.counters.lost_notifications, GOOD, now),
-            ]
+            status.updates(self._samples, self._late_ticks, lag_s, lost, self._clock.now())
         )

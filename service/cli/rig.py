@@ -16,7 +16,8 @@ from service.cli.options import FolderOption
 from service.config.models import LogConfig
 from service.identification.samples import Samples
 from service.opcua.hardened import Pki, Role, ServerSettings, UserStore
-from virtual_rig.scenario import Scenario, load_scenario
+from virtual_rig.fleet_server import FleetServer
+from virtual_rig.scenario import Fleet, Scenario, load_scenario
 from virtual_rig.server import RigServer
 from virtual_rig.simulation import RigBlock, advance, initial
 
@@ -46,6 +47,16 @@ def rig(
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds of rig time.")
     ] = None,
+    valves: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=20_000, metavar="N", help="Play a fleet of N valves from a recording."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=1_000.0, metavar="HZ", help="Samples of each valve per second."),
+    ] = None,
     *,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
@@ -56,6 +67,12 @@ def rig(
     loaded = load_scenario(scenario)
     if duration is not None:
         loaded = loaded.model_copy(update={"duration_s": duration})
+    if rate is not None:
+        loaded = loaded.model_copy(update={"sample_rate_hz": rate})
+    if valves is not None:
+        loaded = loaded.model_copy(update={"fleet": Fleet(valves=valves)})
+    if loaded.fleet is not None and (offline or record is not None):
+        raise typer.BadParameter("a fleet plays a recording, it makes none")
     if offline:
         record_offline(loaded, record)
         return
@@ -120,6 +137,13 @@ async def _serve(
     )
     with ExitStack() as stack:
         stack.enter_context(stop_on_signal(stop))
+        server: RigServer | FleetServer
+        if scenario.fleet is not None:
+            server = await FleetServer.create(settings, scenario)
+            async with server:
+                print(server.url, flush=True)  # noqa: T201 - tells who waits for it
+                await _play(server, stop, until_over=scenario.samples is not None)
+            return
         on_block = None
         if record is not None:
             writer = stack.enter_context(RecordingWriter(record))
@@ -130,14 +154,14 @@ async def _serve(
             await _play(server, stop, until_over=scenario.samples is not None)
 
 
-async def _play(server: RigServer, stop: asyncio.Event, *, until_over: bool) -> None:
+async def _play(server: RigServer | FleetServer, stop: asyncio.Event, *, until_over: bool) -> None:
     playing = asyncio.ensure_future(server.run())
     stopped = asyncio.ensure_future(stop.wait())
     waited_for: set[asyncio.Future[Any]] = {playing, stopped}
     try:
         while not (playing.done() or stopped.done()):
             await asyncio.wait(waited_for, timeout=0.1, return_when=asyncio.FIRST_COMPLETED)
-            if until_over and server.scenario is None:
+            if until_over and isinstance(server, RigServer) and server.scenario is None:
                 break
         if playing.done():
             playing.result()

@@ -9,6 +9,7 @@ from service.errors import (
     StorageError,
     ValvemapError,
 )
+from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.certificates import (
     OwnCertificate,
     Pki,
@@ -19,6 +20,7 @@ from service.opcua.hardened.certificates import (
     thumbprint,
     trust,
 )
+from service.opcua.hardened.insertion import many_nodes
 from service.opcua.hardened.nodes import (
     Argument,
     InvalidArgument,
@@ -37,6 +39,7 @@ from service.opcua.hardened.users import Account, Role, UserStore
 __all__ = [
     "Account",
     "Argument",
+    "Block",
     "CertificateError",
     "Clock",
     "CommandRejected",
@@ -65,6 +68,7 @@ __all__ = [
     "ensure_certificate",
     "expiry_warning",
     "load_certificate",
+    "many_nodes",
     "rejected",
     "thumbprint",
     "trust",

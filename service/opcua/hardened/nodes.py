@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from asyncua import ua
-from asyncua.common.node import Node
 
 from service.errors import CommandRejected, ServerError
+from service.opcua.hardened.insertion import insert, property_item
 from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.units import Unit
 from service.opcua.hardened.users import Role
@@ -376,19 +376,14 @@ def _item(
 
 
 async def _add(server: "HardenedServer", item: ua.AddNodesItem) -> ua.NodeId:
-    (result,) = await server.session.add_nodes([item])
-    if not result.StatusCode.is_good():
-        raise ServerError(
-            f"node {item.RequestedNewNodeId.to_string()}: cannot be added: {result.StatusCode.name}"
-        )
-    return result.AddedNodeId
+    return insert(server.address_space, item)
 
 
 async def _add_property(
     server: "HardenedServer", parent: ua.NodeId, name: str, value: Value
 ) -> None:
     nodeid = ua.NodeId(f"{parent.Identifier}.{name}", server.namespace_index)
-    await Node(server.session, parent).add_property(nodeid, ua.QualifiedName(name, 0), value)
+    insert(server.address_space, property_item(parent, nodeid, name, value))
 
 
 def _variable_type(unit: Unit | None, value_range: Range | None) -> ua.NodeId:

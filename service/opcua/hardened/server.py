@@ -10,6 +10,7 @@ from typing import Self
 from urllib.parse import urlparse
 
 from asyncua import Server, ua
+from asyncua.server.address_space import AddressSpace
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
@@ -133,6 +134,11 @@ class HardenedServer:
     def session(self) -> InternalSession:
         """The server's own session, which may do everything."""
         return self._inside.isession
+
+    @property
+    def address_space(self) -> AddressSpace:
+        """All nodes."""
+        return self._inside.aspace
 
     @property
     def url(self) -> str:
