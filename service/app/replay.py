@@ -1,9 +1,10 @@
 """Replay: recordings through the same pipeline as live data, and a verdict at the end."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,6 +24,8 @@ from service.streaming.pipeline import Lane, ValvePlan, ValveState
 from service.streaming.score import Score
 
 BEST_FIT = "eq. (7), batch LSM"
+
+T = TypeVar("T")
 
 Progress = Callable[[Path, float], None]
 Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
@@ -231,9 +234,18 @@ def _report(
 def _read(file: Path, progress: Progress) -> Iterator[tuple[str, Samples]]:
     with read_recording(file) as recording:
         progress(file, 0.0)
-        for name, samples in recording:
+        for name, samples in _one_ahead(recording):
             yield name, samples
             progress(file, recording.fraction)
+
+
+def _one_ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same items; while one is worked on, a thread of its own reads the next."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item
 
 
 def _default_plan(name: str) -> ValvePlan:

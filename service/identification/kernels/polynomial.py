@@ -15,6 +15,8 @@ def products(
     U: Floats, dp: Floats, T: Floats, exponents: np.ndarray, walther: tuple[float, float]
 ) -> Floats:
     """Rows (N, n): for each term the product of its :data:`FACTORS` to its ``exponents`` (n, 7)."""
+    starts, places, powers = _spelt_out(exponents)
+    has_viscosity = np.any(exponents[:, 6] != 0)
     rows = np.ones((len(U), len(exponents)))
     factor = np.empty(7)
     for i in range(len(U)):
@@ -24,15 +26,35 @@ def products(
         factor[3] = dp[i]
         factor[4] = abs(dp[i])
         factor[5] = T[i]
-        factor[6] = _viscosity(T[i], walther)
+        if has_viscosity:
+            factor[6] = _viscosity(T[i], walther)
         for j in range(len(exponents)):
             product = 1.0
-            for k in range(7):
-                exponent = exponents[j, k]
-                for _ in range(abs(exponent)):
-                    product = product * factor[k] if exponent > 0 else product / factor[k]
+            for q in range(starts[j], starts[j + 1]):
+                x = factor[places[q]]
+                product = product * x if powers[q] > 0 else product / x
             rows[i, j] = product
     return rows
+
+
+@inner
+def _spelt_out(exponents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each term's factors start, which factors they are, and 1 or -1 to multiply or divide.
+
+    Scanning the table of exponents at every point would cost more than the products.
+    """
+    starts = np.zeros(len(exponents) + 1, np.int64)
+    places = np.empty(np.sum(np.abs(exponents)), np.int64)
+    powers = np.empty(len(places), np.int64)
+    q = 0
+    for j in range(len(exponents)):
+        for k in range(7):
+            for _ in range(abs(exponents[j, k])):
+                places[q] = k
+                powers[q] = 1 if exponents[j, k] > 0 else -1
+                q += 1
+        starts[j + 1] = q
+    return starts, places, powers
 
 
 @inner
