@@ -25,6 +25,8 @@ from service.streaming.ports import (
     ValveResult,
 )
 
+SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
+
 
 class Identification:
     """All valves of one service; fulfils :class:`service.streaming.ports.Operator`."""
@@ -37,6 +39,7 @@ class Identification:
         self._states = [pipeline.start(plan) for plan in self.plans]
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
+        self._next_survey = 0
 
     def take(self, changes: DataChanges) -> Mapping[int, Samples]:
         """Take data changes in; return the samples they completed, by valve."""
@@ -61,12 +64,14 @@ class Identification:
         return self._states[valve]
 
     def refresh_maps(self) -> None:
-        """Compute the inverse's tables and the surveys anew; results show the newest of them."""
+        """Compute the inverse's tables anew, and survey the next maps; results show the newest."""
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
-        self._surveys = [
-            {name: pipeline.survey_of(plan, state, name) for name in state.lanes}
-            for plan, state in self._pairs()
-        ]
+        lanes = [(number, name) for number, s in enumerate(self._states) for name in s.lanes]
+        for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
+            number, name = lanes[self._next_survey % len(lanes)]
+            found = pipeline.survey_of(self.plans[number], self._states[number], name)
+            self._surveys[number] = {**self._surveys[number], name: found}
+            self._next_survey += 1
 
     def result(self, valve: int, *, lost: bool = False) -> ValveResult:
         """What is published of one valve; all of it is BAD where its sensors are ``lost``."""

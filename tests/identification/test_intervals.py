@@ -194,3 +194,14 @@ def test_the_covariance_of_maximum_likelihood_is_that_of_its_predictions():
     found = recursive_maximum_likelihood(y[1:], y[:-1], na=1, nb=1, nd=1).covariance
     assert np.array_equal(found, found.T)
     assert np.linalg.eigvalsh(found).min() > 0.0
+
+
+@pytest.mark.parametrize("name", ["least squares", "exponential .99", "adaptive", "rising"])
+def test_the_true_parameters_lie_within_their_standard_deviations(name):
+    estimator, truth = EXACT[name]
+    inside = []
+    for seed in range(SEEDS):
+        state, _ = estimator.update(estimator.initial_state(), recording(truth, seed))
+        theta, std = estimator.parameters(state)
+        inside.append(np.abs(theta - FIVE) <= 1.959964 * std)
+    assert 0.93 <= np.mean(inside) <= 0.97

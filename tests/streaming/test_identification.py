@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.plant import as_changes, plant
@@ -5,6 +7,8 @@ from support.plant import as_changes, plant
 from service.errors import CommandRejected
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Quality, Status
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.identification import SURVEYS_AT_ONCE, Identification
 
 
 def thetas(identification):
@@ -153,3 +157,14 @@ def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification
         assert np.nanmin(result.survey.age_s) >= 0.0
         assert 0.5 < result.survey.share <= 1.0
         assert 0.0 <= result.survey.suggested_U <= 100.0
+
+
+def test_a_fleet_is_surveyed_in_turns(plan):
+    plans = [replace(plan, name=f"V{k}") for k in range(20)]
+    fleet = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 20))
+    seen = []
+    for _ in range(2):
+        fleet.refresh_maps()
+        results = (fleet.result(k).estimators.values() for k in range(20))
+        seen.append(sum(r.survey is not None for group in results for r in group))
+    assert seen == [SURVEYS_AT_ONCE, 3 * 20]
