@@ -422,3 +422,12 @@ def test_the_way_to_a_place_leads_through_the_play_and_none_leads_to_where_the_v
     U = auto.approached(state, goals)
     np.testing.assert_allclose(U[[0, 3]], goals[[0, 3]] + [-play, play])
     assert (U[1:3] == state.scalars[0]).all()
+
+
+@pytest.mark.soak
+def test_a_point_of_a_spline_of_63_parameters_takes_at_most_a_microsecond_and_a_half():
+    from benchmarks.inverse import microseconds
+
+    us, ratio = microseconds()["spline, 63 parameters"]
+    assert us <= 1.5
+    assert ratio > 20.0
