@@ -99,7 +99,7 @@ def test_of_an_exact_structure_the_true_flow_and_opening_are_covered(name):
 
 FIVE_PARAMETERS = [name for name in EXACT if EXACT[name][1] is eq_7]
 FEW = {name: 150 if "likelihood" in name else 100 for name in FIVE_PARAMETERS}
-# At 100 samples RML's noise model is barely let in, and it covers 92.9 %: docs/methods/intervals.md.
+# At 100 samples RML covers 92.9 %: its noise model is barely let in. See docs/methods/intervals.md.
 COUNTS = [(name, n) for name in FIVE_PARAMETERS for n in (FEW[name], 600, 4000)]
 
 
