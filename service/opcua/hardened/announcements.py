@@ -132,7 +132,7 @@ class Announcements:
         self._set(_Ids.Server_ServerCapabilities_LocaleIdArray, ["en"], _Types.String)
         self._set(_Ids.Server_ServerArray, [settings.application_uri], _Types.String)
         self._set(_Ids.Server_ServiceLevel, 255, _Types.Byte)
-        self._set(_Ids.Server_Auditing, False, _Types.Boolean)  # noqa: FBT003 - a value
+        self._set(_Ids.Server_Auditing, True, _Types.Boolean)  # noqa: FBT003 - a value
         self._set(_Ids.Server_ServerDiagnostics_EnabledFlag, True, _Types.Boolean)  # noqa: FBT003
         self._set(
             _Ids.Server_ServerDiagnostics_ServerDiagnosticsSummary_ServerViewCount, 0, _UINT32

@@ -57,11 +57,15 @@ class Attributes:
             held = dataclasses.replace(held, ServerTimestamp=self._utc())
         return _part(held, wanted.IndexRange) if wanted.IndexRange else held
 
+    def held(self, item: ua.WriteValue) -> ua.DataValue:
+        """Return what is there before a write."""
+        return self._aspace.read_attribute_value(item.NodeId, item.AttributeId)
+
     async def write(  # noqa: PLR0911 - one per reason
         self, item: ua.WriteValue, role: Role, outside: Outside
     ) -> int:
         """Write one value; a status code."""
-        held = self._aspace.read_attribute_value(item.NodeId, item.AttributeId)
+        held = self.held(item)
         if held.StatusCode is not None and held.StatusCode.value in _UNKNOWN:
             return int(held.StatusCode.value)
         variable = self._variables.get(item.NodeId)

@@ -1,6 +1,7 @@
 """Secure channels: opened only with a policy on offer, by peers we trust, and kept in time."""
 
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from asyncua import ua
@@ -11,14 +12,14 @@ from asyncua.ua import ua_binary
 from typing_extensions import override
 
 from service.opcua.hardened.certificates import Pki
-from service.opcua.hardened.logs import audit_logger
 from service.opcua.hardened.peer_certificates import CertificateRefused, check_peer
 
-_audit = audit_logger()
 _Codes = ua.StatusCodes
 _SHORTEST_LIFETIME_MS, _LONGEST_LIFETIME_MS = 10_000, 3_600_000
 _MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer has proven anything
 _NONE = ua.MessageSecurityMode.None_
+
+Refused = Callable[[bytes, int, str], None]  # certificate (DER), status code, sentence
 
 
 class ChannelIds(Protocol):
@@ -31,11 +32,14 @@ class ChannelIds(Protocol):
 class Channel(SecureConnection):
     """The secure channel of one connection, on the server's side."""
 
-    def __init__(self, limits: TransportLimits, policies: list[Any], pki: Pki | None) -> None:
+    def __init__(
+        self, limits: TransportLimits, policies: list[Any], pki: Pki | None, refused: Refused
+    ) -> None:
         super().__init__(SecurityPolicyNone(), limits)
         self.limits = limits
         self.discovery_only = False
         self._pki = pki
+        self._refused = refused
         self._expires = 0.0
         self._trusted: bytes | None = None
         self.set_policy_factories(policies)
@@ -110,5 +114,5 @@ class Channel(SecureConnection):
             check_peer(self._pki, der)
             self._trusted = der
         except CertificateRefused as refused:
-            _audit.warning("%s", refused)
+            self._refused(der, refused.code, str(refused))
             raise ServiceError(refused.code) from refused

@@ -3,6 +3,7 @@
 import asyncio
 from collections import deque
 from collections.abc import Awaitable
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from asyncua import ua
@@ -100,6 +101,7 @@ class Connection(asyncio.BufferedProtocol):
             ),
             self.listener.policies,
             self.listener.pki,
+            partial(self.listener.audit.certificate_refused, self.host),
         )
         self._task = asyncio.create_task(self._run())
 

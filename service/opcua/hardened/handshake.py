@@ -13,8 +13,8 @@ from asyncua.ua import ua_binary
 from cryptography.exceptions import InvalidSignature
 
 from service.opcua.hardened import seams
+from service.opcua.hardened.audit import Actor
 from service.opcua.hardened.identity import Challenge, identify
-from service.opcua.hardened.logs import audit_logger, bounded_logger
 from service.opcua.hardened.peer_certificates import application_uris
 from service.opcua.hardened.session import Session
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from service.opcua.hardened.connection import Connection
     from service.opcua.hardened.listener import Listener
 
-_log = bounded_logger(__name__)
-_audit = audit_logger()
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
 
@@ -100,22 +98,23 @@ class Handshake:
             return ua.FindServersResponse(Servers=self._servers(wanted))
         if service == _CREATE:
             create = seams.decode(ua.CreateSessionParameters, body, budget)
-            with self._counting_refusals():
-                return self._create(create)
+            with self._telling_refusals(Actor(None, self._connection.host, _entry(header))):
+                return self._create(header, create)
         if service == _ACTIVATE:
             activate = seams.decode(ua.ActivateSessionParameters, body, budget)
-            with self._counting_refusals():
-                return await self._activate(header, activate)
+            session = self._listener.sessions.get(header.AuthenticationToken)
+            actor = Actor(session, self._connection.host, _entry(header))
+            with self._telling_refusals(actor, activate.UserIdentityToken):
+                return await self._activate(actor, header, activate)
         keep = not ua_binary.Primitives.Boolean.unpack(body)
         return self._close(header, keep_subscriptions=keep)
 
     @contextlib.contextmanager
-    def _counting_refusals(self) -> Iterator[None]:
+    def _telling_refusals(self, actor: Actor, token: object = None) -> Iterator[None]:
         try:
             yield
         except ServiceError as error:
-            reason = ua.StatusCode(error.code).name
-            _audit.warning("session refused at %s: %s", self._connection.host, reason)
+            self._listener.audit.session_refused(actor, error.code, token)
             if error.code != _Codes.BadTooManySessions:
                 self._listener.sessions.totals.refused_for_security += 1
             raise
@@ -124,7 +123,9 @@ class Handshake:
         if self._connection.channel.discovery_only:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
 
-    def _create(self, params: ua.CreateSessionParameters) -> ua.CreateSessionResponse:
+    def _create(
+        self, header: ua.RequestHeader, params: ua.CreateSessionParameters
+    ) -> ua.CreateSessionResponse:
         channel, listener = self._connection.channel, self._listener
         policy = channel.security_policy
         certificate = channel.peer_certificate
@@ -151,11 +152,12 @@ class Handshake:
             proof = certificate + (params.ClientNonce or b"")
             result.ServerSignature.Signature = policy.asymmetric_cryptography.signature(proof)
             result.ServerSignature.Algorithm = policy.AsymmetricSignatureURI
-        _audit.info("session created by %s at %s", _shown(session.application_uri), session.host)
+        actor = Actor(session, session.host, _entry(header))
+        listener.audit.session_created(actor, channel.security_token.ChannelId)
         return response
 
     async def _activate(
-        self, header: ua.RequestHeader, params: ua.ActivateSessionParameters
+        self, actor: Actor, header: ua.RequestHeader, params: ua.ActivateSessionParameters
     ) -> ua.ActivateSessionResponse:
         listener, connection = self._listener, self._connection
         session = listener.sessions.find(header.AuthenticationToken)
@@ -185,7 +187,8 @@ class Handshake:
         session.touch()
         self.done = True
         connection.log_in()
-        _audit.info("session activated by %s at %s", principal, session.host)
+        channel = connection.channel.security_token.ChannelId
+        listener.audit.session_activated(actor, channel, params.UserIdentityToken)
         response = ua.ActivateSessionResponse()
         response.Parameters.ServerNonce = session.new_nonce()
         return response
@@ -196,8 +199,9 @@ class Handshake:
         session = self._listener.sessions.find(header.AuthenticationToken)
         if session.line is not self._connection:
             raise ServiceError(_Codes.BadSecureChannelIdInvalid)
-        self._listener.sessions.close(session, keep_subscriptions=keep_subscriptions)
-        _audit.info("session closed by %s at %s", session.principal, session.host)
+        keep = keep_subscriptions and session.is_proven  # nobody else could ask for them
+        self._listener.sessions.close(session, keep_subscriptions=keep)
+        self._listener.audit.session_closed(Actor(session, session.host, _entry(header)))
         return ua.CloseSessionResponse()
 
     def _verify(self, session: Session, signature: ua.SignatureData) -> None:
@@ -236,5 +240,5 @@ class Handshake:
         return found if _HOST.fullmatch(found) else None
 
 
-def _shown(text: str | None) -> str:
-    return ascii((text or "")[:120])[1:-1]
+def _entry(header: ua.RequestHeader) -> str:
+    return header.AuditEntryId or ""

@@ -10,6 +10,7 @@ from asyncua.server.user_managers import UserManager
 from typing_extensions import override
 
 from service.opcua.hardened.address_space import load_standard_address_space
+from service.opcua.hardened.event_filter import event_of_asyncua
 from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.subscription_service import Subscriptions
 
@@ -47,7 +48,7 @@ class _EventForwarder(SubscriptionService):
     async def trigger_event(self, event: Any, subscription_id: int | None = None) -> None:
         await super().trigger_event(event, subscription_id)
         if subscription_id is None:
-            self._of_peers.trigger_event(event)
+            self._of_peers.trigger_event(event_of_asyncua(event))
 
 
 class _Nobody(UserManager):

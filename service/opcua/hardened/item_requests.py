@@ -5,23 +5,19 @@ from typing import Any
 
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
-from asyncua.server.monitored_item_service import WhereClauseEvaluator
 
 from service.opcua.hardened.block_items import BlockItem, serves
 from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.data_change import DataChangeFilter, FilterRefused, change_rule
+from service.opcua.hardened.event_filter import EventFilter, EventFilterRefused
 from service.opcua.hardened.index_range import IndexRangeError, Ranges, parse_index_range
-from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.monitored_item import DataItem, EventItem, Monitoring
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import Item, Subscription
 
-_log = bounded_logger(__name__)
 Place = tuple[Block, int]
 _Codes = ua.StatusCodes
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
-_MAX_SELECT_CLAUSES = 100
-_MAX_WHERE_ELEMENTS = 20
 
 
 class ItemRefused(Exception):  # noqa: N818 - it is an answer
@@ -77,7 +73,7 @@ def event_item(
     subscription: Subscription,
     number: int,
     request: ua.MonitoredItemCreateRequest,
-) -> tuple[EventItem, WhereClauseEvaluator | None, ua.MonitoredItemCreateResult]:
+) -> tuple[EventItem, EventFilter, ua.MonitoredItemCreateResult]:
     """Make an item that monitors events.
 
     Raises
@@ -90,10 +86,10 @@ def event_item(
         raise ItemRefused(held.StatusCode.value)
     if not held.Value.Value & (1 << ua.EventNotifier.SubscribeToEvents):
         raise ItemRefused(_Codes.BadNotSupported)
-    wish = asked.Filter
-    if not isinstance(wish, ua.EventFilter):
-        raise ItemRefused(_Codes.BadEventFilterInvalid)
-    where = _where(aspace, wish)
+    try:
+        filter_ = EventFilter(aspace, asked.Filter)
+    except EventFilterRefused as refused:
+        raise ItemRefused(_Codes.BadEventFilterInvalid) from refused
     size = max(1, min(asked.QueueSize or limits.event_queue_size, limits.event_queue_size))
     item = EventItem(
         subscription,
@@ -104,10 +100,10 @@ def event_item(
         size,
         discard_oldest=bool(asked.DiscardOldest),
     )
-    selected = [ua.StatusCode() for _ in wish.SelectClauses]
+    selected = [ua.StatusCode(code) for code in filter_.results]
     return (
         item,
-        where,
+        filter_,
         ua.MonitoredItemCreateResult(
             MonitoredItemId=number,
             RevisedSamplingInterval=0.0,
@@ -254,23 +250,3 @@ def _eu_span(aspace: AddressSpace, nodeid: ua.NodeId) -> float | None:
             found: Any = held.Value if held is not None else None
             return None if found is None else float(found.High - found.Low)
     return None
-
-
-def _where(aspace: AddressSpace, wish: ua.EventFilter) -> WhereClauseEvaluator | None:
-    if not wish.SelectClauses or len(wish.SelectClauses) > _MAX_SELECT_CLAUSES:
-        raise ItemRefused(_Codes.BadEventFilterInvalid)
-    elements = wish.WhereClause.Elements if wish.WhereClause is not None else None
-    if not elements:
-        return None
-    if len(elements) > _MAX_WHERE_ELEMENTS:
-        raise ItemRefused(_Codes.BadEventFilterInvalid)
-    used: set[int] = set()
-    for number, element in enumerate(elements):
-        for operand in element.FilterOperands or ():
-            if not isinstance(operand, ua.ElementOperand):
-                continue
-            # forward and once, so that the evaluation ends, and soon (Part 4, 7.7.4.2)
-            if not number < operand.Index < len(elements) or operand.Index in used:
-                raise ItemRefused(_Codes.BadEventFilterInvalid)
-            used.add(operand.Index)
-    return WhereClauseEvaluator(_log, aspace, wish.WhereClause)

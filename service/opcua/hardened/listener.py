@@ -13,6 +13,7 @@ from asyncua import ua
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from service.clock import Clock
+from service.opcua.hardened.audit import Actor, Audit
 from service.opcua.hardened.certificates import Pki
 from service.opcua.hardened.connection import Connection
 from service.opcua.hardened.logs import bounded_logger
@@ -46,6 +47,7 @@ class Listener:
         pki: Pki | None,
         sessions: Sessions,
         services: Services,
+        audit: Audit,
         *,
         anonymous_allowed: bool,
     ) -> None:
@@ -55,6 +57,7 @@ class Listener:
         self.pki = pki
         self.sessions = sessions
         self.services = services
+        self.audit = audit
         self.anonymous_allowed = anonymous_allowed
         self.turns = Turns()
         self.arrivals = memoryview(bytearray(_ARRIVALS_BYTES))  # emptied before the next arrive
@@ -190,7 +193,8 @@ class Listener:
                 _log.exception("tidying up failed")
 
     def _reap(self) -> None:
-        self.sessions.drop_timed_out()
+        for session in self.sessions.drop_timed_out():
+            self.audit.session_closed(Actor(session, session.host), timed_out=True)
         limits, now = self.limits, self.clock.monotonic()
         lines = {id(session.line) for session in self.sessions if session.active}
         for connection in list(self._connections):

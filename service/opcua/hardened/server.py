@@ -22,6 +22,7 @@ from service.errors import CertificateError, ConfigurationError, ServerError
 from service.opcua.hardened import seams
 from service.opcua.hardened.announcements import Announcements
 from service.opcua.hardened.attributes import Attributes
+from service.opcua.hardened.audit import Audit
 from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.certificates import (
     KEY_BITS,
@@ -101,6 +102,12 @@ class HardenedServer:
             self._take_write,
             lambda: instant(self._clock.now()),
         )
+        self._audit = Audit(
+            settings.application_uri,
+            self._subscriptions,
+            self._clock,
+            limits.audit_events_per_second,
+        )
         self._services = Services(
             limits,
             self._clock,
@@ -108,6 +115,7 @@ class HardenedServer:
             self._view,
             self._subscriptions,
             self._inside.history_manager,
+            self._audit,
         )
         self._announcements = Announcements(
             aspace, self._write_data_value, self._clock.now, settings, self._summary
@@ -282,6 +290,7 @@ class HardenedServer:
             settings.pki,
             self._sessions,
             self._services,
+            self._audit,
             anonymous_allowed=settings.none_on_loopback or settings.anonymous_observer,
         )
         listener.certificate_der = certificate.public_bytes(serialization.Encoding.DER)

@@ -11,6 +11,7 @@ from asyncua.server.history import HistoryManager
 
 from service.clock import Clock
 from service.opcua.hardened.attributes import Attributes
+from service.opcua.hardened.audit import Actor, Audit
 from service.opcua.hardened.encoding import (
     encode_browse_response,
     encode_data_value,
@@ -19,14 +20,12 @@ from service.opcua.hardened.encoding import (
     encode_structure,
     ticks_of_ns,
 )
-from service.opcua.hardened.logs import audit_logger
 from service.opcua.hardened.publish_queue import PublishRequest
 from service.opcua.hardened.session import Session
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription_service import Subscriptions
 from service.opcua.hardened.view import View
 
-_audit = audit_logger()
 _Codes = ua.StatusCodes
 _Ids = ua.ObjectIds
 _GET_MONITORED_ITEMS = ua.NodeId(_Ids.Server_GetMonitoredItems)
@@ -60,6 +59,11 @@ class Request:
         """The client's own number of the request."""
         return int(self.header.RequestHandle)
 
+    @property
+    def actor(self) -> Actor:
+        """Who asks."""
+        return Actor(self.session, self.session.host, self.header.AuditEntryId or "")
+
 
 Handler = Callable[[Request, Any], Awaitable[Any]]
 
@@ -75,6 +79,7 @@ class Services:
         view: View,
         subscriptions: Subscriptions,
         history: HistoryManager,
+        audit: Audit,
     ) -> None:
         self._limits = limits
         self._clock = clock
@@ -82,6 +87,7 @@ class Services:
         self._view = view
         self._subscriptions = subscriptions
         self._history = history
+        self._audit = audit
         self._handlers: dict[int, tuple[type, Handler]] = {
             _Ids.ReadRequest_Encoding_DefaultBinary: (ua.ReadParameters, self._read),
             _Ids.WriteRequest_Encoding_DefaultBinary: (ua.WriteParameters, self._write),
@@ -194,22 +200,22 @@ class Services:
 
     async def _write(self, request: Request, params: ua.WriteParameters) -> ua.WriteResponse:
         self._check_count(params.NodesToWrite)
-        session = request.session
+        actor, role = request.actor, request.session.role
         codes = []
         for item in params.NodesToWrite:
-            code = await self._attributes.write(item, session.role, request.turn.outside)
-            _told("write", _node(item.NodeId), session, code)
+            before = self._attributes.held(item)
+            code = await self._attributes.write(item, role, request.turn.outside)
+            self._audit.written(actor, item, before, code)
             codes.append(ua.StatusCode(code))
             await request.turn.breathe()
         return ua.WriteResponse(Results=codes)
 
     async def _call(self, request: Request, params: ua.CallParameters) -> ua.CallResponse:
         self._check_count(params.MethodsToCall, self._limits.method_calls)
-        session = request.session
         results = []
         for wanted in params.MethodsToCall:
             result = await self._call_one(request, wanted)
-            _told("call", _node(wanted.MethodId), session, result.StatusCode.value)
+            self._audit.called(request.actor, wanted, result.StatusCode.value)
             results.append(result)
             await request.turn.breathe()
         return ua.CallResponse(Results=results)
@@ -437,12 +443,3 @@ class Services:
 
 def _statuses(codes: Sequence[int]) -> list[ua.StatusCode]:
     return [ua.StatusCode(code) for code in codes]
-
-
-def _told(what: str, target: str, session: Session, code: int) -> None:
-    status = ua.StatusCode(code).name
-    _audit.info("%s %s by %s at %s: %s", what, target, session.principal, session.host, status)
-
-
-def _node(nodeid: ua.NodeId) -> str:
-    return ascii(nodeid.to_string())[1:121]

@@ -101,6 +101,10 @@ class Session:
             raise ServiceError(_Codes.BadSessionNotActivated)
         return self.principal.role
 
+    def hears(self, audience: Role) -> bool:
+        """Tell whether the user may hear of an event that is for that role and above."""
+        return self.principal is not None and self.principal.role >= audience
+
     def touch(self) -> None:
         """Note that the client lives."""
         self.last_seen = self._clock.monotonic()
@@ -272,11 +276,16 @@ class Sessions:
         ServiceError
             BadSessionIdInvalid.
         """
-        key = token.Identifier
-        session = self._by_token.get(key) if isinstance(key, bytes) else None
-        if session is None or token.NamespaceIndex != 0:
+        session = self.get(token)
+        if session is None:
             raise ServiceError(_Codes.BadSessionIdInvalid)
         return session
+
+    def get(self, token: ua.NodeId) -> Session | None:
+        """Return the session of a token, None if there is none."""
+        key = token.Identifier
+        known = isinstance(key, bytes) and token.NamespaceIndex == 0
+        return self._by_token.get(key) if known else None
 
     def close(
         self,
@@ -292,16 +301,18 @@ class Sessions:
             for subscription in list(session.subscriptions.values()):
                 self._end_subscription(subscription)
 
-    def drop_timed_out(self) -> None:
-        """End the sessions that were not heard of for their time-out."""
-        now = self._clock.monotonic()
+    def drop_timed_out(self) -> list[Session]:
+        """End the sessions that were not heard of for their time-out; return them."""
+        now, dropped = self._clock.monotonic(), []
         for session in self:
             patience = session.timeout_s if session.active else self._limits.handshake_seconds
             if now - session.last_seen > patience:
                 self.totals.timed_out += 1
                 self.close(session, keep_subscriptions=session.is_proven)
+                dropped.append(session)
             else:
                 session.drop_expired_requests()
+        return dropped
 
     def lose_line(self, line: Line) -> None:
         """Unbind the sessions of a connection that is gone; unused ones end."""

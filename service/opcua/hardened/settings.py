@@ -56,6 +56,8 @@ class Limits:
         every change.
     keep_alive_count, lifetime_count, longest_lifetime_s
         Largest revised counts of a subscription, and longest time without publish requests.
+    audit_events_per_second
+        Audit events that security administrators are told of; a burst may be five times that.
     session_timeout_ms, shortest_session_timeout_ms
         Longest and shortest session time-out, ms.
     """
@@ -105,6 +107,7 @@ class Limits:
     keep_alive_count: int = 5_000
     lifetime_count: int = 15_000
     longest_lifetime_s: float = 3_600.0
+    audit_events_per_second: float = 100.0
     session_timeout_ms: float = 600_000.0
     shortest_session_timeout_ms: float = 5_000.0
 

@@ -13,6 +13,7 @@ from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.encoding import encode_message, encode_status_change
 from service.opcua.hardened.monitored_item import DataItem, EventItem, Holding
 from service.opcua.hardened.news import News
+from service.opcua.hardened.users import Role
 
 Item = DataItem | EventItem | BlockItem
 
@@ -34,6 +35,9 @@ class Owner(Protocol):
 
     def lose(self, subscription: "Subscription", code: int | None = None) -> None:
         """Lose a subscription; tell the client why if there is a code."""
+
+    def hears(self, audience: Role) -> bool:
+        """Tell whether the user may hear of an event that is for that role and above."""
 
 
 @dataclass

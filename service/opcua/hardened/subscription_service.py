@@ -10,6 +10,7 @@ from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AddressSpace
 
 from service.opcua.hardened.block_items import BlockItem
+from service.opcua.hardened.event_filter import Event, EventFilter
 from service.opcua.hardened.item_requests import (
     ItemRefused,
     Place,
@@ -23,12 +24,15 @@ from service.opcua.hardened.logs import bounded_logger
 from service.opcua.hardened.monitored_item import DataItem, EventItem, Ledger
 from service.opcua.hardened.settings import Limits
 from service.opcua.hardened.subscription import Item, RepublishStore, Subscription, Timing
+from service.opcua.hardened.users import Role
 
 if TYPE_CHECKING:
     from service.opcua.hardened.session import Session
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
+
+EventWatch = tuple[Subscription, EventItem, EventFilter]
 
 
 class Subscriptions:
@@ -46,7 +50,7 @@ class Subscriptions:
         self._items = 0
         self._watchers: dict[tuple[ua.NodeId, int], dict[int, int]] = {}
         self.blocks: dict[ua.NodeId, Place] = {}
-        self._event_items: dict[ua.NodeId, dict[int, tuple[EventItem, Any, Any]]] = {}
+        self._event_items: dict[ua.NodeId, dict[int, EventWatch]] = {}
 
     def create(
         self, session: "Session", params: ua.CreateSubscriptionParameters
@@ -260,14 +264,19 @@ class Subscriptions:
         items = self._owned(session, number).items.values()
         return [(item.number, item.client_handle) for item in items]
 
-    def trigger_event(self, event: Any) -> None:  # noqa: ANN401 - asyncua's event objects
-        """Hand an event to the items that monitor its emitter."""
-        for item, filter_, where in list(self._event_items.get(event.emitting_node, {}).values()):
-            try:
-                if where is None or where.eval(event):
-                    item.notify(event.to_event_fields(filter_.SelectClauses))
-            except Exception as error:  # noqa: BLE001 - a filter of a peer must not stop the event
-                _log.warning("an event filter failed: %s", error)
+    def trigger_event(self, event: Event) -> None:
+        """Hand an event to the items that monitor its emitter, if their user may hear of it."""
+        watched = list(self._event_items.get(event.emitter, {}).values())
+        for subscription, item, wish in watched:
+            if subscription.owner.hears(event.audience) and wish.passes(event):
+                item.notify(wish.select(event))
+
+    def has_audience(self, emitter: ua.NodeId, role: Role) -> bool:
+        """Tell whether anybody of that role monitors the events of an object."""
+        watched = self._event_items.get(emitter)
+        return watched is not None and any(
+            subscription.owner.hears(role) for subscription, _, _ in watched.values()
+        )
 
     @property
     def item_count(self) -> int:
@@ -340,10 +349,9 @@ class Subscriptions:
     def _create_event_item(
         self, subscription: Subscription, number: int, request: ua.MonitoredItemCreateRequest
     ) -> ua.MonitoredItemCreateResult:
-        item, where, result = event_item(self._aspace, self._limits, subscription, number, request)
-        filter_ = request.RequestedParameters.Filter
+        item, wish, result = event_item(self._aspace, self._limits, subscription, number, request)
         watched = self._event_items.setdefault(request.ItemToMonitor.NodeId, {})
-        watched[number] = (item, filter_, where)
+        watched[number] = (subscription, item, wish)
         self._keep(subscription, item)
         return result
 

@@ -18,6 +18,8 @@ const {
   TimestampsToReturn,
   UserTokenType,
   Variant,
+  constructEventFilter,
+  ofType,
 } = require("node-opcua-client");
 
 const connections = new Map();
@@ -217,6 +219,40 @@ const operations = {
 
   async changes(connection) {
     return connection.changes.map((taken) => taken.splice(0));
+  },
+
+  // Listens to events of a type, those derived from it too; fields by their names.
+  async listen(connection, { node, fields, kind }) {
+    const { session } = connection;
+    connection.events = [];
+    connection.listening = await session.createSubscription2({
+      requestedPublishingInterval: 50,
+      requestedLifetimeCount: 600,
+      requestedMaxKeepAliveCount: 20,
+      maxNotificationsPerPublish: 0,
+      publishingEnabled: true,
+      priority: 0,
+    });
+    const item = await connection.listening.monitor(
+      { nodeId: node, attributeId: AttributeIds.EventNotifier },
+      {
+        samplingInterval: 0,
+        queueSize: 1000,
+        discardOldest: true,
+        filter: constructEventFilter(fields, ofType(kind)),
+      },
+      TimestampsToReturn.Both,
+      MonitoringMode.Reporting,
+    );
+    item.on("changed", (values) => {
+      const told = values.map((each) => plain(each.value, DataType[each.dataType]));
+      connection.events.push(Object.fromEntries(fields.map((name, at) => [name, told[at]])));
+    });
+    return { code: item.result.statusCode.value };
+  },
+
+  async events({ events }) {
+    return events.splice(0);
   },
 
   async unsubscribe({ subscription }) {
