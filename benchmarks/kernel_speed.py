@@ -1,0 +1,176 @@
+"""How fast an update is beside C and other packages: ``python -m benchmarks.kernel_speed``.
+
+Five terms, arrays in, one core, CPU time, the best of several rounds of all in turn. The peers are
+``rls.c`` (compiled on the spot with -O3, where there is a gcc) and what is installed of padasip,
+river, filterpy. Ours keeps factors, a covariance of theta and, by default, watches for changes.
+"""
+
+import ctypes
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import peers
+from service.identification.estimator import Estimator
+from service.identification.fleet import learn_fleet, stack
+from service.identification.forgetting import Adaptive, Exponential, Forgetting
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.model_structures import FiveTerms
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import (
+    RecursiveLeastSquares,
+    recursive_least_squares,
+)
+from service.identification.samples import Floats, Samples
+
+N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7
+LAM = 0.998
+SOURCE = Path(__file__).with_name("rls.c")
+
+Figures = dict[str, float]
+
+
+def one_model() -> Figures:
+    """Time per update, ns, of the recursion alone: rows of X in, theta and innovations out."""
+    X, y, _ = _problem(N)
+    few = X[:PEER_N], y[:PEER_N]
+    jobs: dict[str, tuple[Callable[[], object], int]] = {
+        f"ours, {rule}": (lambda r=rule: recursive_least_squares(X, y, r), N)
+        for rule in (Adaptive(LAM), Exponential(LAM))
+    }
+    library = _compiled()
+    if library is not None:
+        jobs["C -O3"] = (lambda: _c_rls(library, X, y), N)
+    for name in peers.installed():
+        if name in peers.FOLLOWERS:
+            jobs[name] = (lambda f=peers.FOLLOWERS[name]: f(*few, LAM), PEER_N)
+    return _nanoseconds(jobs)
+
+
+def whole_estimators() -> Figures:
+    """Time per sample, ns, of the estimators as the service runs them: signals in, trace out."""
+    samples = _samples(N)
+    estimators: dict[str, Estimator] = {
+        "RLS": RecursiveLeastSquares(forgetting=Adaptive(LAM)),
+        "RML": MaximumLikelihood(),
+        "RBF": RbfNetwork(),
+    }
+    jobs: dict[str, tuple[Callable[[], object], int]] = {
+        name: (lambda e=e: e.update(e.initial_state(), samples), N)
+        for name, e in estimators.items()
+    }
+    return _nanoseconds(jobs)
+
+
+def many_models(rule: Forgetting) -> Figures:
+    """Time per update, ns, of 10,000 models that get a sample each, again and again."""
+    X, y, _ = _problem(MODELS * PASSES)
+    rls = RecursiveLeastSquares(forgetting=rule)
+    warm, _ = rls.update(rls.initial_state(), _samples(200))
+    fleet = stack([warm] * MODELS)
+    offsets, usable = np.arange(MODELS + 1), np.ones(MODELS, np.uint8)
+    parts = [slice(k * MODELS, (k + 1) * MODELS) for k in range(PASSES)]
+    t = np.arange(MODELS)
+
+    def ours() -> None:
+        state = fleet
+        for part in parts:
+            state, _ = learn_fleet(state, rule, X[part], y[part], t, usable, offsets)
+
+    jobs: dict[str, tuple[Callable[[], object], int]] = {"ours": (ours, MODELS * PASSES)}
+    library = _compiled()
+    if library is not None:
+        columns = [np.ascontiguousarray(X[part].T) for part in parts]
+        outputs = [y[part] for part in parts]
+        jobs["C -O3, structure of arrays"] = (
+            lambda: _c_fleet(library, columns, outputs),
+            MODELS * PASSES,
+        )
+    return _nanoseconds(jobs)
+
+
+def main() -> int:
+    """Measure and print."""
+    for title, figures in (
+        ("one model, rows in", one_model()),
+        ("one model, signals in", whole_estimators()),
+        ("10,000 models, default", many_models(Adaptive(LAM))),
+        ("10,000 models, exponential", many_models(Exponential(LAM))),
+    ):
+        print(title)
+        slowest = max(map(len, figures))
+        first = next(iter(figures.values()))
+        for name, ns in figures.items():
+            print(f"  {name:{slowest}}  {ns:10.1f} ns  {ns / first:8.2f} x the first")
+    return 0
+
+
+def _problem(n: int) -> tuple[Floats, Floats, Samples]:
+    samples = _samples(n)
+    return FiveTerms().regressors(samples.U, samples.dp, samples.T), samples.Q, samples
+
+
+def _samples(n: int) -> Samples:
+    rng = np.random.default_rng(0)
+    U, dp = rng.uniform(0, 100, n), rng.uniform(1, 200, n)
+    Q = 1.0 + 0.02 * U + 0.3 * np.sqrt(dp) + 0.12 * U * np.sqrt(dp) + rng.normal(size=n)
+    return Samples.of(np.arange(n), U, np.full(n, 200.0), 200.0 - dp, Q, np.full(n, 40.0))
+
+
+def _nanoseconds(jobs: dict[str, tuple[Callable[[], object], int]]) -> Figures:
+    """CPU time per item: the best of rounds in which all take turns, so that all fare alike."""
+    for work, _ in jobs.values():
+        work()
+    best = dict.fromkeys(jobs, np.inf)
+    for _ in range(ROUNDS):
+        for name, (work, items) in jobs.items():
+            start = time.process_time()
+            work()
+            best[name] = min(best[name], (time.process_time() - start) / items * 1e9)
+    return best
+
+
+def _compiled() -> ctypes.CDLL | None:
+    """``rls.c`` as a library; None where there is no gcc."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        return None
+    library = Path(tempfile.mkdtemp()) / "rls.so"
+    command = [gcc, "-O3", "-shared", "-fPIC", "-o", str(library), str(SOURCE)]
+    subprocess.run(command, check=True)
+    return ctypes.CDLL(str(library))
+
+
+def _pointer(array: Floats) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _c_rls(library: ctypes.CDLL, X: Floats, y: Floats) -> Floats:
+    n = X.shape[1]
+    theta, P, e = np.zeros(n), 1e8 * np.eye(n), np.empty(len(y))
+    lam = ctypes.c_double(LAM)
+    library.rls(
+        n, ctypes.c_long(len(y)), *map(_pointer, (X, y)), lam, *map(_pointer, (theta, P, e))
+    )
+    return theta
+
+
+def _c_fleet(library: ctypes.CDLL, columns: list[Floats], outputs: list[Floats]) -> Floats:
+    n, M = columns[0].shape
+    theta, P = np.zeros((n, M)), np.tile(1e8 * np.eye(n)[:, :, None], (1, 1, M))
+    work = np.empty((n, M)), np.empty(M), np.empty(M)
+    for X, y in zip(columns, outputs, strict=True):
+        arrays = map(_pointer, (X, y))
+        rest = map(_pointer, (theta, P, *work))
+        library.rls_fleet(n, ctypes.c_long(M), *arrays, ctypes.c_double(LAM), *rest)
+    return theta
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+/* Plain recursive least squares with forgetting, eq. (28): what a C programmer would write.
+ * rls: one model, N samples. rls_fleet: M models as a structure of arrays, one sample each. */
+
+#define MOST 16
+
+void rls(int n, long N, const double *X, const double *y, double lam, double *theta, double *P,
+         double *innovations)
+{
+    double Ph[MOST];
+    for (long t = 0; t < N; t++) {
+        const double *x = X + t * n;
+        double r = lam, e = y[t];
+        for (int i = 0; i < n; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < n; j++)
+                sum += P[i * n + j] * x[j];
+            Ph[i] = sum;
+            r += x[i] * sum;
+            e -= x[i] * theta[i];
+        }
+        innovations[t] = e;
+        for (int i = 0; i < n; i++) {
+            double gain = Ph[i] / r;
+            theta[i] += gain * e;
+            for (int j = 0; j < n; j++)
+                P[i * n + j] = (P[i * n + j] - gain * Ph[j]) / lam;
+        }
+    }
+}
+
+/* X[n][M], y[M], theta[n][M], P[n][n][M] */
+void rls_fleet(int n, long M, const double *X, const double *y, double lam, double *theta,
+               double *P, double *Ph, double *r, double *e)
+{
+    for (long m = 0; m < M; m++) {
+        r[m] = lam;
+        e[m] = y[m];
+    }
+    for (int i = 0; i < n; i++) {
+        for (long m = 0; m < M; m++)
+            Ph[i * M + m] = 0.0;
+        for (int j = 0; j < n; j++)
+            for (long m = 0; m < M; m++)
+                Ph[i * M + m] += P[(i * n + j) * M + m] * X[j * M + m];
+        for (long m = 0; m < M; m++) {
+            r[m] += X[i * M + m] * Ph[i * M + m];
+            e[m] -= X[i * M + m] * theta[i * M + m];
+        }
+    }
+    for (int i = 0; i < n; i++) {
+        for (long m = 0; m < M; m++)
+            theta[i * M + m] += Ph[i * M + m] / r[m] * e[m];
+        for (int j = 0; j < n; j++)
+            for (long m = 0; m < M; m++)
+                P[(i * n + j) * M + m] =
+                    (P[(i * n + j) * M + m] - Ph[i * M + m] / r[m] * Ph[j * M + m]) / lam;
+    }
+}
