@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,10 +16,11 @@ from service.identification.forgetting import Exponential
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Quality, Samples, Trace
+from service.identification.samples import Quality, Samples, Segments, Trace
 from service.identification.survey import Survey
 from service.storage.recordings import read_recording
 from service.streaming import pipeline
+from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
 from service.streaming.score import Score
 
@@ -97,8 +98,8 @@ def replay(
                 plan = _default_plan(name) if plans is None else plans.get(name)
                 if plan is None:
                     continue
-                valves[name] = _Learnt.nothing(plan)
-            valves[name], judged, traces = valves[name].learn(samples)
+                valves[name] = _Learnt(plan)
+            judged, traces = valves[name].learn(samples)
             tap(name, judged, traces)
     if not valves:
         named = ", ".join(plans or ())
@@ -142,23 +143,23 @@ def as_json(report: Report) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
 class _Learnt:
     """One valve's pipeline and the last batch that taught it."""
 
-    plan: ValvePlan
-    state: ValveState
-    last: Samples
-
-    @classmethod
-    def nothing(cls, plan: ValvePlan) -> Self:
+    def __init__(self, plan: ValvePlan) -> None:
         best = RecursiveLeastSquares(forgetting=Exponential(1.0))
-        plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
-        return cls(plan, pipeline.start(plan), Samples.empty())
+        self.plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
+        self.last = Samples.empty()
+        self._fleet = Fleet(self.plan, 1)
 
-    def learn(self, samples: Samples) -> tuple["_Learnt", Samples, Mapping[str, Trace]]:
-        state, judged, traces = pipeline.advance(self.plan, self.state, samples)
-        return replace(self, state=state, last=samples), judged, traces
+    def learn(self, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
+        if len(samples) == 0:
+            return samples, {}
+        self.last = samples
+        return self._fleet.take(samples, Segments.one(len(samples)))
+
+    def state(self) -> ValveState:
+        return self._fleet.state(0)
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ def _check(valve: _Learnt, samples: Samples) -> Mapping[str, _Check]:
     gate = valve.plan.gate
     _, judged = gate.update(gate.initial_state(), samples)
     good = judged[judged.quality != Quality.BAD]
-    return {name: _check_lane(lane, good) for name, lane in valve.state.lanes.items()}
+    return {name: _check_lane(lane, good) for name, lane in valve.state().lanes.items()}
 
 
 def _check_lane(lane: Lane, samples: Samples) -> _Check:
@@ -212,7 +213,8 @@ def _report(
     valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
 ) -> Mapping[str, EstimatorReport]:
     report = {}
-    for name, lane in valve.state.lanes.items():
+    state = valve.state()
+    for name, lane in state.lanes.items():
         result = pipeline.estimator_result(lane)
         check = checks.get(name)
         report[name] = EstimatorReport(
@@ -225,8 +227,8 @@ def _report(
             infeasible=0 if check is None else check.infeasible,
             noise_std=result.noise_std,
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
-            survey=pipeline.survey_of(valve.plan, valve.state, name),
-            T=valve.state.T,
+            survey=pipeline.survey_of(valve.plan, state, name),
+            T=state.T,
         )
     return report
 

@@ -185,5 +185,5 @@ class Course:
 def commands(identification: Identification) -> dict[str, float]:
     """Answers to the standing demands, where there is one: what is written to the valves."""
     names = [plan.name for plan in identification.plans]
-    answers = zip(names, identification.required_U().tolist(), strict=True)
-    return {name: U for name, U in answers if not np.isnan(U)}
+    answers = {name: identification.required_U(number) for number, name in enumerate(names)}
+    return {name: U for name, U in answers.items() if not np.isnan(U)}

@@ -2,31 +2,92 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from service.identification.estimator import State
 from service.identification.forgetting import Forgetting, Resetting, SlidingWindow
 from service.identification.kernels.fleet import run_fleet
-from service.identification.least_squares_state import (
-    RlsState,
-    batch_of,
-    memory_of,
-    rule_of,
-)
-from service.identification.samples import Codes, Floats, Times, Trace
+from service.identification.kernels.recursion import Batch, Memory
+from service.identification.kernels.stepwise import run_stepwise
+from service.identification.least_squares_state import RlsState, batch_of, memory_of, rule_of
+from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
+
+S = TypeVar("S", bound=State)
+In_contra = TypeVar("In_contra", bound=State, contravariant=True)
 
 
-def stack(states: Sequence[RlsState]) -> RlsState:
+@runtime_checkable
+class ManyModels(Protocol[In_contra]):
+    """An estimator that takes in the samples of many models of its kind in one call."""
+
+    def initial_state(self) -> Any:  # noqa: ANN401 - of its own kind
+        """State of one model before the first sample."""
+
+    def update_many(self, states: In_contra, samples: Samples, segments: Segments) -> Trace:
+        """Take N samples in; ``states`` have a leading axis M and are written in place.
+
+        Bit for bit what ``update`` gives model by model. What the trace says of rows outside of
+        the segments means nothing.
+        """
+
+
+def stack(states: Sequence[S]) -> S:
     """One state whose arrays have a leading axis M from the states of M models of equal n."""
-    return RlsState(
-        **{f.name: np.stack([getattr(state, f.name) for state in states]) for f in fields(RlsState)}
+    kind = type(states[0])
+    return kind(
+        **{f.name: np.stack([getattr(state, f.name) for state in states]) for f in fields(kind)}
     )
 
 
-def member(fleet: RlsState, m: int) -> RlsState:
-    """State of model m."""
-    return RlsState(**{f.name: getattr(fleet, f.name)[m] for f in fields(RlsState)})
+def repeated(state: S, M: int) -> S:
+    """One state whose arrays have a leading axis M, every model in the same state."""
+    kind = type(state)
+    arrays = {f.name: np.asarray(getattr(state, f.name)) for f in fields(kind)}
+    return kind(**{name: np.tile(a, (M,) + (1,) * a.ndim) for name, a in arrays.items()})
+
+
+def member(fleet: S, m: int) -> S:
+    """State of model m: views, not copies."""
+    kind = type(fleet)
+    return kind(**{f.name: getattr(fleet, f.name)[m] for f in fields(kind)})
+
+
+def copied(state: S) -> S:
+    """The same state in arrays of its own."""
+    kind = type(state)
+    return kind(**{f.name: np.array(getattr(state, f.name)) for f in fields(kind)})
+
+
+def update_one(estimator: ManyModels[S], state: S, samples: Samples) -> tuple[S, Trace]:
+    """Many models, of which there is one; ``state`` stays as it is."""
+    fleet = repeated(state, 1)
+    trace = estimator.update_many(fleet, samples, Segments.one(len(samples)))
+    return member(fleet, 0), trace
+
+
+def learn_many(
+    fleet: RlsState,
+    forgetting: Forgetting,
+    X: Floats,
+    y: Floats,
+    t: Times,
+    usable: Codes,
+    segments: Segments,
+) -> Trace:
+    """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
+    memory, batch = Memory(*(getattr(fleet, f) for f in Memory._fields)), batch_of(X, y, t, usable)
+    rule = rule_of(forgetting)
+    match forgetting:
+        case Resetting() | SlidingWindow():
+            for m, start, stop in zip(*segments, strict=True):
+                one = Memory(*(array[m] for array in memory))
+                run_stepwise(one, rule, _rows(batch, start, stop))
+        case _:
+            run_fleet(memory, rule, batch, segments)
+    return Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
 
 
 def learn_fleet(
@@ -47,7 +108,7 @@ def learn_fleet(
     fleet
         M states, see `stack`.
     forgetting
-        One rule for all, of those that keep nothing but P.
+        One rule for all.
     X, y, t, usable : (N, n), (N,), (N,), (N,)
         The samples of all models, one model after another.
     offsets : (M + 1,)
@@ -56,7 +117,7 @@ def learn_fleet(
     Raises
     ------
     ValueError
-        if the offsets do not fit, or the rule works on one model at a time.
+        if the offsets do not fit.
 
     Examples
     --------
@@ -76,9 +137,22 @@ def learn_fleet(
             f"offsets of shape {edges.shape}: {len(fleet.theta) + 1} ascending ones are wanted, "
             f"from 0 to {len(y)}"
         )
-    if isinstance(forgetting, Resetting | SlidingWindow):
-        raise ValueError(f"{forgetting} works on one model at a time")  # noqa: TRY004 - a value
-    memory, batch = memory_of(fleet), batch_of(X, y, t, usable)
-    run_fleet(memory, rule_of(forgetting), batch, edges)
-    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
-    return RlsState(**memory._asdict()), trace
+    after = RlsState(**memory_of(fleet)._asdict())
+    segments = Segments(np.arange(len(edges) - 1), edges[:-1].copy(), edges[1:].copy())
+    return after, learn_many(after, forgetting, X, y, t, usable, segments)
+
+
+def _rows(batch: Batch, start: int, stop: int) -> Batch:
+    t, X, y, usable, predicted, residual, status, thetas, changes = batch
+    rows = slice(start, stop)
+    return Batch(
+        t=t[rows],
+        X=X[rows],
+        y=y[rows],
+        usable=usable[rows],
+        predicted=predicted[rows],
+        residual=residual[rows],
+        status=status[rows],
+        thetas=thetas,
+        changes=changes,
+    )

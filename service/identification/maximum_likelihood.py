@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import State
+from service.identification.fleet import update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
-from service.identification.samples import Codes, Floats, Quality, Samples, Status, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
 
 
 @dataclass(frozen=True)
@@ -127,18 +128,37 @@ class MaximumLikelihood:
         self, state: MaximumLikelihoodState, samples: Samples
     ) -> tuple[MaximumLikelihoodState, Trace]:
         """Take N samples in; bad and non-finite ones leave the state untouched."""
+        return update_one(self, state, samples)
+
+    def update_many(
+        self, states: MaximumLikelihoodState, samples: Samples, segments: Segments
+    ) -> Trace:
+        """Take the samples of many models in; their states are written in place."""
         X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
         rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
-        run = _run(state, rule, self._orders(), X[good], samples.Q[good])
+        values, posterior, share = np.empty((3, int(good.sum())))
+        codes = np.empty(len(values), np.uint8)
+        kernel.run_fleet(
+            _memory(states),
+            rule,
+            self._orders(),
+            X[good],
+            samples.Q[good],
+            values,
+            posterior,
+            share,
+            codes,
+            segments.among(good),
+        )
         # Where the samples so far tell nothing, nothing can be said.
         with np.errstate(invalid="ignore"):
-            known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
+            known = np.where(share <= kernel.UNDETERMINED, values, np.nan)
         predicted = np.full(len(samples), np.nan)
         predicted[good] = known
         status = np.full(len(samples), Status.REJECTED, np.uint8)
-        status[good] = run.status
-        return run.state, Trace(predicted, samples.Q - predicted, status)
+        status[good] = codes
+        return Trace(predicted, samples.Q - predicted, status)
 
     def predict(
         self, state: MaximumLikelihoodState, U: Floats, dp: Floats, T: Floats

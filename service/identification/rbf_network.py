@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimator import State
+from service.identification.fleet import update_one
 from service.identification.kernels import rbf_network as kernel
-from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.identification.samples import Floats, Quality, Samples, Segments, Status, Trace
 
 
 @dataclass(frozen=True)
@@ -126,11 +127,12 @@ class RbfNetwork:
 
     def update(self, state: RbfNetworkState, samples: Samples) -> tuple[RbfNetworkState, Trace]:
         """Take N samples in; bad and non-finite ones leave the state untouched."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: RbfNetworkState, samples: Samples, segments: Segments) -> Trace:
+        """Take the samples of many models in; their states are written in place."""
         x, finite = self._normalised(samples.U, samples.dp)
         good = (samples.quality != Quality.BAD) & np.isfinite(samples.Q) & finite
-        after = RbfNetworkState(
-            **{name: np.array(getattr(state, name)) for name in state.__dataclass_fields__}
-        )
         count = len(samples)
         predicted = np.full(count, np.nan)
         status = np.full(count, Status.REJECTED, np.uint8)
@@ -141,21 +143,22 @@ class RbfNetwork:
             x[good],
             float(self.eta),
             float(self.alpha),
-            after.w,
-            after.c,
-            after.log_b,
-            after.dw,
-            after.dc,
-            after.dlog_b,
-            after.monitor,
+            states.w,
+            states.c,
+            states.log_b,
+            states.dw,
+            states.dc,
+            states.dlog_b,
+            states.monitor,
             guess,
             outcome,
+            segments.among(good),
         )
         predicted[good] = guess * self.Q_scale
         status[good] = outcome
         residual = np.full(count, np.nan)
         residual[good] = samples.Q[good] - predicted[good]
-        return after, Trace(predicted=predicted, residual=residual, status=status)
+        return Trace(predicted=predicted, residual=residual, status=status)
 
     def predict(
         self,

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from service.identification.fleet import learn_many, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels import change_detection, recursion
 from service.identification.least_squares_state import (
@@ -18,7 +19,7 @@ from service.identification.least_squares_state import (
     predict,
 )
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
-from service.identification.samples import Codes, Floats, Quality, Samples, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
 
 __all__ = [
     "Change",
@@ -125,11 +126,16 @@ class RecursiveLeastSquares:
 
     def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
         """Take N samples in, one after another."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: RlsState, samples: Samples, segments: Segments) -> Trace:
+        """Take the samples of many models in; their states are written in place."""
         X = self.structure.regressors(samples.U, samples.dp, samples.T)
         usable = samples.quality != Quality.BAD
         for signal in (samples.U, samples.dp):  # a structure may clip what it is given
             usable &= np.abs(signal) <= recursion.LARGEST
-        return learn(state, self.forgetting, X, samples.Q, samples.t, usable.astype(np.uint8))
+        codes = usable.astype(np.uint8)
+        return learn_many(states, self.forgetting, X, samples.Q, samples.t, codes, segments)
 
     def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min; NaN if unknown."""

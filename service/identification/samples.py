@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,8 +131,33 @@ class Samples:
     def __len__(self) -> int:
         return len(self.t)
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Self:
         return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+class Segments(NamedTuple):
+    """Whose samples are whose: model ``members[s]`` of many takes rows starts[s] … stops[s] - 1.
+
+    All arrays (S,) of int64; a model appears once at most.
+    """
+
+    members: Times
+    starts: Times
+    stops: Times
+
+    @classmethod
+    def one(cls, rows: int) -> "Segments":
+        """All rows to model 0."""
+        return cls(np.zeros(1, np.int64), np.zeros(1, np.int64), np.full(1, rows, np.int64))
+
+    def of(self, chosen: NDArray[np.bool_]) -> "Segments":
+        """Some of the segments; ``chosen`` (S,)."""
+        return Segments(*(array[chosen] for array in self))
+
+    def among(self, rows: NDArray[np.bool_]) -> "Segments":
+        """Where the segments lie once only ``rows`` (N,) are kept."""
+        before = np.concatenate([np.zeros(1, np.int64), np.cumsum(rows)])
+        return Segments(self.members, before[self.starts], before[self.stops])
 
 
 @dataclass(frozen=True)

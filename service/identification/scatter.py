@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels import scatter as kernel
-from service.identification.samples import Floats, Samples, Trace
+from service.identification.samples import Floats, Samples, Segments, Trace
 
 TWO_SIDED_95: Final = kernel.GAUSSIAN
 EDGES_U: Final = kernel.WIDTH_U * np.arange(kernel.CELLS_U + 1)
@@ -62,7 +62,10 @@ class Scatter:
     def add(self, samples: Samples, trace: Trace) -> "Scatter":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
         cells, overall = self.cells.copy(), self.overall.copy()
-        kernel.learn(samples.t, samples.U, samples.dp, trace.residual, cells, overall)
+        one = Segments.one(len(samples))
+        kernel.learn(
+            samples.t, samples.U, samples.dp, trace.residual, cells[None], overall[None], one
+        )
         return Scatter(cells, overall)
 
     @property

@@ -1,13 +1,13 @@
 """Alignment: data changes of single signals become samples of equal source time."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.samples import Samples
+from service.identification.samples import Samples, Segments
 from service.streaming.data_changes import DataChanges, Signal
 from service.streaming.kernels import alignment as kernel
 from service.streaming.kernels.alignment import Aligned, Changes, Waiting
@@ -38,6 +38,29 @@ class AlignmentSettings:
     max_wait_ns: int = 2_000_000_000
     max_pending: int = 4096
     hold_ns: Mapping[Signal, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ByValve(Mapping[int, Samples]):
+    """Samples of several valves, one valve after another: whole for kernels, by valve for others.
+
+    ``segments.members`` are the valves' numbers, ascending.
+    """
+
+    samples: Samples
+    segments: Segments
+
+    def __getitem__(self, valve: int) -> Samples:
+        k = int(np.searchsorted(self.segments.members, valve))
+        if k == len(self) or self.segments.members[k] != valve:
+            raise KeyError(valve)
+        return self.samples[slice(self.segments.starts[k], self.segments.stops[k])]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.segments.members.tolist())
+
+    def __len__(self) -> int:
+        return len(self.segments.members)
 
 
 @dataclass(frozen=True)
@@ -85,7 +108,7 @@ class Alignment:
             counters=np.zeros((valves, kernel.COUNTERS), np.int64),
         )
 
-    def update(self, state: Waiting, changes: DataChanges) -> tuple[Waiting, Mapping[int, Samples]]:
+    def update(self, state: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
         """Take changes in; hand out the samples that are complete, by valve, in order of time."""
         hold = self._hold()
         required = self._required(hold)
@@ -110,7 +133,8 @@ class Alignment:
             parts.append(Aligned._make(array[:n] for array in out))
             if done < len(changes):
                 waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
-        return waiting, _by_valve(Aligned._make(map(np.concatenate, zip(*parts, strict=True))))
+        out = Aligned._make(map(np.concatenate, zip(*parts, strict=True)))
+        return waiting, _by_valve(out, len(self.has_T))
 
     def counters(self, state: Waiting, valve: int) -> Mapping[str, int]:
         """Counts of one valve since the start."""
@@ -153,7 +177,13 @@ def _grown(waiting: Waiting, pending: int) -> Waiting:
     )
 
 
-def _by_valve(out: Aligned) -> Mapping[int, Samples]:
-    U, p1, p2, Q, T = out.values.T
-    every = Samples.of(t=out.time, U=U, p1=p1, p2=p2, Q=Q, T=T, quality=out.quality)
-    return {int(v): every[out.valve == v] for v in np.unique(out.valve)}
+def _by_valve(out: Aligned, valves: int) -> ByValve:
+    n = len(out.time)
+    columns = np.empty((kernel.SIGNALS, n))
+    t, quality, edges = np.empty(n, np.int64), np.empty(n, np.uint8), np.zeros(valves + 1, np.int64)
+    kernel.sort_by_valve(out, t, columns, quality, edges)
+    present = np.flatnonzero(np.diff(edges))
+    U, p1, p2, Q, T = columns
+    return ByValve(
+        Samples(t, U, p1, p2, Q, T, quality), Segments(present, edges[present], edges[present + 1])
+    )

@@ -8,15 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.errors import CommandRejected
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import Inversion
-from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
 from service.identification.survey import Survey
 from service.streaming import pipeline
-from service.streaming.alignment import Alignment
+from service.streaming.alignment import Alignment, ByValve
 from service.streaming.data_changes import DataChanges
+from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Forgetful, Lane, ValvePlan, ValveState
 from service.streaming.ports import (
     Checkpoint,
@@ -25,6 +27,7 @@ from service.streaming.ports import (
     ValveResult,
 )
 
+MAPS_AT_ONCE = 100
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 
@@ -33,49 +36,59 @@ class Identification:
 
     def __init__(self, plans: Sequence[ValvePlan], alignment: Alignment) -> None:
         self.plans = tuple(plans)
+        self._fleets, self._fleet_of, self._member_of = _fleets(self.plans)
         self._alignment = alignment
         self._waiting = alignment.initial_state()
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
-        self._states = [pipeline.start(plan) for plan in self.plans]
-        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
+        self._maps = self._first_maps()
         self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
-        self._next_survey = 0
+        self._next_survey = self._next_map = 0
 
-    def take(self, changes: DataChanges) -> Mapping[int, Samples]:
+    def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
-        self._waiting, samples = self._alignment.update(self._waiting, changes)
-        for valve, batch in samples.items():
-            self.take_samples(valve, batch)
-        return samples
+        self._waiting, arrived = self._alignment.update(self._waiting, changes)
+        valves, starts, stops = arrived.segments
+        fleets = self._fleet_of[valves]
+        for number in np.unique(fleets):
+            own = np.flatnonzero(fleets == number)
+            rows, first, last = _rows(starts[own], stops[own])
+            segments = Segments(self._member_of[valves[own]], first, last)
+            self._fleets[number].take(arrived.samples[rows], segments)
+        return arrived
 
-    def take_samples(self, valve: int, samples: Samples) -> Mapping[str, Trace]:
-        """Take samples of one valve in; return what every estimator said of them."""
-        self._states[valve], _, traces = pipeline.advance(
-            self.plans[valve], self._states[valve], samples
-        )
-        return traces
+    def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
+        """Take samples of one valve in; return them as judged, and what every estimator said."""
+        if len(samples) == 0:
+            return samples, {}
+        fleet, m = self._at(valve)
+        return fleet.take(samples, Segments.one(len(samples))._replace(members=np.array([m])))
 
     def lane(self, valve: str, estimator: str) -> Lane:
         """One estimator as it stands."""
-        return self._states[self._numbers[valve]].lanes[estimator]
+        fleet, m = self._at(self._numbers[valve])
+        return fleet.lane(m, estimator)
 
     def state(self, valve: int) -> ValveState:
         """One valve as it stands."""
-        return self._states[valve]
+        fleet, m = self._at(valve)
+        return fleet.state(m)
 
     def refresh_maps(self) -> None:
-        """Compute the inverse's tables anew, and survey the next maps; results show the newest."""
-        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
-        lanes = [(number, name) for number, s in enumerate(self._states) for name in s.lanes]
+        """Compute the next inverse tables and surveys anew; results show the newest of them."""
+        for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
+            number = self._next_map % len(self.plans)
+            self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._next_map += 1
+        lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
         for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
             number, name = lanes[self._next_survey % len(lanes)]
-            found = pipeline.survey_of(self.plans[number], self._states[number], name)
+            found = pipeline.survey_of(self.plans[number], self.state(number), name)
             self._surveys[number] = {**self._surveys[number], name: found}
             self._next_survey += 1
 
     def result(self, valve: int, *, lost: bool = False) -> ValveResult:
         """What is published of one valve; all of it is BAD where its sensors are ``lost``."""
-        plan, state = self.plans[valve], self._states[valve]
+        plan, state = self.plans[valve], self.state(valve)
         estimators = {
             name: replace(pipeline.estimator_result(lane), survey=self._surveys[valve].get(name))
             for name, lane in state.lanes.items()
@@ -89,7 +102,8 @@ class Identification:
     def counters(self, valve: int) -> Mapping[str, int]:
         """What was aligned, lost and rejected of one valve since the start."""
         aligned = self._alignment.counters(self._waiting, valve)
-        return {**aligned, **self._states[valve].gate.counters}
+        fleet, m = self._at(valve)
+        return {**aligned, **fleet.rejections(m)}
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """What a results server must know."""
@@ -144,36 +158,31 @@ class Identification:
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
         """Q (l/min), its standard deviation and the estimator's status at one point."""
-        state = self._states[self._numbers[valve]]
-        T = state.T if np.isnan(T) else T
-        return pipeline.predicted(state.lanes[estimator], U, dp, T)
+        return pipeline.predicted(self.lane(valve, estimator), U, dp, self._T(valve, T))
 
     def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, float, Status]:
         """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
-        state = self._states[self._numbers[valve]]
-        lane = state.lanes[estimator]
-        T = state.T if np.isnan(T) else T
-        (Q,), (half,) = pipeline.predicted_measurement(
-            lane, *(np.array([x], np.float64) for x in (U, dp, T))
-        )
+        lane = self.lane(valve, estimator)
+        point = (np.array([x], np.float64) for x in (U, dp, self._T(valve, T)))
+        (Q,), (half,) = pipeline.predicted_measurement(lane, *point)
         status = Status.WARMING_UP if lane.status is None else lane.status
         return float(Q), float(Q - half), float(Q + half), status
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
         number = self._numbers[valve]
-        return pipeline.demanded(self.plans[number], self._states[number], Q, dp, T)
+        return pipeline.demanded(self.plans[number], self.state(number), Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
-        number = self._numbers[valve]
-        self._states[number] = replace(self._states[number], demand_Q=Q, demand_dp=dp)
+        fleet, m = self._at(self._numbers[valve])
+        fleet.demand(m, Q, dp)
 
-    def required_U(self) -> Floats:
-        """The answers to the standing demands, one per valve; NaN where there is none."""
-        return np.array([pipeline.required(*pair)[0] for pair in self._pairs()])
+    def required_U(self, valve: int) -> float:
+        """The answer to a valve's standing demand; NaN where there is none."""
+        return pipeline.required(self.plans[valve], self.state(valve))[0]
 
     def checkpoints(self) -> list[Checkpoint]:
         """Every estimator's state as bytes."""
@@ -204,6 +213,7 @@ class Identification:
         for kept in checkpoints:
             taken = self._restore(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
+        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self.refresh_maps()
         return restored, refused
 
@@ -221,13 +231,57 @@ class Identification:
         self._put(kept.valve, kept.estimator, lane)
         return True
 
+    def _first_maps(self) -> list[Floats]:
+        """Tables before the first sample: the same for valves treated alike."""
+        tables: dict[tuple[object, ...], Floats] = {}
+        maps = []
+        for number, plan in enumerate(self.plans):
+            key = (int(self._fleet_of[number]), plan.inverse, plan.map_Q, plan.map_dp)
+            if key not in tables:
+                tables[key] = pipeline.inverse_map(plan, self.state(number))
+            maps.append(tables[key])
+        return maps
+
     def _pairs(self) -> list[tuple[ValvePlan, ValveState]]:
-        return list(zip(self.plans, self._states, strict=True))
+        return [(plan, self.state(number)) for number, plan in enumerate(self.plans)]
+
+    def _at(self, valve: int) -> tuple[Fleet, int]:
+        return self._fleets[self._fleet_of[valve]], int(self._member_of[valve])
+
+    def _T(self, valve: str, T: float) -> float:
+        fleet, m = self._at(self._numbers[valve])
+        return fleet.last_T(m) if np.isnan(T) else T
 
     def _put(self, valve: str, estimator: str, lane: Lane) -> None:
-        number = self._numbers[valve]
-        state = self._states[number]
-        self._states[number] = replace(state, lanes={**state.lanes, estimator: lane})
+        fleet, m = self._at(self._numbers[valve])
+        fleet.put(m, estimator, lane)
+
+
+def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
+    """Fleets of the valves that are treated alike; of each valve its fleet and its place there."""
+    numbers: dict[str, int] = {}
+    first: list[ValvePlan] = []
+    sizes: list[int] = []
+    places = np.zeros((2, len(plans)), np.int64)
+    for valve, plan in enumerate(plans):
+        key = repr((plan.gate, [(name, key_of(e)) for name, e in plan.estimators.items()]))
+        number = numbers.setdefault(key, len(numbers))
+        if number == len(first):
+            first.append(plan)
+            sizes.append(0)
+        places[:, valve] = number, sizes[number]
+        sizes[number] += 1
+    fleets = [Fleet(plan, M) for plan, M in zip(first, sizes, strict=True)]
+    return fleets, places[0], places[1]
+
+
+def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times, Times]:
+    """Which rows the segments have, and where the segments are among those alone."""
+    if (starts[1:] == stops[:-1]).all():
+        return slice(starts[0], stops[-1]), starts - starts[0], stops - starts[0]
+    rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])
+    last = np.cumsum(stops - starts)
+    return rows, last - (stops - starts), last
 
 
 def _first_line(thing: object) -> str:

@@ -128,12 +128,9 @@ class LiveService:
             await self._sink.publish(results)
 
     async def _feed_forward(self, valves: Iterable[int]) -> None:
-        chosen = [valve for valve in valves if valve in self._settings.feed_forward]
-        if not chosen:
-            return
-        required = self.identification.required_U()
-        for valve in chosen:
-            U = float(required[valve])
+        chosen = set(self._settings.feed_forward).intersection(valves)
+        for valve in sorted(chosen):
+            U = self.identification.required_U(valve)
             if np.isnan(U) or self._written[valve] == U:
                 continue
             try:

@@ -1,4 +1,4 @@
-"""The pipeline of one valve: gate, estimators side by side, results. Pure: state in, state out."""
+"""One valve: what is done with it, how it stands, and what follows from that. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from service.identification.estimator import Estimator, State, key_of
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.rbf_network import RbfNetwork
-from service.identification.samples import Floats, Quality, Samples, Status, Trace
+from service.identification.samples import Floats, Quality, Samples, Status
 from service.identification.scatter import TWO_SIDED_95, Scatter
 from service.identification.survey import Survey, survey
 from service.streaming.ports import EstimatorResult, InverseResult
@@ -98,32 +98,9 @@ class ValveState:
     demand_dp: float = np.nan
 
 
-def start(plan: ValvePlan) -> ValveState:
-    """State before the first sample."""
-    return ValveState(
-        gate=plan.gate.initial_state(),
-        lanes={name: fresh_lane(estimator) for name, estimator in plan.estimators.items()},
-    )
-
-
 def fresh_lane(estimator: AnyEstimator) -> Lane:
     """An estimator that has seen nothing."""
     return Lane(estimator, estimator.initial_state(), Score.none())
-
-
-def advance(
-    plan: ValvePlan, state: ValveState, samples: Samples
-) -> tuple[ValveState, Samples, Mapping[str, Trace]]:
-    """Take N samples in; return them as the gate judged them, and what every estimator said."""
-    if len(samples) == 0:
-        return state, samples, {}
-    gate, judged = plan.gate.update(state.gate, samples)
-    lanes, traces = {}, {}
-    for name, lane in state.lanes.items():
-        lanes[name], traces[name] = _learn(lane, judged)
-    warm = judged.T[np.isfinite(judged.T) & (judged.quality != Quality.BAD)]
-    T = float(warm[-1]) if len(warm) else state.T
-    return replace(state, gate=gate, lanes=lanes, t=int(samples.t[-1]), T=T), judged, traces
 
 
 def estimator_result(lane: Lane) -> EstimatorResult:
@@ -278,37 +255,3 @@ _QUALITY = {
     Status.HELD: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
 }
-
-_LEARNT = (Status.OK, Status.WARMING_UP, Status.UNEXCITED)
-
-
-def _learn(lane: Lane, samples: Samples) -> tuple[Lane, Trace]:
-    if lane.frozen:
-        state, trace = lane.state, _prediction_only(lane, samples)
-    else:
-        state, trace = lane.estimator.update(lane.state, samples)
-    return (
-        replace(
-            lane,
-            state=state,
-            score=lane.score.add(samples, trace),
-            scatter=lane.scatter.add(samples, trace),
-            count=lane.count + int(np.isin(trace.status, _LEARNT).sum()),
-            t=int(samples.t[-1]),
-            predicted=float(trace.predicted[-1]),
-            residual=float(trace.residual[-1]),
-            status=Status(int(trace.status[-1])),
-        ),
-        trace,
-    )
-
-
-def _prediction_only(lane: Lane, samples: Samples) -> Trace:
-    Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
-    usable = samples.quality != Quality.BAD
-    Q_hat = np.where(usable, Q_hat, np.nan)
-    return Trace(
-        predicted=Q_hat,
-        residual=samples.Q - Q_hat,
-        status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
-    )

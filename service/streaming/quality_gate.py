@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from service.identification.samples import Quality, Samples
+from service.identification.samples import Samples, Segments, Times
 from service.streaming.data_changes import Signal
 from service.streaming.kernels import gate as kernel
 from service.streaming.kernels.gate import Limits, Memory
@@ -48,22 +49,31 @@ class SignalLimits:
 
 @dataclass(frozen=True)
 class GateState:
-    """What the gate remembers of the last samples; all arrays of constant size."""
+    """What the gate remembers of M valves; all arrays of constant size, ``bad_status`` (M,)."""
 
     memory: Memory
-    bad_status: int = 0
+    bad_status: Times
+
+    def of(self, valves: slice) -> "GateState":
+        """Copies of what is remembered of some valves."""
+        memory = Memory._make(array[valves].copy() for array in self.memory)
+        return GateState(memory, self.bad_status[valves].copy())
+
+    def counters_of(self, m: int) -> Mapping[str, int]:
+        """Rejections of one valve since the start by reason; a sample may count under several."""
+        totals = self.memory.counters[m].sum(axis=0)
+        reasons = {name: int(n) for name, n in zip(REASON_NAMES, totals, strict=True)}
+        return {"bad_status": int(self.bad_status[m]), **reasons}
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Rejections since the start by reason; a sample may count under several."""
-        totals = self.memory.counters.sum(axis=0)
-        reasons = {name: int(n) for name, n in zip(REASON_NAMES, totals, strict=True)}
-        return {"bad_status": self.bad_status, **reasons}
+        """The same of the first valve, for who has only one."""
+        return self.counters_of(0)
 
 
 @dataclass(frozen=True)
 class QualityGate:
-    """Judges the samples of one valve: status, NaN and inf, range; frozen, rate, spike on demand.
+    """Judges the samples of valves: status, NaN and inf, range; frozen, rate, spike on demand.
 
     Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD. A
     temperature that is NaN is no reading rather than a wrong one: maps without T do not mind.
@@ -84,39 +94,47 @@ class QualityGate:
     )
     use_uncertain: bool = False
 
-    def initial_state(self) -> GateState:
+    def initial_state(self, valves: int = 1) -> GateState:
         """No sample seen yet."""
-        n = kernel.SIGNALS
+        n = valves, kernel.SIGNALS
         return GateState(
             Memory(
                 last=np.full(n, np.nan),
                 last_time=np.zeros(n, np.int64),
                 still_since=np.zeros(n, np.int64),
-                window=np.full((n, kernel.WINDOW), np.nan),
-                counters=np.zeros((n, kernel.REASONS), np.int64),
-            )
+                window=np.full((*n, kernel.WINDOW), np.nan),
+                counters=np.zeros((*n, kernel.REASONS), np.int64),
+            ),
+            np.zeros(valves, np.int64),
         )
 
     def update(self, state: GateState, samples: Samples) -> tuple[GateState, Samples]:
-        """Judge N samples; nothing but their quality changes."""
-        memory = Memory._make(array.copy() for array in state.memory)
+        """Judge N samples of one valve; nothing but their quality changes."""
+        after = state.of(slice(None))
+        return after, self.judge(after, samples, Segments.one(len(samples)))
+
+    def judge(self, state: GateState, samples: Samples, segments: Segments) -> Samples:
+        """Judge N samples of many valves; ``state`` is written in place."""
         quality = samples.quality.copy()
-        if not self.use_uncertain:
-            quality[quality == Quality.UNCERTAIN] = Quality.BAD
-        bad_status = int((quality == Quality.BAD).sum())
-        limits = [self.limits[signal] for signal in SENSORS]
         kernel.judge_samples(
             samples.t,
             np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1),
-            Limits(
-                low=np.array([limit.low for limit in limits], np.float64),
-                high=np.array([limit.high for limit in limits], np.float64),
-                frozen_ns=np.array([limit.frozen_s * 1e9 for limit in limits]).astype(np.int64),
-                max_rate=np.array([limit.max_rate_per_s for limit in limits], np.float64),
-                spike=np.array([limit.spike for limit in limits], np.float64),
-            ),
-            memory,
+            self._limits,
+            state.memory,
             quality,
+            state.bad_status,
+            self.use_uncertain,
+            segments,
         )
-        judged = replace(samples, quality=quality)
-        return GateState(memory, state.bad_status + bad_status), judged
+        return replace(samples, quality=quality)
+
+    @cached_property
+    def _limits(self) -> Limits:
+        limits = [self.limits[signal] for signal in SENSORS]
+        return Limits(
+            low=np.array([limit.low for limit in limits], np.float64),
+            high=np.array([limit.high for limit in limits], np.float64),
+            frozen_ns=np.array([limit.frozen_s * 1e9 for limit in limits]).astype(np.int64),
+            max_rate=np.array([limit.max_rate_per_s for limit in limits], np.float64),
+            spike=np.array([limit.spike for limit in limits], np.float64),
+        )

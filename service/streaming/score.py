@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.samples import Floats, Samples, Trace
+from service.identification.samples import Floats, Samples, Segments, Trace
 from service.streaming.kernels import score as kernel
 
 
@@ -54,7 +54,8 @@ class Score:
     def add(self, samples: Samples, trace: Trace) -> "Score":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
         sums = self.sums.copy()
-        kernel.accumulate(trace.residual, samples.Q, sums)
+        one = Segments.one(len(samples))
+        kernel.accumulate(trace.residual, samples.Q, sums[None], one)
         return Score(sums)
 
     @property

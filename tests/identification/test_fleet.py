@@ -21,7 +21,10 @@ def samples():
     return X, y, np.arange(N), np.ones(N, np.uint8)
 
 
-@pytest.mark.parametrize("rule", [Exponential(0.99), Directional(0.99), Adaptive()], ids=repr)
+RULES = [Exponential(0.99), Directional(0.99), Adaptive(), SlidingWindow(10)]
+
+
+@pytest.mark.parametrize("rule", RULES, ids=repr)
 def test_a_fleet_learns_what_its_members_learn_alone_to_the_bit(rule, samples):
     fleet = stack([initial_state(5, rule)] * len(LENGTHS))
     after, trace = learn_fleet(fleet, rule, *samples, OFFSETS)
@@ -40,5 +43,3 @@ def test_what_does_not_fit_is_refused(samples):
     for offsets in ([0, 10], [0, 10, 5], [1, 5, len(samples[1])]):
         with pytest.raises(ValueError, match="3 ascending ones are wanted"):
             learn_fleet(fleet, Exponential(0.99), *samples, offsets)
-    with pytest.raises(ValueError, match="one model at a time"):
-        learn_fleet(fleet, SlidingWindow(10), *samples, [0, 5, len(samples[1])])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import covariance, project, rank_one
 from service.identification.kernels.stability import is_stable
-from service.identification.samples import Codes, Floats, Status
+from service.identification.samples import Codes, Floats, Segments, Status
 
 Orders = NDArray[np.int64]
 
@@ -114,10 +114,74 @@ def run(
     history : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
     """
+    scratch = _scratch(len(memory.theta))
+    _span(
+        memory, rule, orders, scratch, X, y, use, predicted, posterior, share, status, history,
+        0, len(y),
+    )  # fmt: skip
+
+
+@kernel
+def run_fleet(
+    fleet: Memory,
+    rule: Rule,
+    orders: Orders,
+    X: Floats,
+    y: Floats,
+    predicted: Floats,
+    posterior: Floats,
+    share: Floats,
+    status: Codes,
+    segments: Segments,
+) -> None:
+    """Take the samples of many models in, each its own stretch of them.
+
+    Parameters
+    ----------
+    fleet
+        The states' arrays, each with a leading axis M; written in place.
+    rule, orders, X, y, predicted, posterior, share, status
+        As for one model; the samples of all models one after another, all of them to be used.
+    segments
+        Which samples are whose.
+    """
+    theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor = fleet
+    members, starts, stops = segments
+    scratch, history = _scratch(theta.shape[1]), np.empty((0, theta.shape[1]))
+    use = np.ones(len(y), np.uint8)
+    for s in range(len(members)):
+        m = members[s]
+        memory = Memory(
+            theta[m], factor[m], spread[m], prior[m], rls_theta[m], rls_factor[m], raw[m],
+            filtered[m], monitor[m],
+        )  # fmt: skip
+        _span(
+            memory, rule, orders, scratch, X, y, use, predicted, posterior, share, status, history,
+            starts[s], stops[s],
+        )  # fmt: skip
+
+
+@inner
+def _span(
+    memory: Memory,
+    rule: Rule,
+    orders: Orders,
+    scratch: _Scratch,
+    X: Floats,
+    y: Floats,
+    use: Codes,
+    predicted: Floats,
+    posterior: Floats,
+    share: Floats,
+    status: Codes,
+    history: Floats,
+    start: int,
+    stop: int,
+) -> None:
+    """Samples start … stop - 1 of one model."""
     n, last = len(memory.theta), len(orders) - 1
     d = memory.theta[n - orders[last] :]
-    scratch = _scratch(n)
-    for t in range(len(y)):
+    for t in range(start, stop):
         in_range = True
         for c in range(1, last):
             in_range = in_range and abs(X[t, c - 1]) < LARGEST

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import kernel
-from service.identification.samples import Codes, Floats
+from service.identification.kernels.compiled import inner, kernel
+from service.identification.samples import Codes, Floats, Segments
 
 # Elements of ``monitor``.
 COUNT, POWER = range(2)
@@ -36,17 +36,47 @@ def update(
     monitor: Floats,
     predicted: Floats,
     status: Codes,
+    segments: Segments,
 ) -> None:
-    """Take N samples in; state and output arrays are changed in place.
+    """Take the samples of many networks in; the states' arrays have a leading axis M."""
+    members, starts, stops = segments
+    H, distance = np.empty(w.shape[1]), np.empty(w.shape[1])
+    for s in range(len(members)):
+        m = members[s]
+        _train(
+            y, x, eta, alpha, w[m], c[m], log_b[m], dw[m], dc[m], dlog_b[m], monitor[m],
+            predicted, status, H, distance, starts[s], stops[s],
+        )  # fmt: skip
+
+
+@inner
+def _train(
+    y: Floats,
+    x: Floats,
+    eta: float,
+    alpha: float,
+    w: Floats,
+    c: Floats,
+    log_b: Floats,
+    dw: Floats,
+    dc: Floats,
+    dlog_b: Floats,
+    monitor: Floats,
+    predicted: Floats,
+    status: Codes,
+    H: Floats,
+    distance: Floats,
+    start: int,
+    stop: int,
+) -> None:
+    """Samples start … stop - 1 of one network; state and output arrays are changed in place.
 
     The step is eta/(1 + eta·S/(1 - alpha)), S the squared gradient: to first order the error of
     this very sample then never changes its sign, whatever eta, alpha and the weights are.
     """
     m = len(w)
     low, high = LOG_WIDTH_BOUNDS
-    H = np.empty(m)
-    distance = np.empty(m)
-    for t in range(len(y)):
+    for t in range(start, stop):
         if not (abs(y[t]) < LARGEST and abs(x[t, 0]) < LARGEST and abs(x[t, 1]) < LARGEST):
             predicted[t] = np.nan
             status[t] = HELD

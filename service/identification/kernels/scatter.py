@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.identification.kernels.compiled import inner, kernel
-from service.identification.samples import Floats, Times
+from service.identification.samples import Floats, Segments, Times
 
 CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
@@ -23,33 +23,42 @@ SETTLED, LARGEST = 20.0, 16.0
 
 @kernel
 def learn(
-    t: Times, U: Floats, dp: Floats, residual: Floats, cells: Floats, overall: Floats
+    t: Times,
+    U: Floats,
+    dp: Floats,
+    residual: Floats,
+    every_cells: Floats,
+    every_overall: Floats,
+    segments: Segments,
 ) -> None:
-    """Take N residuals in, in place; one that is not finite counts nowhere.
+    """Take N residuals of M maps in, in place; one that is not finite counts nowhere.
 
     Parameters
     ----------
-    cells : (120, 3)
+    every_cells : (M, 120, 3)
         Weight, mean square of the residuals and time of the last one of each cell.
-    overall : (3,)
+    every_overall : (M, 3)
         The same weight and mean square over all cells; how many times its cell's root mean square
         a residual must be to belong to the outer 5 %.
     """
-    for i in range(len(residual)):
-        e = residual[i]
-        if not (abs(e) < 1e100 and np.isfinite(U[i]) and np.isfinite(dp[i])):
-            continue
-        c = cell_of(U[i], dp[i])
-        square, expected = e * e, mean_square(cells, overall, c)
-        if overall[WEIGHT] > SETTLED and expected > 0.0:
-            missed = 1.0 if square > overall[QUANTILE] ** 2 * expected else 0.0
-            overall[QUANTILE] *= np.exp(PACE * (missed - BEYOND))
-            square = min(square, LARGEST * expected)
-        overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
-        overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
-        cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
-        cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
-        cells[c, LAST] = t[i]
+    members, starts, stops = segments
+    for s in range(len(members)):
+        cells, overall = every_cells[members[s]], every_overall[members[s]]
+        for i in range(starts[s], stops[s]):
+            e = residual[i]
+            if not (abs(e) < 1e100 and np.isfinite(U[i]) and np.isfinite(dp[i])):
+                continue
+            c = cell_of(U[i], dp[i])
+            square, expected = e * e, mean_square(cells, overall, c)
+            if overall[WEIGHT] > SETTLED and expected > 0.0:
+                missed = 1.0 if square > overall[QUANTILE] ** 2 * expected else 0.0
+                overall[QUANTILE] *= np.exp(PACE * (missed - BEYOND))
+                square = min(square, LARGEST * expected)
+            overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
+            overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
+            cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
+            cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
+            cells[c, LAST] = t[i]
 
 
 @inner

@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.samples import Segments
+
 SIGNALS = 5
 T = 4
 WINDOW = 5
@@ -24,7 +26,10 @@ class Limits(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What is remembered of each signal, (5,); ``window`` (5, 5), ``counters`` (5, REASONS)."""
+    """What is remembered of each signal of M valves, (M, 5).
+
+    ``window`` (M, 5, 5), ``counters`` (M, 5, REASONS).
+    """
 
     last: NDArray[np.float64]
     last_time: NDArray[np.int64]
@@ -40,11 +45,45 @@ def judge_samples(
     limits: Limits,
     memory: Memory,
     quality: NDArray[np.uint8],
+    bad_status: NDArray[np.int64],
+    use_uncertain: bool,  # noqa: FBT001 - numba takes positions only
+    segments: Segments,
 ) -> None:
-    """Judge N samples ``values`` (N, 5); set ``quality`` (N,) to 2 where a check fails."""
+    """Judge N samples ``values`` (N, 5); set ``quality`` (N,) to 2 where a check fails.
+
+    ``bad_status`` (M,) counts the samples that came as bad.
+    """
+    for s in range(len(segments.members)):
+        m = segments.members[s]
+        start, stop = segments.starts[s], segments.stops[s]
+        for i in range(start, stop):
+            if quality[i] == 1 and not use_uncertain:
+                quality[i] = 2
+            bad_status[m] += quality[i] == 2
+        own = Memory(
+            memory.last[m],
+            memory.last_time[m],
+            memory.still_since[m],
+            memory.window[m],
+            memory.counters[m],
+        )
+        _judge(t, values, limits, own, quality, start, stop)
+
+
+@njit(cache=True)
+def _judge(
+    t: NDArray[np.int64],
+    values: NDArray[np.float64],
+    limits: Limits,
+    memory: Memory,
+    quality: NDArray[np.uint8],
+    start: int,
+    stop: int,
+) -> None:
+    """Samples start … stop - 1 of one valve."""
     low, high, frozen_ns, max_rate, spike = limits
     last, last_time, still_since, window, counters = memory
-    for i in range(len(t)):
+    for i in range(start, stop):
         for j in range(SIGNALS):
             x = values[i, j]
             if j == T and np.isnan(x):  # no reading: only maps that depend on T mind

@@ -4,6 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.samples import Segments
+
 N, SQUARES, MEAN_Q, SCATTER_Q, LOWEST_Q, HIGHEST_Q, RECENT, WEIGHT, LARGEST, FIELDS = range(10)
 
 KEEP = 1.0 - 1.0 / 1000.0
@@ -11,24 +13,30 @@ KEEP = 1.0 - 1.0 / 1000.0
 
 @njit(cache=True)
 def accumulate(
-    residual: NDArray[np.float64], Q: NDArray[np.float64], score: NDArray[np.float64]
+    residual: NDArray[np.float64],
+    Q: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    segments: Segments,
 ) -> None:
-    """Add N residuals to ``score`` (FIELDS,) in place; a residual that is NaN counts nowhere.
+    """Add N residuals to ``scores`` (M, FIELDS) in place; one that is NaN counts nowhere.
 
     MEAN_Q and SCATTER_Q follow Welford (1962); RECENT is the mean square over about the last
     1,000 residuals, WEIGHT what their weights sum up to.
     """
-    for i in range(len(residual)):
-        e = residual[i]
-        if not np.isfinite(e):
-            continue
-        score[N] += 1
-        score[SQUARES] += e * e
-        step = Q[i] - score[MEAN_Q]
-        score[MEAN_Q] += step / score[N]
-        score[SCATTER_Q] += step * (Q[i] - score[MEAN_Q])
-        score[LOWEST_Q] = min(score[LOWEST_Q], Q[i])
-        score[HIGHEST_Q] = max(score[HIGHEST_Q], Q[i])
-        score[LARGEST] = max(score[LARGEST], abs(e))
-        score[RECENT] = KEEP * score[RECENT] + (1.0 - KEEP) * e * e
-        score[WEIGHT] = KEEP * score[WEIGHT] + (1.0 - KEEP)
+    members, starts, stops = segments
+    for k in range(len(members)):
+        score = scores[members[k]]
+        for i in range(starts[k], stops[k]):
+            e = residual[i]
+            if not np.isfinite(e):
+                continue
+            score[N] += 1
+            score[SQUARES] += e * e
+            step = Q[i] - score[MEAN_Q]
+            score[MEAN_Q] += step / score[N]
+            score[SCATTER_Q] += step * (Q[i] - score[MEAN_Q])
+            score[LOWEST_Q] = min(score[LOWEST_Q], Q[i])
+            score[HIGHEST_Q] = max(score[HIGHEST_Q], Q[i])
+            score[LARGEST] = max(score[LARGEST], abs(e))
+            score[RECENT] = KEEP * score[RECENT] + (1.0 - KEEP) * e * e
+            score[WEIGHT] = KEEP * score[WEIGHT] + (1.0 - KEEP)

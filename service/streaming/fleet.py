@@ -1,0 +1,224 @@
+"""Valves of one plan in one call: their states are one structure of arrays, written in place.
+
+The plan's valves differ in nothing but their samples and what operators did to them. A batch is
+gated, learnt from and scored by one kernel call each, whatever the number of valves; one valve is
+a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
+:class:`~service.streaming.pipeline.ValveState`) are copies that later samples do not change.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from service.identification.estimator import State
+from service.identification.fleet import ManyModels, copied, member, repeated
+from service.identification.kernels import scatter as scatter_kernel
+from service.identification.samples import Floats, Quality, Samples, Segments, Status, Trace
+from service.identification.scatter import Scatter
+from service.streaming.kernels import lanes as kernel
+from service.streaming.kernels import score as score_kernel
+from service.streaming.kernels.lanes import NO_STATUS, Notes
+from service.streaming.pipeline import AnyEstimator, Lane, ValvePlan, ValveState, with_forgetting
+from service.streaming.score import Score
+
+
+class Fleet:
+    """M valves that share a plan.
+
+    Parameters
+    ----------
+    plan
+        Gate and estimators of each.
+    M
+        How many.
+    """
+
+    def __init__(self, plan: ValvePlan, M: int) -> None:
+        self.plan = plan
+        self._gate = plan.gate.initial_state(M)
+        self._lanes = {name: _Lanes(estimator, M) for name, estimator in plan.estimators.items()}
+        self._t = np.zeros(M, np.int64)
+        self._T = np.full(M, np.nan)
+        self._demand = np.full((M, 2), np.nan)  # Q, dp
+
+    def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
+        """Take samples in; return them as the gate judged them, and what every estimator said.
+
+        ``segments`` says which are whose, in the fleet's own numbers; none may be empty.
+        """
+        judged = self.plan.gate.judge(self._gate, samples, segments)
+        traces = {name: lanes.take(judged, segments) for name, lanes in self._lanes.items()}
+        self._t[segments.members] = samples.t[segments.stops - 1]
+        kernel.last_T(judged.T, judged.quality, self._T, segments)
+        return judged, traces
+
+    def lane(self, m: int, name: str) -> Lane:
+        """One estimator of one valve as it stands."""
+        return self._lanes[name].get(m)
+
+    def put(self, m: int, name: str, lane: Lane) -> None:
+        """Have it stand otherwise; its estimator is the plan's, but for ``lam``."""
+        self._lanes[name].put(m, lane)
+
+    def state(self, m: int) -> ValveState:
+        """One valve as it stands."""
+        one = slice(m, m + 1)
+        return ValveState(
+            gate=self._gate.of(one),
+            lanes={name: self.lane(m, name) for name in self._lanes},
+            t=int(self._t[m]),
+            T=float(self._T[m]),
+            demand_Q=float(self._demand[m, 0]),
+            demand_dp=float(self._demand[m, 1]),
+        )
+
+    def last_T(self, m: int) -> float:
+        """The last temperature measured at one valve, °C."""
+        return float(self._T[m])
+
+    def demand(self, m: int, Q: float, dp: float) -> None:
+        """Set the standing demand of one valve."""
+        self._demand[m] = Q, dp
+
+    def rejections(self, m: int) -> Mapping[str, int]:
+        """What the gate rejected of one valve since the start, by reason."""
+        return self._gate.counters_of(m)
+
+
+class _Lanes:
+    """One estimator on M valves."""
+
+    def __init__(self, estimator: AnyEstimator, M: int) -> None:
+        self._estimator = estimator
+        self._states = _states_of(estimator, M)
+        self._scores = np.tile(Score.none().sums, (M, 1))
+        none = Scatter.none()
+        self._cells = np.tile(none.cells, (M, 1, 1))
+        self._overall = np.tile(none.overall, (M, 1))
+        self._frozen = np.zeros(M, bool)
+        self._lam = np.full(M, np.nan)  # what an operator set
+        self._notes = Notes(
+            learnt=np.zeros(M, np.int64),
+            t=np.zeros(M, np.int64),
+            predicted=np.full(M, np.nan),
+            residual=np.full(M, np.nan),
+            status=np.full(M, NO_STATUS, np.uint8),
+        )
+
+    def take(self, samples: Samples, segments: Segments) -> Trace:
+        own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
+        trace = self._states.update(samples, segments.of(~own_way))
+        for m, start, stop in zip(*segments.of(own_way), strict=True):
+            rows = slice(start, stop)
+            said = self._take_own_way(int(m), samples[rows])
+            for f in fields(Trace):
+                getattr(trace, f.name)[rows] = getattr(said, f.name)
+        score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
+        scatter_kernel.learn(
+            samples.t,
+            samples.U,
+            samples.dp,
+            trace.residual,
+            self._cells,
+            self._overall,
+            segments,
+        )
+        kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
+        return trace
+
+    def get(self, m: int) -> Lane:
+        count, t, predicted, residual, status = (array[m] for array in self._notes)
+        lane = Lane(
+            estimator=self._estimator,
+            state=self._states.get(m),
+            score=Score(self._scores[m].copy()),
+            scatter=Scatter(self._cells[m].copy(), self._overall[m].copy()),
+            frozen=bool(self._frozen[m]),
+            count=int(count),
+            t=int(t),
+            predicted=float(predicted),
+            residual=float(residual),
+            status=None if status == NO_STATUS else Status(int(status)),
+        )
+        lam = float(self._lam[m])
+        return lane if np.isnan(lam) else with_forgetting(lane, lam)
+
+    def put(self, m: int, lane: Lane) -> None:
+        self._states.put(m, lane.state)
+        self._scores[m] = lane.score.sums
+        self._cells[m], self._overall[m] = lane.scatter.cells, lane.scatter.overall
+        self._frozen[m] = lane.frozen
+        self._lam[m] = np.nan if lane.lam is None else lane.lam
+        status = NO_STATUS if lane.status is None else int(lane.status)
+        notes = self._notes
+        notes.learnt[m], notes.t[m], notes.status[m] = lane.count, lane.t, status
+        notes.predicted[m], notes.residual[m] = lane.predicted, lane.residual
+
+    def _take_own_way(self, m: int, samples: Samples) -> Trace:
+        lane = self.get(m)
+        if lane.frozen:
+            return _prediction_only(lane, samples)
+        state, trace = lane.estimator.update(lane.state, samples)
+        self._states.put(m, state)
+        return trace
+
+
+def _states_of(estimator: AnyEstimator, M: int) -> "_Stacked | _Listed":
+    return _Stacked(estimator, M) if isinstance(estimator, ManyModels) else _Listed(estimator, M)
+
+
+class _Stacked:
+    """As a structure of arrays, for an estimator that takes many models at once."""
+
+    def __init__(self, estimator: ManyModels[Any], M: int) -> None:
+        self._estimator = estimator
+        self._all = repeated(estimator.initial_state(), M)
+
+    def update(self, samples: Samples, segments: Segments) -> Trace:
+        return self._estimator.update_many(self._all, samples, segments)
+
+    def get(self, m: int) -> State:
+        one: State = copied(member(self._all, m))
+        return one
+
+    def put(self, m: int, state: State) -> None:
+        for f in fields(state):
+            getattr(self._all, f.name)[m] = getattr(state, f.name)
+
+
+class _Listed:
+    """One by one, for an estimator with much to do and to remember at each."""
+
+    def __init__(self, estimator: AnyEstimator, M: int) -> None:
+        self._estimator = estimator
+        self._all: list[State] = [estimator.initial_state()] * M
+
+    def update(self, samples: Samples, segments: Segments) -> Trace:
+        N = len(samples)
+        trace = Trace(np.empty(N), np.empty(N), np.empty(N, np.uint8))
+        for m, start, stop in zip(*segments, strict=True):
+            rows = slice(start, stop)
+            self._all[m], said = self._estimator.update(self._all[m], samples[rows])
+            for f in fields(Trace):
+                getattr(trace, f.name)[rows] = getattr(said, f.name)
+        return trace
+
+    def get(self, m: int) -> State:
+        return self._all[m]
+
+    def put(self, m: int, state: State) -> None:
+        self._all[m] = state
+
+
+def _prediction_only(lane: Lane, samples: Samples) -> Trace:
+    Q_hat: Floats
+    Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
+    usable = samples.quality != Quality.BAD
+    Q_hat = np.where(usable, Q_hat, np.nan)
+    return Trace(
+        predicted=Q_hat,
+        residual=samples.Q - Q_hat,
+        status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
+    )

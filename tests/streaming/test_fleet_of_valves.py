@@ -1,0 +1,98 @@
+"""Many valves in one call learn what each would learn alone, to the bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.plant import as_changes, plant
+
+from service.identification.auto import Auto
+from service.identification.forgetting import SlidingWindow
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Samples, Segments
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import DataChanges, Signal
+from service.streaming.fleet import Fleet
+from service.streaming.identification import Identification
+from service.streaming.quality_gate import QualityGate, SignalLimits
+
+LENGTHS = (120, 7, 60, 200)
+STRICT = QualityGate({**QualityGate().limits, Signal.Q: SignalLimits(0.0, 60.0)})
+
+
+@pytest.fixture
+def plans(plan):
+    """Two valves alike, between them one with another gate, then one with other estimators."""
+    window = {"RLS": RecursiveLeastSquares(forgetting=SlidingWindow(30)), "Auto": Auto()}
+    return [
+        replace(plan, name="a"),
+        replace(plan, name="b", gate=STRICT),
+        replace(plan, name="c"),
+        replace(plan, name="d", estimators=window),
+    ]
+
+
+def service(plans):
+    return Identification(plans, Alignment(AlignmentSettings(), (True,) * len(plans)))
+
+
+def mixed(parts):
+    """The changes of several valves as a server sends them: by time, not by valve."""
+    changes = [as_changes(samples) for samples in parts]
+    moved = [replace(c, item=c.item + np.int32(6 * v)) for v, c in enumerate(changes)]
+    every = DataChanges.concatenate(moved)
+    return every[np.argsort(every.source_time, kind="stable")]
+
+
+def known(identification, valve):
+    """All that is known of one valve, as bytes."""
+    result = identification.result(valve)
+    lanes = {
+        name: (r.theta.tobytes(), r.std.tobytes(), repr((r.t, r.residual, r.status, r.noise_std)))
+        for name, r in result.estimators.items()
+    }
+    return lanes, result.counters
+
+
+def test_valves_of_several_plans_learn_together_what_they_learn_alone(plans):
+    parts = [plant(n, seed=k) for k, n in enumerate(LENGTHS)]
+    together, alone = service(plans), service(plans)
+    together.set_forgetting_factor("c", "RLS", 0.9)
+    alone.set_forgetting_factor("c", "RLS", 0.9)
+    together.freeze("a", "RML")
+    alone.freeze("a", "RML")
+    changes = mixed(parts)
+    for cut in np.array_split(np.arange(len(changes)), 5):
+        together.take(changes[slice(cut[0], cut[-1] + 1)])
+    for valve, samples in enumerate(parts):
+        for part in (samples[:5], samples[5:6], samples[6:]):
+            alone.take_samples(valve, part)
+    for valve in range(len(plans)):
+        lanes, counters = known(together, valve)
+        expected, rejected = known(alone, valve)
+        assert lanes == expected
+        assert {**rejected, "aligned": LENGTHS[valve]} == counters
+
+
+def test_what_was_handed_out_does_not_change_with_later_samples(plan):
+    fleet = Fleet(plan, 2)
+    samples = plant(50)
+    fleet.take(samples, Segments.one(50))
+    before = fleet.lane(0, "RLS")
+    theta, cells = before.state.theta.copy(), before.scatter.cells.copy()
+    fleet.take(plant(50, seed=2, first=50), Segments.one(50))
+    np.testing.assert_array_equal(before.state.theta, theta)
+    np.testing.assert_array_equal(before.scatter.cells, cells)
+    assert fleet.lane(0, "RLS").count == 100
+    assert fleet.lane(1, "RLS").count == 0
+
+
+def test_a_batch_tells_which_samples_are_whose():
+    align = Alignment(AlignmentSettings(), (True, True, True))
+    _, arrived = align.update(align.initial_state(), mixed([plant(3), plant(0), plant(5, seed=1)]))
+    assert list(arrived) == [0, 2]
+    assert [len(arrived[valve]) for valve in arrived] == [3, 5]
+    np.testing.assert_array_equal(arrived[2].Q, plant(5, seed=1).Q)
+    with pytest.raises(KeyError):
+        arrived[1]
+    assert len(Samples.concatenate(list(arrived.values()))) == len(arrived.samples)
