@@ -160,6 +160,17 @@ def test_the_structured_text_is_well_formed(exported):
         assert all("." in x for x in listed.split(","))
 
 
+def test_a_parser_of_the_standard_takes_the_structured_text_and_none_with_a_slip():
+    """With blark where it is installed; a small table, because its parser is slow."""
+    blark = pytest.importorskip("blark.parse", reason="blark, a parser of IEC 61131-3")
+    axis = np.array([0.0, 0.5, 1.0])
+    table = LookupTable(10 * axis, axis, 9 + axis, axis, 100 * np.eye(3), 40.0, 0.1, 0.1)
+    text = as_structured_text(table, "V")
+    assert blark.parse_source_code(text).exception is None
+    for right, wrong in (("END_IF;", "END_FI;"), ("THEN", ""), ("END_VAR", "")):
+        assert blark.parse_source_code(text.replace(right, wrong, 1)).exception is not None
+
+
 def test_the_structured_text_computes_what_the_table_says(exported):
     """Its body, translated word by word into Python, gives the same U."""
     table = exported[2]
