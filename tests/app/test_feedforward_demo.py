@@ -8,6 +8,9 @@ from support.processes import free_port, rig_url, running, service_url
 RATIOS = re.compile(r"(new, 40 °C|30 s after [^:]+): Valvistor ([\d.]+), FixedMap ([\d.]+)")
 
 
+SLOW_MS = 150
+
+
 def errors(tmp_path, *options, timeout):
     """What the demo's last line says: phase → (identified, fixed), l/min."""
     log = tmp_path / "demo.log"
@@ -21,6 +24,9 @@ def errors(tmp_path, *options, timeout):
         assert process.wait(timeout) == 0
     text = log.read_text(encoding="utf-8")
     assert "Flow error, l/min RMS" in text
+    age_ms = max(int(age) for age in re.findall(r"answers act after (\d+) ms", text))
+    if age_ms > SLOW_MS:
+        pytest.skip(f"this machine is too busy: answers act after {age_ms} ms")
     return {name: (float(own), float(fixed)) for name, own, fixed in RATIOS.findall(text)}
 
 
