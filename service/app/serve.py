@@ -36,7 +36,7 @@ async def serve(
     stop: asyncio.Event,
     server_settings: ServerSettings | None = None,
     identification: Identification | None = None,
-    on_samples: SampleTap = lambda _valve, _samples: None,
+    on_samples: SampleTap | None = None,
 ) -> None:
     """Identify and publish until ``stop`` is set; keep all states at the end.
 

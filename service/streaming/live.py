@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import structlog
@@ -12,6 +13,8 @@ from service.identification.samples import Samples
 from service.streaming.data_changes import DataChanges
 from service.streaming.identification import Identification
 from service.streaming.ports import CheckpointStore, ResultSink, Source
+
+VALVES_AT_ONCE = 8
 
 log = structlog.get_logger(__name__)
 
@@ -26,6 +29,9 @@ class LiveSettings:
         Without a sample for this long a valve's sensors count as lost and its results as bad.
     checkpoint_interval_s, map_interval_s : float
         How often states are kept, and how often the inverse tables are computed anew.
+    publish_budget_s : float
+        How long publishing may hold up the next batch. Valves that find no time are first next
+        time, with their newest results; a few valves are published with every batch.
     feed_forward : tuple of int
         Valves (by number) whose required U is written to the source.
     """
@@ -33,6 +39,7 @@ class LiveSettings:
     stale_after_s: float = 2.0
     checkpoint_interval_s: float = 10.0
     map_interval_s: float = 1.0
+    publish_budget_s: float = 0.02
     feed_forward: tuple[int, ...] = ()
 
 
@@ -47,7 +54,7 @@ class LiveService:
         store: CheckpointStore,
         clock: Clock,
         settings: LiveSettings,
-        on_samples: Callable[[str, Samples], None] = lambda _valve, _samples: None,
+        on_samples: Callable[[str, Samples], None] | None = None,
     ) -> None:
         self.identification = identification
         self._source = source
@@ -57,8 +64,9 @@ class LiveService:
         self._settings = settings
         self._on_samples = on_samples
         now = clock.monotonic()
-        self._last_sample = [now] * len(identification.plans)
-        self._lost = [False] * len(identification.plans)
+        self._last_sample = np.full(len(identification.plans), now)
+        self._lost = np.zeros(len(identification.plans), np.bool_)
+        self._news: dict[int, None] = {}  # valves with something to show, the oldest first
         self._checkpoint_due = now + settings.checkpoint_interval_s
         self._map_due = now + settings.map_interval_s
         self._written = np.full(len(identification.plans), np.nan)
@@ -70,27 +78,27 @@ class LiveService:
             log.info("states restored", estimators=restored)
         if refused:
             log.warning("states of another configuration left aside", estimators=refused)
-        await self._publish(range(len(self._lost)))
+        self._news = dict.fromkeys(range(len(self._lost)))
+        await self._publish(np.inf)
 
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
         samples = self.identification.take(changes)
-        for valve, batch in samples.items():
-            self._last_sample[valve] = self._clock.monotonic()
-            self._lost[valve] = False
-            self._on_samples(self.identification.plans[valve].name, batch)
-        await self._publish(samples)
+        self._last_sample[samples.segments.members] = self._clock.monotonic()
+        self._lost[samples.segments.members] = False
+        if self._on_samples is not None:
+            for valve, batch in samples.items():
+                self._on_samples(self.identification.plans[valve].name, batch)
+        self._news.update(dict.fromkeys(samples))
+        await self._publish(self._settings.publish_budget_s)
         await self._feed_forward(samples)
 
     async def tick(self) -> None:
         """Look after what is due by the clock."""
         now = self._clock.monotonic()
-        stale = [
-            valve
-            for valve, last in enumerate(self._last_sample)
-            if not self._lost[valve] and now - last > self._settings.stale_after_s
-        ]
-        await self._lose(stale)
+        stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
+        await self._lose(np.flatnonzero(stale).tolist())
+        await self._publish(self._settings.publish_budget_s)
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
@@ -104,7 +112,7 @@ class LiveService:
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""
         self._written[:] = np.nan
-        await self._lose([valve for valve, lost in enumerate(self._lost) if not lost])
+        await self._lose(np.flatnonzero(~self._lost).tolist())
 
     def keep(self) -> None:
         """Keep all states now.
@@ -120,12 +128,21 @@ class LiveService:
         for valve in valves:
             self._lost[valve] = True
             log.warning("sensors lost", valve=self.identification.plans[valve].name)
-        await self._publish(valves)
+        if valves:
+            self._news.update(dict.fromkeys(valves))
+            await self._publish(np.inf)
 
-    async def _publish(self, valves: Iterable[int]) -> None:
-        results = [self.identification.result(v, lost=self._lost[v]) for v in valves]
-        if results:
-            await self._sink.publish(results)
+    async def _publish(self, budget_s: float) -> None:
+        until = self._clock.monotonic() + budget_s
+        while self._news:
+            some = list(islice(self._news, VALVES_AT_ONCE))
+            for valve in some:
+                del self._news[valve]
+            await self._sink.publish(
+                [self.identification.result(v, lost=bool(self._lost[v])) for v in some]
+            )
+            if self._clock.monotonic() >= until:
+                break
 
     async def _feed_forward(self, valves: Iterable[int]) -> None:
         chosen = set(self._settings.feed_forward).intersection(valves)

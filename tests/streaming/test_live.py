@@ -1,4 +1,5 @@
 import asyncio
+from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
@@ -7,7 +8,10 @@ from support.plant import as_changes, plant
 
 from service.errors import SourceLost, SourceRejected, StorageError
 from service.identification.samples import Quality
-from service.streaming.live import LiveService, LiveSettings
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import DataChanges
+from service.streaming.identification import Identification
+from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
 
 QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))
@@ -133,3 +137,25 @@ async def test_at_start_old_states_are_taken_up_and_nothing_is_good_yet(live, st
     assert result.sample_count == 300
     assert result.quality is not Quality.GOOD
     assert np.isfinite(result.theta).all()
+
+
+async def test_where_time_is_short_the_valves_shown_longest_ago_come_first(
+    plan, source, sink, store, clock
+):
+    n = 3 * VALVES_AT_ONCE
+    plans = [replace(plan, name=f"V{k}") for k in range(n)]
+    every = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    settings = LiveSettings(publish_budget_s=0.0)
+    live = LiveService(every, source, sink, store, clock, settings)
+    one = as_changes(plant(1))
+    batch = DataChanges.concatenate(
+        [replace(one, item=one.item + np.int32(6 * k)) for k in range(n)]
+    )
+    await live.take(batch)
+    assert len(sink.published) == VALVES_AT_ONCE
+    await live.tick()
+    await live.take(as_changes(plant(1, first=1)))  # V0 has news again: it waits its turn
+    await live.tick()
+    assert [r.valve for r in sink.published] == [f"V{k}" for k in range(n)] + ["V0"]
+    await live.tick()
+    assert len(sink.published) == n + 1
