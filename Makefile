@@ -31,6 +31,7 @@ soak: $(DEV)
 
 bench: $(BENCH)
 	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.speed
 
 report: $(RUNTIME)
 	$(BIN)/valvemap report --out reports

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import peers
 from service.identification.estimator import Estimator
-from service.identification.fleet import learn_fleet, stack
+from service.identification.fleet import learn_many, stack
 from service.identification.forgetting import Adaptive, Exponential, Forgetting
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import FiveTerms
@@ -27,7 +27,7 @@ from service.identification.recursive_least_squares import (
     RecursiveLeastSquares,
     recursive_least_squares,
 )
-from service.identification.samples import Floats, Samples
+from service.identification.samples import Floats, Samples, Segments
 
 N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7
 LAM = 0.998
@@ -74,14 +74,14 @@ def many_models(rule: Forgetting) -> Figures:
     rls = RecursiveLeastSquares(forgetting=rule)
     warm, _ = rls.update(rls.initial_state(), _samples(200))
     fleet = stack([warm] * MODELS)
-    offsets, usable = np.arange(MODELS + 1), np.ones(MODELS, np.uint8)
+    rows, usable = np.arange(MODELS), np.ones(MODELS, np.uint8)
+    segments = Segments(rows, rows, rows + 1)
     parts = [slice(k * MODELS, (k + 1) * MODELS) for k in range(PASSES)]
     t = np.arange(MODELS)
 
     def ours() -> None:
-        state = fleet
         for part in parts:
-            state, _ = learn_fleet(state, rule, X[part], y[part], t, usable, offsets)
+            learn_many(fleet, rule, X[part], y[part], t, usable, segments)
 
     jobs: dict[str, tuple[Callable[[], object], int]] = {"ours": (ours, MODELS * PASSES)}
     library = _compiled()

@@ -1,0 +1,79 @@
+"""How fast the service is, in one run: ``python -m benchmarks.speed``.
+
+Writes ``results/latest.json`` (figures and ratios) and ``docs/performance.md``. Ratios come first:
+absolute figures say more of the machine than of us.
+"""
+
+import json
+import os
+import platform
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from benchmarks import kernel_speed, live_speed, peers, pipeline_speed
+from service.identification.forgetting import Adaptive, Exponential
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results" / "latest.json"
+PAGE = ROOT / "docs" / "performance.md"
+
+Sections = dict[str, dict[str, float]]
+
+INTRODUCTION = """# Performance
+
+Made by `make bench`; do not edit. Figures of a busy machine: compare within a table only.
+"""
+
+
+def main() -> int:
+    """Measure, print, write."""
+    lam = kernel_speed.LAM
+    compared = {
+        "One model, n = 5, ns per update": kernel_speed.one_model(),
+        "Estimators as the service runs them, ns per sample": kernel_speed.whole_estimators(),
+        "10,000 models, default forgetting, ns": kernel_speed.many_models(Adaptive(lam)),
+        "10,000 models, exponential, ns": kernel_speed.many_models(Exponential(lam)),
+    }
+    figures = pipeline_speed.all_figures() | {"Live over TCP, no encryption": live_speed.measured()}
+    versions = {name: version(name) for name in ("numpy", "numba", "asyncua")} | peers.installed()
+    record = {
+        "machine": _machine(),
+        "versions": versions,
+        "ratios to ours": {title: _ratios(values) for title, values in compared.items()},
+        **compared,
+        **figures,
+    }
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    RESULTS.write_text(json.dumps(record, indent=2, ensure_ascii=False) + "\n", "utf-8")
+    page = _page(compared, figures, versions)
+    PAGE.write_text(page, "utf-8")
+    print(page)
+    return 0
+
+
+def _ratios(values: dict[str, float]) -> dict[str, float]:
+    """How many times the first."""
+    first = next(iter(values.values()))
+    return {name: value / first for name, value in values.items()}
+
+
+def _page(compared: Sections, figures: Sections, versions: dict[str, str]) -> str:
+    lines = [INTRODUCTION, f"Machine: {_machine()}.", ""]
+    lines += ["Versions: " + ", ".join(f"{n} {v}" for n, v in versions.items()) + ".", ""]
+    for title, values in compared.items():
+        ratios = _ratios(values)
+        lines += [f"## {title}", "", "| who | times ours | ns |", "|---|---|---|"]
+        lines += [f"| {n} | {ratios[n]:.2f} | {v:,.0f} |" for n, v in values.items()] + [""]
+    for title, values in figures.items():
+        lines += [f"## {title}", "", "| what | figure |", "|---|---|"]
+        lines += [f"| {n} | {v:,.1f} |" for n, v in values.items()] + [""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _machine() -> str:
+    return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
