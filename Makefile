@@ -32,6 +32,7 @@ soak: $(DEV)
 bench: $(BENCH)
 	$(BIN)/python -m benchmarks.accuracy
 	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.hostile
 
 report: $(RUNTIME)
 	$(BIN)/valvemap report --out reports

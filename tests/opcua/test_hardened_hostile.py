@@ -10,6 +10,8 @@ import pytest
 import pytest_asyncio
 from asyncua import Client, ua
 from asyncua.ua import ua_binary
+from support.mutations import mutated
+from support.mutations import requests as fuzz_requests
 from support.raw_peer import Closed, RawPeer
 
 from service.opcua.hardened import (
@@ -347,6 +349,21 @@ async def test_a_flood_of_requests_waits_for_itself(server, peer):
     assert max(waits) < 0.25
 
 
+async def test_large_responses_count_as_many_requests(server, peer):
+    await peer.log_in()
+    asked = 400
+    for _ in range(asked):
+        request = ua.ReadRequest()
+        request.Parameters.NodesToRead = [ua.ReadValueId(server.big.id, ua.AttributeIds.Value)]
+        peer.send(request)
+    before = server.counters.requests
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(1.0):
+            while await peer.reader.read(1_000_000):
+                pass
+    assert server.counters.requests - before < asked / 2
+
+
 async def test_monitored_items_on_one_node_are_bounded(server, peer):
     await peer.log_in()
     subscription = await peer.call(
@@ -410,7 +427,7 @@ async def test_ten_thousand_mutated_packets_change_nothing_for_the_others(server
 
 async def fuzz(server, seed, packets):
     dice = random.Random(seed)
-    requests = _requests(server)
+    requests = fuzz_requests(server.fast.id)
     worst, watching = 0.0, True
 
     async def watch():
@@ -430,7 +447,7 @@ async def fuzz(server, seed, packets):
         if peer is None:
             peer = await (await RawPeer.connect(server.url)).log_in()
         body = bytearray(ua_binary.struct_to_binary(dice.choice(requests)(peer.token)))
-        peer.send_body(_mutated(body, dice))
+        peer.send_body(mutated(body, dice))
         try:
             async with asyncio.timeout(0.01):
                 ended = not await peer.reader.read(1_000_000)
@@ -450,64 +467,7 @@ async def fuzz(server, seed, packets):
     assert worst < 0.25
 
 
-def _mutated(body, dice):
-    for _ in range(dice.randint(1, 4)):
-        first = dice.choice((4, 70))  # half of them leave the header alone
-        at = dice.randrange(min(first, len(body) - 1), len(body))
-        match dice.randrange(5):
-            case 0:
-                body[at] = dice.randrange(256)
-            case 1:
-                body[at : at + 4] = struct.pack(
-                    "<i", dice.choice([-1, -2, 0, 2**31 - 1, -(2**31), 1_000_000])
-                )
-            case 2:
-                del body[at : at + dice.randint(1, 8)]
-            case 3:
-                body[at:at] = dice.randbytes(dice.randint(1, 16))
-            case 4:
-                body += body[at:] * dice.randint(1, 3)
-    return bytes(body[:60_000])
-
-
 def _read(server):
     request = ua.ReadRequest()
     request.Parameters.NodesToRead = [ua.ReadValueId(server.fast.id, ua.AttributeIds.Value)]
     return request
-
-
-def _requests(server):
-    node = server.fast.id
-
-    def made(kind, **fields):
-        def make(token):
-            request = kind()
-            request.RequestHeader.AuthenticationToken = token
-            for name, content in fields.items():
-                setattr(request.Parameters, name, content)
-            return request
-
-        return make
-
-    item = ua.MonitoredItemCreateRequest(
-        ua.ReadValueId(node, ua.AttributeIds.Value),
-        ua.MonitoringMode.Reporting,
-        ua.MonitoringParameters(
-            1, 0.0, ua.DataChangeFilter(ua.DataChangeTrigger.StatusValue, 1, 0.5), 10
-        ),
-    )
-    path = ua.RelativePath([ua.RelativePathElement(TargetName=ua.QualifiedName("Plant", 2))])
-    matrix = ua.Variant([[1.0, 2.0], [3.0, 4.0]], ua.VariantType.Double)
-    return [
-        made(ua.ReadRequest, NodesToRead=[ua.ReadValueId(node, 13, "0:1")]),
-        made(ua.WriteRequest, NodesToWrite=[ua.WriteValue(node, 13, None, ua.DataValue(matrix))]),
-        made(ua.BrowseRequest, NodesToBrowse=[ua.BrowseDescription(node)]),
-        made(ua.CallRequest, MethodsToCall=[ua.CallMethodRequest(node, node, [matrix, matrix])]),
-        made(ua.TranslateBrowsePathsToNodeIdsRequest, BrowsePaths=[ua.BrowsePath(node, path)]),
-        made(ua.CreateSubscriptionRequest, RequestedPublishingInterval=float("nan")),
-        made(ua.CreateMonitoredItemsRequest, SubscriptionId=1, ItemsToCreate=[item]),
-        made(ua.ModifySubscriptionRequest, SubscriptionId=1),
-        made(ua.TransferSubscriptionsRequest, SubscriptionIds=[1, 2]),
-        made(ua.RepublishRequest, SubscriptionId=1, RetransmitSequenceNumber=1),
-        made(ua.PublishRequest),
-    ]

@@ -38,7 +38,7 @@ _CLOSE_BYTES = 1_024
 _SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
 _FRAMES_AHEAD, _BYTES_AHEAD = 32, 128 * 1024
 _ERRORS_FORGIVEN = 20
-_BYTES_PER_REQUEST = 16 * 1024  # a larger frame counts as several
+_BYTES_PER_REQUEST = 16 * 1024  # a larger one, or a larger response, counts as several
 _CLOSE_CHANNEL = _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary
 
 
@@ -204,6 +204,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._too_large(response):
             self.refuse(request_id, handle, _Codes.BadResponseTooLarge)
         else:
+            self._allowance -= len(response) / _BYTES_PER_REQUEST
             self._send(request_id, response)
 
     async def breathe(self) -> None:

@@ -30,7 +30,8 @@ class Limits:
         What may wait for a peer to read it: more, and the peer is answered no more; for longer,
         or more in all, and it is disconnected.
     requests_per_second, request_burst
-        Steady rate and burst of requests of one connection; faster ones wait.
+        Steady rate and burst of requests of one connection; faster ones wait. Each 16 KiB of
+        request or response count as one more.
     turn_s
         After so long a request lets others go first, s.
     operations, method_calls, history_reads
