@@ -195,7 +195,7 @@ def monitoring(rng, *, plain):
         SamplingInterval=0.0 if plain or rng.random() < 0.8 else 120.0,
         Filter=filter_,
         QueueSize=rng.choice((0, 1, 2, 3, 10, 100)),
-        DiscardOldest=rng.random() < 0.6,
+        DiscardOldest=plain or rng.random() < 0.6,
     )
 
 
@@ -226,6 +226,7 @@ class Play:
     def __init__(self, sides, clock, loop, seed, *, limits, sessions, plain):
         self.rng = random.Random(seed)
         self.sides, self.clock, self.loop, self.plain = sides, clock, loop, plain
+        self.other = Mode.Reporting if plain else Mode.Sampling
         for side in sides:
             side.restart(limits, sessions)
         self.subscriptions = []  # (session, number)
@@ -261,7 +262,7 @@ class Play:
         who, number, items = self.some()
         name, column = self.rng.choice(list(BLOCKS)), self.rng.randrange(N)
         asked = monitoring(self.rng, plain=self.plain)
-        mode = self.rng.choice((Mode.Reporting, Mode.Reporting, Mode.Sampling, Mode.Disabled))
+        mode = self.rng.choice((Mode.Reporting, Mode.Reporting, self.other, Mode.Disabled))
         stamps = ua.TimestampsToReturn(self.rng.randrange(4))
 
         def do(side):
@@ -290,7 +291,9 @@ class Play:
     def set_mode(self):
         who, number, items = self.some()
         params = ua.SetMonitoringModeParameters(
-            number, Mode(self.rng.randrange(3)), self.rng.sample(items, min(2, len(items)))
+            number,
+            self.rng.choice((Mode.Disabled, Mode.Reporting, self.other)),
+            self.rng.sample(items, min(2, len(items))),
         )
         self.both(lambda s: s.server._subscriptions.set_monitoring(s.sessions[who], params))
 

@@ -41,6 +41,9 @@ class Watch:
     def has_news(self, item):
         self.news.append(item)
 
+    def has_no_news(self, item):
+        self.news = [other for other in self.news if other is not item]
+
     def has_pending(self, item):
         self.pending.append(item)
 

@@ -1,8 +1,8 @@
 """The monitored items of one subscription on one block, served as arrays (Part 4, 5.13).
 
 The rules are those of ``monitored_item``; the tests hold the two against each other byte by byte.
-What needs more than arrays can do (a sampling interval of its own, links to other items) is served
-there, item by item: see :func:`serves`.
+What needs more than arrays can do (a sampling interval of its own, a queue that discards the
+newest, links to other items, mode Sampling) is served there, item by item: see :func:`serves`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from service.opcua.hardened.block_encoding import encode_records
 from service.opcua.hardened.block_queue import BlockQueue, Counts, Notifications, Slots
 from service.opcua.hardened.blocks import Batch, Block, Bools
-from service.opcua.hardened.monitored_item import OVERFLOW, Monitoring
+from service.opcua.hardened.monitored_item import Monitoring, Queued
 
 if TYPE_CHECKING:
     from service.opcua.hardened.subscription import Subscription
@@ -28,7 +28,8 @@ _Pair = tuple[NDArray[Any], NDArray[Any]]
 def serves(block: Block, monitoring: Monitoring) -> bool:
     """Tell whether arrays can serve an item with these parameters."""
     exact = monitoring.rule.deadband == 0.0 or block.dtype == np.float64
-    return monitoring.interval_s == 0.0 and exact and len(block) >= _FEWEST
+    simple = monitoring.interval_s == 0.0 and monitoring.discard_oldest
+    return simple and exact and len(block) >= _FEWEST
 
 
 class BlockItem:
@@ -85,10 +86,6 @@ class BlockItem:
         self.monitoring = monitoring
         self.of.modify(self.slot, monitoring)
 
-    def has_news(self) -> None:
-        """Note that the item has something to report."""
-        self.of.has_news(self.slot)
-
     def clear(self) -> None:
         """Forget what is queued."""
         self.of.clear(self.slot)
@@ -99,17 +96,18 @@ class BlockItems:
 
     Attributes
     ----------
+    queue
+        What they have to report.
     modes
-        Monitoring modes; a free slot is disabled.
-    news
-        Number of the change since which an item has something to report, 0 if it has nothing.
+        Monitoring modes, Reporting or Disabled; a free slot is disabled.
+    number
+        Numbers of the items.
     """
 
     def __init__(self, subscription: "Subscription", block: Block) -> None:
         self.block = block
-        self.queue = BlockQueue(block.width, block.dtype)
+        self.queue = BlockQueue()
         self.modes = np.zeros(0, np.int8)
-        self.news = np.zeros(0, np.int64)
         self.number = np.zeros(0, np.int64)
         self._subscription = subscription
         self._free: list[int] = []
@@ -117,7 +115,6 @@ class BlockItems:
         self._column = np.zeros(0, np.intp)
         self._handle = np.zeros(0, np.uint32)
         self._size = np.zeros(0, np.int64)
-        self._oldest = np.zeros(0, np.bool_)
         self._trigger = np.zeros(0, np.int8)
         self._deadband = np.zeros(0)
         self._stamps = np.zeros(0, np.int8)
@@ -138,7 +135,6 @@ class BlockItems:
         self.number[slot] = number
         self._column[slot] = column
         self.modes[slot] = _Mode.Disabled
-        self.news[slot] = 0
         self._set(slot, monitoring)
         return BlockItem(self, slot, number, wanted, monitoring)
 
@@ -146,7 +142,6 @@ class BlockItems:
         """Forget an item."""
         self.clear(item.slot)
         self.modes[item.slot] = _Mode.Disabled
-        self.news[item.slot] = 0
         self.number[item.slot] = 0
         self._free.append(item.slot)
         self._order = None
@@ -156,7 +151,8 @@ class BlockItems:
         self._reported[slot] = False
         column = int(self._column[slot])
         batch = self.block.batch_of(column, self.block.current(column))
-        self._take_in(batch, np.array([slot]), self._subscription.holding.moment - column)
+        moment = self._subscription.holding.next_moment()
+        self._take_in(batch, np.array([slot]), moment - column)
 
     def set_mode(self, slot: int, mode: ua.MonitoringMode) -> bool:
         """Change the mode of an item; tell whether a first sample is due."""
@@ -166,8 +162,6 @@ class BlockItems:
         if mode == _Mode.Disabled:
             self.clear(slot)
             return False
-        if mode == _Mode.Reporting and self.queue.length(slot):
-            self.has_news(slot)
         return was_disabled
 
     def modify(self, slot: int, monitoring: Monitoring) -> None:
@@ -175,17 +169,9 @@ class BlockItems:
         self._set(slot, monitoring)
         surplus = self.queue.length(slot) - monitoring.queue_size
         if surplus > 0:
-            if monitoring.discard_oldest:
-                self.queue.drop_oldest(slot, surplus)
-            else:
-                self.queue.drop_newest(slot, surplus)
+            self.queue.drop(slot, surplus)
             self._subscription.holding.add(-surplus)
             self._subscription.holding.lose(surplus)
-
-    def has_news(self, slot: int) -> None:
-        """Note that an item has something to report."""
-        if not self.news[slot]:
-            self.news[slot] = self._subscription.holding.moment
 
     def clear(self, slot: int) -> None:
         """Empty an item's queue."""
@@ -200,16 +186,15 @@ class BlockItems:
         if len(self._order):
             self._take_in(batch, self._order, moment)
 
-    def take(self, slots: Slots, counts: Counts) -> tuple[bytes, Counts]:
-        """Take notifications, encoded: all bytes, and where those of each item end."""
-        taken = self.queue.take(slots, counts)
+    def take(self, front: Notifications) -> tuple[bytes, Counts]:
+        """Take (the beginning of) the queue's front, encoded: all bytes, and where each ends."""
+        taken = self.queue.take(front)
         self._subscription.holding.add(-len(taken))
         handles, stamps = self._handle[taken.slot], self._stamps[taken.slot]
-        data, ends = encode_records(taken, handles, stamps, self.block)
-        return data, ends[np.cumsum(counts)]
+        return encode_records(taken, handles, stamps, self.block)
 
-    def release(self, item: BlockItem) -> tuple[list[ua.DataValue], ua.DataValue | None, int]:
-        """Give an item away: what it had queued, what it reported last, since when it has news."""
+    def release(self, item: BlockItem) -> tuple[list[Queued], ua.DataValue | None]:
+        """Give an item away: what it had queued, with the moments, and what it reported last."""
         slot, block = item.slot, self.block
         last = None
         if self._reported[slot]:
@@ -220,20 +205,19 @@ class BlockItems:
                 int(self._source[slot]),
                 0,
             )
-        length, news = self.queue.length(slot), int(self.news[slot])
-        taken = self.queue.take(np.array([slot]), np.array([length]))
-        queued = [
-            block.data_value(
-                taken.values[i],
-                int(taken.codes[i]),
-                bool(taken.has[i]),
-                int(taken.source[i]),
-                int(taken.server[i]),
-            )
-            for i in range(length)
-        ]
+        taken = self.queue.take_all_of(slot)
+        queued = [] if taken is None else [self._queued(taken, i) for i in range(len(taken))]
         self.remove(item)
-        return queued, last, news
+        return queued, last
+
+    def _queued(self, taken: Notifications, i: int) -> Queued:
+        return int(taken.moment[i]), self.block.data_value(
+            taken.values[i],
+            int(taken.codes[i]),
+            bool(taken.has[i]),
+            int(taken.source[i]),
+            int(taken.server[i]),
+        )
 
     def _take_in(self, batch: Batch, slots: Slots, moment: int) -> None:
         columns = self._column[slots]
@@ -250,13 +234,8 @@ class BlockItems:
         changed = self._changes(batch, slots)
         if not changed.any():
             return
-        self._push(batch, slots, changed)
-        quiet = (self.news[slots] == 0) & (self.modes[slots] == _Mode.Reporting)
-        quiet &= changed.any(axis=0)
-        if quiet.any():
-            first = np.argmax(changed, axis=0)
-            since = moment + first * len(self.block) + columns
-            self.news[slots[quiet]] = since[quiet]
+        rows = np.arange(len(batch))[:, None]
+        self._push(batch, slots, changed, moment + rows * len(self.block) + columns)
 
     def _changes(self, batch: Batch, slots: Slots) -> Bools:
         """Tell what is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""
@@ -331,7 +310,7 @@ class BlockItems:
         self._has[slots] = batch.has[row, which]
         self._source[slots] = batch.source[row, which]
 
-    def _push(self, batch: Batch, slots: Slots, changed: Bools) -> None:
+    def _push(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
         queue, holding = self.queue, self._subscription.holding
         counts = changed.sum(axis=0)
         total = int(counts.sum())
@@ -340,73 +319,32 @@ class BlockItems:
             numbers = queue.tail[slots] + np.cumsum(changed, axis=0) - 1
             queue.tail[slots] += counts
             holding.add(total)
-            self._log(batch, slots, changed, numbers, batch.codes)
+            queue.append(_notifications(batch, slots, changed, numbers, moments))
             return
-        for row in range(len(batch)):
-            if changed[row].any():
-                self._push_row(batch, slots, changed, row)
+        for row in np.flatnonzero(changed.any(axis=1)):
+            here = slice(row, row + 1)
+            self._push_row(batch[here], slots, changed[here], moments[here])
 
-    def _push_row(self, batch: Batch, slots: Slots, changed: Bools, row: int) -> None:
+    def _push_row(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
         """Queue one sample of each item where not everything may fit."""
         queue, holding = self.queue, self._subscription.holding
-        pushed = changed[row]
+        pushed = changed[0]
         lengths, size = queue.tail[slots] - queue.head[slots], self._size[slots]
         fits = pushed & (lengths < size)
         added = fits & ((np.cumsum(fits) <= holding.room()) | (lengths == 0))
         full = pushed & ~added
-        single = full & (lengths == 1) & (size == 1)  # holds the newest; no overflow is told of it
-        oldest = full & ~single & self._oldest[slots]
-        newest = full & ~single & ~oldest
+        lost = full & ~((lengths == 1) & (size == 1))  # that one holds the newest; no overflow
         holding.add(int(added.sum()))
-        holding.lose(int(oldest.sum() + newest.sum()))
-        numbers = np.where(added | oldest, queue.tail[slots], queue.tail[slots] - 1)
-        queue.tail[slots[added | oldest]] += 1
-        queue.head[slots[oldest]] += 1
-        queue.flag(slots[oldest])
-        queue.unflag(slots[single])
-        codes = np.where(newest, batch.codes[row] | np.uint32(OVERFLOW), batch.codes[row])
-        one = Batch(
-            batch.values[row : row + 1],
-            batch.codes[row : row + 1],
-            batch.has[row : row + 1],
-            batch.source[row : row + 1],
-            batch.server,
-            None,
-        )
-        self._log(one, slots, pushed[None], numbers[None], codes[None])
-
-    def _log(
-        self, batch: Batch, slots: Slots, pushed: Bools, numbers: Counts, codes: NDArray[np.uint32]
-    ) -> None:
-        k = len(batch)
-        if pushed.all():
-            flat = pushed.size
-            new = Notifications(
-                np.tile(slots, k),
-                numbers.reshape(flat),
-                batch.values.reshape(flat, -1),
-                codes.reshape(flat),
-                batch.has.reshape(flat),
-                batch.source.reshape(flat),
-                np.full(flat, batch.server),
-            )
-        else:
-            which = np.broadcast_to(slots, pushed.shape)[pushed]
-            new = Notifications(
-                which,
-                numbers[pushed],
-                batch.values[pushed],
-                codes[pushed],
-                batch.has[pushed],
-                batch.source[pushed],
-                np.full(len(which), batch.server),
-            )
-        self.queue.append(new)
+        holding.lose(int(lost.sum()))
+        numbers = queue.tail[slots]
+        queue.tail[slots[pushed]] += 1
+        queue.discard(slots[full])
+        queue.flag(slots[lost])
+        queue.append(_notifications(batch, slots, changed, numbers[None], moments))
 
     def _set(self, slot: int, monitoring: Monitoring) -> None:
         self._handle[slot] = monitoring.client_handle
         self._size[slot] = monitoring.queue_size
-        self._oldest[slot] = monitoring.discard_oldest
         self._trigger[slot] = monitoring.rule.trigger
         self._deadband[slot] = monitoring.rule.deadband
         self._stamps[slot] = monitoring.stamps
@@ -418,12 +356,10 @@ class BlockItems:
         self.queue.grow(new)
         for name in (
             "modes",
-            "news",
             "number",
             "_column",
             "_handle",
             "_size",
-            "_oldest",
             "_trigger",
             "_deadband",
             "_stamps",
@@ -436,3 +372,24 @@ class BlockItems:
             held = getattr(self, name)
             empty = np.zeros((more, *held.shape[1:]), held.dtype)
             setattr(self, name, np.concatenate((held, empty)))
+
+
+def _notifications(
+    batch: Batch, slots: Slots, pushed: Bools, numbers: Counts, moments: Counts
+) -> Notifications:
+    everything = bool(pushed.all())
+
+    def flat(array: NDArray[Any]) -> NDArray[Any]:
+        return array.reshape(pushed.size, *array.shape[2:]) if everything else array[pushed]
+
+    slot = flat(np.broadcast_to(slots, pushed.shape))
+    return Notifications(
+        slot,
+        flat(numbers),
+        flat(moments),
+        flat(batch.values),
+        flat(batch.codes),
+        flat(batch.has),
+        flat(batch.source),
+        np.full(len(slot), batch.server),
+    )

@@ -1,13 +1,15 @@
 """The queues of many monitored items, as one log of arrays.
 
-Every notification gets a number within its item. An item's queue is the range ``head`` to ``tail``
-of these numbers, and the log keeps notifications of all items in the order they came. To discard
-the oldest is to move ``head``; to replace the newest is to write its number once more; to take is
-to put each into its place, counted from ``head``. None of it looks at a notification by itself.
+Every notification gets a number within its item, and an item's queue is the range ``head`` to
+``tail`` of these numbers; the log keeps the notifications of all items in the order they came. To
+discard the oldest is to move ``head``; to take is to cut off the front of the log. None of it
+looks at a notification by itself, and none looks further than it takes.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +19,21 @@ from service.opcua.hardened.monitored_item import OVERFLOW
 
 Slots = NDArray[np.intp]
 Counts = NDArray[np.int64]
-_SPARE = 4_096  # superseded notifications that are no reason to tidy up
+_PIECE = 16_384  # nothing is looked at in larger pieces
+_SPARE = 4_096  # discarded notifications that are no reason to tidy up
 
 
 @dataclass(frozen=True)
 class Notifications:
-    """N notifications: whose, the number within that item's, and what is told (see ``Batch``)."""
+    """N notifications in their order: all arrays of length N.
+
+    ``slot``, whose; ``number`` within that item's; ``moment``, number of the change; the rest is
+    what is told (see ``Batch``).
+    """
 
     slot: Slots
     number: Counts
+    moment: Counts
     values: Values
     codes: Codes
     has: NDArray[np.bool_]
@@ -35,22 +43,31 @@ class Notifications:
     def __len__(self) -> int:
         return len(self.slot)
 
+    def __getitem__(self, rows: slice | NDArray[Any]) -> Self:
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """One after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
 
 class BlockQueue:
     """Queues by slot; slots are added with :meth:`grow`."""
 
-    def __init__(self, width: int, dtype: np.dtype[Any]) -> None:
+    def __init__(self) -> None:
         self.head = np.zeros(0, np.int64)
         self.tail = np.zeros(0, np.int64)
         self._flagged = np.zeros(0, np.int64)  # number of the one that tells of an overflow
-        self._log: list[Notifications] = []
+        self._log: deque[Notifications] = deque()
         self._logged = 0
-        self._width, self._dtype = width, dtype
+        self._live = 0
 
-    @property
-    def lengths(self) -> Counts:
-        """How many notifications each queue holds, shape (slots,)."""
-        return np.asarray(self.tail - self.head)
+    def __len__(self) -> int:
+        return self._live
 
     def length(self, slot: int) -> int:
         """Return how many notifications a queue holds."""
@@ -64,76 +81,84 @@ class BlockQueue:
         self._flagged = np.append(self._flagged, np.full(more, -1, np.int64))
 
     def append(self, new: Notifications) -> None:
-        """Put notifications in, under the numbers they have; the last one of a number counts."""
-        self._log.append(new)
+        """Put notifications in; each takes the next number of its item."""
+        self._log.extend(new[i : i + _PIECE] for i in range(0, len(new), _PIECE))
         self._logged += len(new)
-        if self._logged > _SPARE and self._logged > 2 * int(self.lengths.sum()) + len(new):
+        self._live += len(new)
+        if self._logged > _SPARE and self._logged > 2 * (self._live + len(new)):
             self._tidy()
+
+    def discard(self, slots: Slots) -> None:
+        """Drop the oldest of each of these queues."""
+        self.head[slots] += 1
+        self._live -= len(slots)
 
     def flag(self, slots: Slots) -> None:
         """Let the oldest of each queue tell that others are lost."""
         self._flagged[slots] = self.head[slots]
 
-    def unflag(self, slots: Slots) -> None:
-        """Let nothing be told of losses: the newest value is all that is wanted."""
-        self._flagged[slots] = -1
-
-    def drop_oldest(self, slot: int, count: int) -> None:
+    def drop(self, slot: int, count: int) -> None:
         """Drop the oldest ones of a queue."""
         self.head[slot] += count
-
-    def drop_newest(self, slot: int, count: int) -> None:
-        """Drop the newest ones of a queue."""
-        self.tail[slot] -= count
+        self._live -= count
 
     def clear(self, slot: int) -> None:
         """Empty a queue."""
-        self.head[slot] = self.tail[slot]
-        self._flagged[slot] = -1
+        self.drop(slot, self.length(slot))
 
-    def take(self, slots: Slots, counts: Counts) -> Notifications:
-        """Take the oldest ``counts`` of each of ``slots``, one item after the other."""
-        taken = self._gathered(slots, counts)
-        flagged = self._flagged[slots] - self.head[slots]
-        told = (flagged >= 0) & (flagged < counts)
-        if told.any():
-            places = (np.cumsum(counts) - counts + flagged)[told]
-            taken.codes[places] |= np.uint32(OVERFLOW)
-        self.head[slots] += counts
-        if not self.lengths.any():
-            self._log.clear()
-            self._logged = 0
-        return taken
+    def front(self, most: int) -> Notifications | None:
+        """Return up to ``most`` notifications that are next; they stay where they are."""
+        parts: list[Notifications] = []
+        for part in self._log:
+            if most <= 0:
+                break
+            if self._live == self._logged:
+                found = part[:most]
+            else:
+                found = part[np.flatnonzero(self._alive(part))[:most]]
+            if len(found):
+                parts.append(found)
+            most -= len(found)
+        return Notifications.joined(parts) if parts else None
+
+    def take(self, front: Notifications) -> Notifications:
+        """Take (the beginning of) the front out."""
+        all_alive = self._live == self._logged
+        self.head[front.slot] = front.number + 1  # of a slot that comes twice the last counts
+        self._live -= len(front)
+        left = len(front)
+        while self._log and (left > 0 or not all_alive):
+            first = self._log[0]
+            if all_alive:
+                start = min(left, len(first))
+            else:
+                alive = self._alive(first)
+                start = int(np.argmax(alive)) if alive.any() else len(first)
+            left -= start
+            self._logged -= start
+            if start < len(first):
+                self._log[0] = first[start:]
+                break
+            self._log.popleft()
+        return self._flagging(front)
+
+    def take_all_of(self, slot: int) -> Notifications | None:
+        """Take out one queue."""
+        parts = [part[(part.slot == slot) & self._alive(part)] for part in self._log]
+        parts = [part for part in parts if len(part)]
+        self.clear(slot)
+        return self._flagging(Notifications.joined(parts)) if parts else None
+
+    def _flagging(self, taken: Notifications) -> Notifications:
+        told = self._flagged[taken.slot] == taken.number
+        if not told.any():
+            return taken
+        return replace(taken, codes=np.where(told, taken.codes | np.uint32(OVERFLOW), taken.codes))
+
+    def _alive(self, part: Notifications) -> NDArray[np.bool_]:
+        return np.asarray(part.number >= self.head[part.slot])
 
     def _tidy(self) -> None:
-        slots = np.flatnonzero(self.lengths)
-        self._log = [self._gathered(slots, self.lengths[slots])]
-        self._logged = len(self._log[0])
-
-    def _gathered(self, slots: Slots, counts: Counts) -> Notifications:
-        most = np.zeros(len(self.head), np.int64)
-        most[slots] = counts
-        shift = np.zeros(len(self.head), np.int64)
-        shift[slots] = np.cumsum(counts) - counts - self.head[slots]
-        total = int(counts.sum())
-        found = Notifications(
-            np.repeat(slots, counts),
-            np.arange(total) - np.repeat(shift[slots], counts),
-            np.empty((total, self._width), self._dtype),
-            np.empty(total, np.uint32),
-            np.empty(total, np.bool_),
-            np.empty(total, np.int64),
-            np.empty(total, np.int64),
-        )
-        for part in self._log:
-            place = part.number - self.head[part.slot]
-            inside = (place >= 0) & (place < most[part.slot])
-            here: slice | NDArray[np.bool_] = slice(None) if inside.all() else inside
-            at = (part.number + shift[part.slot])[here]
-            # of a number that comes twice numpy keeps the last
-            found.values[at] = part.values[here]
-            found.codes[at] = part.codes[here]
-            found.has[at] = part.has[here]
-            found.source[at] = part.source[here]
-            found.server[at] = part.server[here]
-        return found
+        left = [part[self._alive(part)] for part in self._log]
+        self._log = deque(part for part in left if len(part))
+        self._logged = self._live

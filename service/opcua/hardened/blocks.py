@@ -7,7 +7,7 @@ client sees no difference.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from asyncua import ua
@@ -51,6 +51,16 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.values)
+
+    def __getitem__(self, rows: slice) -> Self:
+        return type(self)(
+            self.values[rows],
+            self.codes[rows],
+            self.has[rows],
+            self.source[rows],
+            self.server,
+            None if self.present is None else self.present[rows],
+        )
 
 
 class Block:

@@ -54,6 +54,7 @@ def data_item(
         place
         and wanted.AttributeId == ua.AttributeIds.Value
         and ranges is None
+        and request.MonitoringMode != ua.MonitoringMode.Sampling
         and serves(place[0], monitoring)
     ):
         item = subscription.block_items(place[0]).add(number, wanted, place[1], monitoring)
@@ -151,7 +152,7 @@ def watch(aspace: AddressSpace, item: DataItem) -> None:
 def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem) -> DataItem:
     """Serve an item by itself from now on, with all that it has queued."""
     mode = item.mode
-    queued, reported, since = item.of.release(item)
+    queued, reported = item.of.release(item)
     single = DataItem(subscription, item.number, item.wanted, mode, item.monitoring, None)
     single.adopt(queued, reported)
     subscription.items[item.number] = single
@@ -160,7 +161,8 @@ def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem
     in_order = sorted(callbacks.items(), key=lambda held: getattr(held[1], "number", 0))
     callbacks.clear()
     callbacks.update(in_order)  # whoever came first is told first
-    subscription.take_over(single, since)
+    if queued:
+        subscription.has_news(single)
     return single
 
 

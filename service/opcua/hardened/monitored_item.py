@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,6 +58,11 @@ class Holding:
         """Number of the change that is being told of."""
         return self._ledger.moment
 
+    def next_moment(self) -> int:
+        """Begin with what is told without a change, and return its number."""
+        self._ledger.moment += 1
+        return self._ledger.moment
+
     def has_room(self) -> bool:
         """Tell whether one more notification fits."""
         return self.room() > 0
@@ -76,6 +81,9 @@ class Holding:
     def lose(self, count: int) -> None:
         """Count what was discarded."""
         self._ledger.lost += count
+
+
+Queued = tuple[int, ua.DataValue]  # number of the change, and the value
 
 
 @dataclass
@@ -125,7 +133,7 @@ class DataItem:
         self.callback_handle = 0
         self.links: set[int] = set()
         self._subscription = subscription
-        self._queue: deque[ua.DataValue] = deque()
+        self._queue: deque[Queued] = deque()
         self._reported: ua.DataValue | None = None
         self._pending: ua.DataValue | None = None
         self._due = 0.0
@@ -149,8 +157,14 @@ class DataItem:
             self._sample(ua.DataValue(StatusCode=error) if value is None else value)
         return _DONE
 
+    @property
+    def moments(self) -> Iterator[int]:
+        """Numbers of the changes that are queued."""
+        return (moment for moment, _ in self._queue)
+
     def start(self, value: ua.DataValue) -> None:
         """Sample for the first time, or again after the item was disabled."""
+        self._subscription.holding.next_moment()
         self._due = 0.0
         self._reported = None
         self._sample(value)
@@ -176,6 +190,7 @@ class DataItem:
         self.mode = mode
         if mode == ua.MonitoringMode.Disabled:
             self.clear()
+            self._subscription.has_no_news(self)
             return False
         if mode == ua.MonitoringMode.Reporting and self._queue:
             self._subscription.has_news(self)
@@ -199,9 +214,9 @@ class DataItem:
         stamps = monitoring.stamps
         count = min(most, len(queue))
         self._subscription.holding.add(-count)
-        return [handle + encode_data_value(queue.popleft(), stamps) for _ in range(count)]
+        return [handle + encode_data_value(queue.popleft()[1], stamps) for _ in range(count)]
 
-    def adopt(self, queue: Iterable[ua.DataValue], reported: ua.DataValue | None) -> None:
+    def adopt(self, queue: Iterable[Queued], reported: ua.DataValue | None) -> None:
         """Take over what was queued and reported for this item before; it is counted already."""
         self._queue.extend(queue)
         self._reported = reported
@@ -238,19 +253,20 @@ class DataItem:
 
     def _push(self, value: ua.DataValue) -> None:
         queue, holding, size = self._queue, self._subscription.holding, self.monitoring.queue_size
+        new = (holding.moment, value)
         if len(queue) < size and (holding.has_room() or not queue):
-            queue.append(value)
+            queue.append(new)
             holding.add(1)
         elif len(queue) == 1 == size:
-            queue[0] = value  # a queue of one holds the newest value; no overflow is told of it
+            queue[0] = new  # a queue of one holds the newest value; no overflow is told of it
         elif self.monitoring.discard_oldest:
             holding.lose(1)
             queue.popleft()
-            queue.append(value)
+            queue.append(new)
             queue[0] = _overflown(queue[0])
         else:
             holding.lose(1)
-            queue[-1] = _overflown(value)
+            queue[-1] = _overflown(new)
         if self.mode == ua.MonitoringMode.Reporting:
             self._subscription.has_news(self)
         if self.links:
@@ -296,7 +312,7 @@ class EventItem:
         self.callback_handle = 0
         self.links: set[int] = set()
         self._subscription = subscription
-        self._queue: deque[Sequence[ua.Variant]] = deque()
+        self._queue: deque[tuple[int, Sequence[ua.Variant]]] = deque()
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -304,18 +320,24 @@ class EventItem:
     def __bool__(self) -> bool:
         return True
 
+    @property
+    def moments(self) -> Iterator[int]:
+        """When the events came."""
+        return (moment for moment, _ in self._queue)
+
     def notify(self, event_fields: Sequence[ua.Variant]) -> None:
         """Queue an event."""
         if self.mode == ua.MonitoringMode.Disabled:
             return
+        new = (self._subscription.holding.moment, event_fields)
         if len(self._queue) < self.queue_size and self._subscription.holding.has_room():
-            self._queue.append(event_fields)
+            self._queue.append(new)
             self._subscription.holding.add(1)
         else:
             self._subscription.holding.lose(1)
             if self.discard_oldest and self._queue:
                 self._queue.popleft()
-                self._queue.append(event_fields)
+                self._queue.append(new)
         if self.mode == ua.MonitoringMode.Reporting and self._queue:
             self._subscription.has_news(self)
 
@@ -324,6 +346,7 @@ class EventItem:
         self.mode = mode
         if mode == ua.MonitoringMode.Disabled:
             self.clear()
+            self._subscription.has_no_news(self)
         elif mode == ua.MonitoringMode.Reporting and self._queue:
             self._subscription.has_news(self)
         return False
@@ -332,7 +355,7 @@ class EventItem:
         """Take up to ``most`` events out of the queue."""
         count = min(most, len(self._queue))
         self._subscription.holding.add(-count)
-        return [(self.client_handle, self._queue.popleft()) for _ in range(count)]
+        return [(self.client_handle, self._queue.popleft()[1]) for _ in range(count)]
 
     def clear(self) -> None:
         """Forget what is queued."""
@@ -350,6 +373,8 @@ def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:
     return dataclasses.replace(value, Value=piece)
 
 
-def _overflown(value: ua.DataValue) -> ua.DataValue:
+def _overflown(queued: Queued) -> Queued:
+    moment, value = queued
     code = value.StatusCode.value if value.StatusCode is not None else 0
-    return dataclasses.replace(value, StatusCode=ua.StatusCode(code | OVERFLOW))
+    flagged = dataclasses.replace(value, StatusCode=ua.StatusCode(code | OVERFLOW))
+    return moment, flagged

@@ -1,39 +1,42 @@
-"""Which items of a subscription have something to report, and in which order they do."""
+"""What a subscription has to report, in the order of the changes behind it."""
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator
+from heapq import merge
+from itertools import islice, pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from service.opcua.hardened.block_items import BlockItem, BlockItems
+from service.opcua.hardened.block_queue import Notifications
 from service.opcua.hardened.blocks import Block
 from service.opcua.hardened.encoding import encode_data_changes, encode_events
 from service.opcua.hardened.monitored_item import DataItem, Event, EventItem
 
+_Queued = tuple[int, int, DataItem | EventItem]  # number of the change, of the item, the item
+
 
 class News:
-    """Items with something to report: what changed first comes first, all of an item at once.
+    """Items with something to report.
 
     Attributes
     ----------
     blocks
-        The items that are served as arrays; they note themselves what they have to report.
+        The items that are served as arrays; their queues say what they have to report.
     """
 
     def __init__(self) -> None:
         self.blocks: dict[Block, BlockItems] = {}
-        self._items: dict[int, tuple[int, DataItem | EventItem]] = {}
+        self._items: dict[int, DataItem | EventItem] = {}
 
     def __bool__(self) -> bool:
-        return bool(self._items) or any(items.news.any() for items in self.blocks.values())
+        return any(map(len, self._items.values())) or any(
+            len(items.queue) for items in self.blocks.values()
+        )
 
-    def add(self, item: DataItem | EventItem | BlockItem, moment: int) -> None:
-        """Note that an item has something to report since a moment."""
-        if isinstance(item, BlockItem):
-            item.has_news()
-        else:
-            self._items.setdefault(item.number, (moment, item))
+    def add(self, item: DataItem | EventItem | BlockItem) -> None:
+        """Note that an item has something to report."""
+        if not isinstance(item, BlockItem):
+            self._items[item.number] = item
 
     def forget(self, number: int) -> None:
         """Forget an item."""
@@ -47,79 +50,49 @@ class News:
     def take(self, most: int) -> list[bytes]:
         """Take up to ``most`` notifications, encoded: data changes, then events."""
         told = _Told()
-        blocks = [items for items in self.blocks.values() if items.news.any()]
-        if blocks:
-            self._take_all(told, blocks, most)
-        else:
-            self._take_items(told, most)
+        singles = list(islice(merge(*map(_queued, self._items.values())), most))
+        fronts = [(items, items.queue.front(most)) for items in self.blocks.values()]
+        self._take(told, singles, [(items, front) for items, front in fronts if front], most)
+        self._items = {number: item for number, item in self._items.items() if len(item)}
         return told.notifications()
 
-    def _take_items(self, told: "_Told", most: int) -> None:
-        for _, number in sorted((since, number) for number, (since, _) in self._items.items()):
-            if most <= 0:
-                break
-            item = self._items[number][1]
-            before = len(item)
-            self._take_item(told, item, most)
-            most -= before - len(item)
-
-    def _take_all(self, told: "_Told", blocks: list[BlockItems], most: int) -> None:
-        """Put the items of blocks and the others in one order, and take them as it says."""
-        single = list(self._items.values())
-        slots = [np.flatnonzero(items.news) for items in blocks]
-        found = list(zip(blocks, slots, strict=True))
-        since: list[ArrayLike] = [
-            *(items.news[of] for items, of in found),
-            [moment for moment, _ in single],
+    def _take(
+        self,
+        told: "_Told",
+        singles: list[_Queued],
+        fronts: list[tuple[BlockItems, Notifications]],
+        most: int,
+    ) -> None:
+        if not fronts:
+            told.add_all(singles)
+            return
+        moments = [front.moment for _, front in fronts]
+        numbers = [items.number[front.slot] for items, front in fronts]
+        moments.append(np.array([moment for moment, _, _ in singles], np.int64))
+        numbers.append(np.array([number for _, number, _ in singles], np.int64))
+        source = np.repeat(np.arange(len(fronts) + 1), [len(part) for part in moments])
+        order = np.lexsort((np.concatenate(numbers), np.concatenate(moments)))[:most]
+        source = source[order]
+        taken = [
+            items.take(front[: int((source == which).sum())])
+            for which, (items, front) in enumerate(fronts)
         ]
-        number: list[ArrayLike] = [
-            *(items.number[of] for items, of in found),
-            [item.number for _, item in single],
-        ]
-        length: list[ArrayLike] = [
-            *(items.queue.lengths[of] for items, of in found),
-            [len(i) for _, i in single],
-        ]
-        kind = np.repeat(np.arange(len(blocks) + 1), [*map(len, slots), len(single)])
-        order = np.lexsort((_joined(number), _joined(since)))
-        kind, lengths = kind[order], _joined(length)[order]
-        slot = _joined([*slots, range(len(single))])[order]
-        counts = np.clip(most - (np.cumsum(lengths) - lengths), 0, lengths)
-        reached = np.cumsum(lengths) - lengths < most
-        kind, slot, lengths, counts = (
-            kind[reached],
-            slot[reached],
-            lengths[reached],
-            counts[reached],
-        )
-
-        taken = []
-        for which, items in enumerate(blocks):
-            mine = kind == which
-            data, until = items.take(slot[mine], counts[mine])
-            taken.append((data, [0, *until.tolist()]))
-            items.news[slot[mine & (counts == lengths)]] = 0
-        done = [0] * len(blocks)
-        runs = np.flatnonzero(np.diff(kind, prepend=-1, append=-1)).tolist()
+        done = [0] * (len(fronts) + 1)
+        runs = np.flatnonzero(np.diff(source, prepend=-1, append=-1)).tolist()
         for start, stop in pairwise(runs):
-            which = int(kind[start])
-            if which == len(blocks):
-                for place in range(start, stop):
-                    self._take_item(told, single[int(slot[place])][1], int(counts[place]))
+            which = int(source[start])
+            first = done[which]
+            last = done[which] = first + stop - start
+            if which == len(fronts):
+                told.add_all(singles[first:last])
                 continue
             data, ends = taken[which]
-            first, done[which] = done[which], done[which] + stop - start
-            told.changes.append(data[ends[first] : ends[done[which]]])
-            told.count += int(counts[start:stop].sum())
-
-    def _take_item(self, told: "_Told", item: DataItem | EventItem, most: int) -> None:
-        told.add(item, most)
-        if not len(item):
-            del self._items[item.number]
+            told.changes.append(data[int(ends[first]) : int(ends[last])])
+            told.count += last - first
 
 
-def _joined(parts: Sequence[ArrayLike]) -> NDArray[np.int64]:
-    return np.concatenate([np.asarray(part, np.int64) for part in parts])
+def _queued(item: DataItem | EventItem) -> Iterator[_Queued]:
+    return ((moment, item.number, item) for moment in item.moments)
 
 
 class _Told:
@@ -130,13 +103,13 @@ class _Told:
         self.count = 0
         self.events: list[Event] = []
 
-    def add(self, item: DataItem | EventItem, most: int) -> None:
-        if isinstance(item, DataItem):
-            records = item.take(most)
-            self.changes += records
-            self.count += len(records)
-        else:
-            self.events += item.take(most)
+    def add_all(self, queued: list[_Queued]) -> None:
+        for _, _, item in queued:
+            if isinstance(item, DataItem):
+                self.changes += item.take(1)
+                self.count += 1
+            else:
+                self.events += item.take(1)
 
     def notifications(self) -> list[bytes]:
         found = []

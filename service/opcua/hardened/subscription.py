@@ -123,7 +123,11 @@ class Subscription:
 
     def has_news(self, item: Item) -> None:
         """Note that an item has something to report."""
-        self._news.add(item, self.holding.moment)
+        self._news.add(item)
+
+    def has_no_news(self, item: Item) -> None:
+        """Note that an item has nothing to report any more."""
+        self._news.forget(item.number)
 
     def block_items(self, block: Block) -> BlockItems:
         """Return the items on a block that are served as arrays."""
@@ -132,11 +136,6 @@ class Subscription:
             found = self._news.blocks[block] = BlockItems(self, block)
             block.watchers.append(found)
         return found
-
-    def take_over(self, item: DataItem, since: int) -> None:
-        """Note what an item has to report that was served otherwise before (0: nothing)."""
-        if since:
-            self._news.add(item, since)
 
     def has_pending(self, item: DataItem) -> None:
         """Note that an item holds a value back until its sampling time."""

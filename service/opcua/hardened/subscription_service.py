@@ -216,6 +216,8 @@ class Subscriptions:
             if item is None:
                 codes.append(_Codes.BadMonitoredItemIdInvalid)
                 continue
+            if isinstance(item, BlockItem) and params.MonitoringMode == ua.MonitoringMode.Sampling:
+                item = one_by_one(self._aspace, subscription, item)
             if item.set_mode(params.MonitoringMode) and not isinstance(item, EventItem):
                 item.start(self._current(item))
             codes.append(_Codes.Good)
