@@ -5,6 +5,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/<Estimator>/…     s=<Valve>.<Estimator>.<Variable>
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
+    Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
 """
 
 import re
@@ -24,6 +25,7 @@ NAMESPACE = "urn:valvemap:service"
 ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
+FRAME, FRAME_NAMES = "Frame", "FrameNames"
 
 U_RANGE = (0.0, 100.0)
 YEAR_S = 3.15e7
@@ -66,7 +68,9 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
     _check_unique("valve", [valve.name for valve in valves], {ROOT})
     for valve in valves:
         names = [estimator.name for estimator in valve.estimators]
-        _check_unique(f"valve {valve.name}: estimator", names, {INVERSE, DIAGNOSTICS})
+        _check_unique(
+            f"valve {valve.name}: estimator", names, {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES}
+        )
 
 
 def estimator_variables(

@@ -56,7 +56,7 @@ def survey_values(valve: str, name: str, result: EstimatorResult, now: int) -> I
     survey = result.survey
     if survey is None:
         return
-    code, t = _own_words(estimator_code(result)), result.t or now
+    code, t = own_words(estimator_code(result)), result.t or now
     for variable, value in (
         ("Coverage", survey.std),
         ("CoverageAge", survey.age_s),
@@ -73,7 +73,7 @@ def map_value(result: ValveResult, now: int) -> Shown:
     inverse = result.inverse
     code = _inverse_code(inverse)
     if not np.isfinite(inverse.map_U).any():
-        code = _worse(code, _Codes.BadWaitingForInitialData)
+        code = worse(code, _Codes.BadWaitingForInitialData)
     id_ = f"{result.valve}.{INVERSE}.Map"
     return Shown(id_, inverse.map_U, code, inverse.t or now)
 
@@ -98,7 +98,7 @@ _UNCERTAIN_BECAUSE: dict[Status, int] = {
 
 def _estimator_values(prefix: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
     code, t = estimator_code(result), result.t or now
-    own = _own_words(code)
+    own = own_words(code)
     for name, value, number_code in (
         ("ParameterVector", result.theta, code),
         ("ParameterStd", result.std, code),
@@ -115,10 +115,10 @@ def _estimator_values(prefix: str, result: EstimatorResult, now: int) -> Iterato
 
 def _inverse_values(prefix: str, result: InverseResult, now: int) -> Iterator[Shown]:
     t = result.t or now
-    code = _worse(_inverse_code(result), _ANSWERS[InverseStatus(result.status)])
+    code = worse(_inverse_code(result), _ANSWERS[InverseStatus(result.status)])
     yield Shown(f"{prefix}.RequiredU", result.required_U, code, t)
     yield Shown(
-        f"{prefix}.RequiredUStatus", int(result.status), _own_words(_inverse_code(result)), t
+        f"{prefix}.RequiredUStatus", int(result.status), own_words(_inverse_code(result)), t
     )
 
 
@@ -144,16 +144,16 @@ _ANSWERS: dict[InverseStatus, int] = {
 
 def _of_number(value: float, code: int) -> int:
     """A number that is none is not Good."""
-    return code if np.isfinite(value) else _worse(code, _Codes.UncertainInitialValue)
+    return code if np.isfinite(value) else worse(code, _Codes.UncertainInitialValue)
 
 
-def _own_words(code: int) -> int:
+def own_words(code: int) -> int:
     """StatusCode of what the service itself knows for certain, whatever its sensors do."""
     if code == _Codes.BadWaitingForInitialData:
         return int(_Codes.UncertainInitialValue)
     return int(_Codes.UncertainLastUsableValue) if code & _BAD else int(_Codes.Good)
 
 
-def _worse(code: int, other: int) -> int:
+def worse(code: int, other: int) -> int:
     """The StatusCode of the worse severity; the first, if they are equal."""
     return code if code >> 30 >= other >> 30 else int(other)

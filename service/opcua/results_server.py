@@ -24,6 +24,7 @@ from service.opcua.hardened import (
     add_method,
     add_object,
     add_variable,
+    many_nodes,
 )
 from service.opcua.information_model import (
     DIAGNOSTICS,
@@ -41,6 +42,8 @@ from service.opcua.information_model import (
     survey_axes,
     survey_variables,
 )
+from service.opcua.result_blocks import ResultBlocks
+from service.opcua.result_frames import frame, frame_names, frame_variables
 from service.opcua.result_values import Shown, map_value, survey_values, values_of
 from service.streaming.ports import EstimatorDescription, Operator, ValveDescription, ValveResult
 
@@ -93,6 +96,11 @@ class ResultsServer:
         self._counts: dict[str, int] = {}
         self._diagnostics: dict[str, ua.NodeId] = {}
         self._demands: dict[str, tuple[float, float]] = {}
+        self._described = {valve.name: valve for valve in self._valves}
+        self._sequences = dict.fromkeys(self._described, 0)
+        self._scalars: list[Variable] = []
+        self._frames: list[tuple[Variable, int]] = []
+        self._blocks: ResultBlocks
 
     @property
     def url(self) -> str:
@@ -113,8 +121,10 @@ class ResultsServer:
         root = await add_object(
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
-        for valve in self._valves:
-            await self._add_valve(server, root, valve)
+        with many_nodes():
+            for valve in self._valves:
+                await self._add_valve(server, root, valve)
+        self._blocks = ResultBlocks(server, self._scalars, self._frames)
         await server.start()
         self._server = server
 
@@ -147,11 +157,19 @@ class ResultsServer:
             shown += self._map_if_new(result, now)
             shown += self._surveys_if_new(result, now)
             shown += await self._new_counts(self._server, result, now)
+            shown += self._next_frame(result, now)
         self._server.write(
             (self._variables[new.id], new.value, new.code, new.t)
-            for new in shown
+            for new in self._blocks.write(shown)
             if new.id in self._variables
         )
+
+    def _next_frame(self, result: ValveResult, now: int) -> list[Shown]:
+        valve = self._described.get(result.valve)
+        if valve is None:
+            return []
+        self._sequences[valve.name] += 1
+        return [frame(valve, result, self._sequences[valve.name], now)]
 
     def _map_if_new(self, result: ValveResult, now: int) -> list[Shown]:
         """The map is large: it goes out only when it was computed anew or its code changed."""
@@ -192,6 +210,11 @@ class ResultsServer:
         folder = await add_object(
             server, root, valve.name, description=f"The valve {valve.name} and what is known of it."
         )
+        of_frame, of_names = frame_variables(valve)
+        names = frame_names(valve)
+        await self._add_variable(server, folder, of_names, names)
+        whole = await self._add_variable(server, folder, of_frame, None)
+        self._frames.append((whole, len(names)))
         for estimator in valve.estimators:
             await self._add_estimator(server, folder, valve, estimator)
         await self._add_inverse(server, folder, valve)
@@ -215,7 +238,9 @@ class ResultsServer:
         parent = await add_object(server, folder, prefix, description=estimator.description)
         for node in estimator_variables(valve, estimator):
             names = list(estimator.parameter_names) if node.id.endswith(".ParameterNames") else None
-            await self._add_variable(server, parent, node, names)
+            variable = await self._add_variable(server, parent, node, names)
+            if node.dimensions is None:
+                self._scalars.append(variable)
         for node in survey_variables(valve, estimator):
             await self._add_variable(server, parent, node, None)
         command = partial(_add_command, server, parent, prefix)
@@ -288,9 +313,11 @@ class ResultsServer:
             f"{prefix}.PressureDrop": partial(self._demand_at, valve.name),
         }
         for node in inverse_variables(valve):
-            await self._add_variable(
+            variable = await self._add_variable(
                 server, parent, node, start.get(node.id), on_write.get(node.id)
             )
+            if node.dimensions is None and not node.writable:
+                self._scalars.append(variable)
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
         await add_method(

@@ -231,6 +231,22 @@ async def test_a_result_is_read_as_it_was_published(server, observer):
     assert np.isnan(second)
 
 
+async def test_a_frame_holds_all_numbers_of_a_valve_under_their_names(server, observer):
+    names = (await value(observer, "Valvistor.FrameNames"))[0]
+    for _ in range(2):
+        await server.publish([result()])
+    numbers, code, t = await value(observer, "Valvistor.Frame")
+    frame = dict(zip(names, numbers, strict=True))
+    assert (code, t) == (Codes.Good, T)
+    assert frame["RLS.PredictedFlow"] == 50.0
+    assert frame["RBF.SampleCount"] == 2**40
+    assert frame["RLS.ParameterVector.a2"] == -2.5
+    assert frame["Inverse.RequiredU"] == 42.0
+    before = frame["Sequence"]
+    await server.publish([result()])
+    assert (await value(observer, "Valvistor.Frame"))[0][0] == before + 1
+
+
 async def test_lost_sensors_leave_nothing_good(server, observer):
     await server.publish([result()])
     lost = replace(ESTIMATOR, quality=Quality.BAD)
