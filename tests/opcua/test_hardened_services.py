@@ -698,6 +698,17 @@ async def test_limits_and_status_are_announced_as_they_are(server, client):
     assert await read("Server_ServerStatus_CurrentTime") > before
 
 
+async def test_what_is_not_diagnosed_says_so(client):
+    for name in (
+        "SubscriptionDiagnosticsArray",
+        "SamplingIntervalDiagnosticsArray",
+        "SessionsDiagnosticsSummary_SessionDiagnosticsArray",
+        "SessionsDiagnosticsSummary_SessionSecurityDiagnosticsArray",
+    ):
+        node = client.get_node(getattr(ua.ObjectIds, f"Server_ServerDiagnostics_{name}"))
+        assert await code_of(node.read_value()) == Codes.BadNotSupported
+
+
 async def test_events_of_the_server_reach_a_client_that_asks_for_them(server, client):
     events = []
 

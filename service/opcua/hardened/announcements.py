@@ -53,6 +53,12 @@ _NOT_OFFERED = (
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateEvents,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerNodeManagement,
 )
+_NOT_DIAGNOSED = (
+    _Ids.Server_ServerDiagnostics_SubscriptionDiagnosticsArray,
+    _Ids.Server_ServerDiagnostics_SamplingIntervalDiagnosticsArray,
+    _Ids.Server_ServerDiagnostics_SessionsDiagnosticsSummary_SessionDiagnosticsArray,
+    _Ids.Server_ServerDiagnostics_SessionsDiagnosticsSummary_SessionSecurityDiagnosticsArray,
+)
 _SUMMARY = {
     "CurrentSessionCount": (
         _Ids.Server_ServerDiagnostics_ServerDiagnosticsSummary_CurrentSessionCount
@@ -137,6 +143,10 @@ class Announcements:
         self._set(
             _Ids.Server_ServerDiagnostics_ServerDiagnosticsSummary_ServerViewCount, 0, _UINT32
         )
+
+        not_supported = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadNotSupported))
+        for node in _NOT_DIAGNOSED:
+            self._write(ua.NodeId(node), not_supported)
 
     def start(self) -> None:
         """Say that the server runs, and keep its clock."""
