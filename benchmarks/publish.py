@@ -37,7 +37,8 @@ async def fleet(
     Returns
     -------
     dict
-        ``notifications_per_s``; ``lost``, from the sequence numbers and the server's word;
+        ``notifications_per_s``; while it was measured ``lost`` (gaps in the sequences) and
+        ``overflows`` (the server's word); ``lost_while_subscribing``, before the queues were read;
         ``client_cpu`` and ``server_cpu``, shares of a core.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -46,7 +47,7 @@ async def fleet(
             await source.connect()
             try:
                 await _count(source, warm_s)
-                before = await ask()
+                before, heard = await ask(), source.counters
                 cpu, start = time.process_time(), time.perf_counter()
                 found = await _count(source, seconds)
                 elapsed = time.perf_counter() - start
@@ -60,7 +61,9 @@ async def fleet(
         "rate_hz": rate_hz,
         "secured": secured,
         "notifications_per_s": found["notifications"] / elapsed,
-        "lost": found["gaps"] + counters.overflows + counters.missing_messages + after["lost"],
+        "lost": found["gaps"] + counters.missing_messages - heard.missing_messages,
+        "overflows": counters.overflows - heard.overflows + after["lost"] - before["lost"],
+        "lost_while_subscribing": before["lost"],
         "client_cpu": own / elapsed,
         "server_cpu": (after["cpu"] - before["cpu"]) / elapsed,
         "late_ticks": after["late_ticks"] - before["late_ticks"],
