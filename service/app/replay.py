@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +15,7 @@ from service.errors import ConfigurationError
 from service.identification.forgetting import Exponential
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
-from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.samples import Quality, Samples, Segments, Trace
 from service.identification.survey import Survey
 from service.storage.recordings import read_recording
@@ -41,7 +41,8 @@ class EstimatorReport:
     inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
     spread of measurements about the map of late, ``covered`` the share of the samples tried that
     lay within their 95 % interval, ``survey`` what the map does not know, ``T`` (°C) the oil
-    temperature measured last.
+    temperature measured last, ``change`` the last change of the valve that was found, and
+    ``structure`` what `Auto` has chosen.
     """
 
     lane: Lane
@@ -55,6 +56,8 @@ class EstimatorReport:
     covered: float
     survey: Survey
     T: float
+    change: Change | None
+    structure: str | None
 
 
 Report = Mapping[str, Mapping[str, EstimatorReport]]
@@ -135,6 +138,8 @@ def as_json(report: Report) -> dict[str, Any]:
                 "interval": _numbers({"noise_std": r.noise_std, "covered": r.covered}),
                 "next_point": _numbers({"U": r.survey.suggested_U, "dp": r.survey.suggested_dp}),
                 "coverage": _numbers({"share": r.survey.share, "condition": r.survey.condition}),
+                "last_change": None if r.change is None else asdict(r.change),
+                "structure": r.structure,
             }
             for name, r in estimators.items()
             if name != BEST_FIT
@@ -229,6 +234,8 @@ def _report(
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
             survey=pipeline.survey_of(valve.plan, state, name),
             T=state.T,
+            change=pipeline.change_of(lane),
+            structure=pipeline.structure_of(lane),
         )
     return report
 

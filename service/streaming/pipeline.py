@@ -6,10 +6,13 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
+from service.identification.auto import Auto, AutoState
 from service.identification.estimator import Estimator, State, key_of
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
+from service.identification.least_squares_state import RlsState
 from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.samples import Floats, Quality, Samples, Status
 from service.identification.scatter import TWO_SIDED_95, Scatter
 from service.identification.survey import Survey, survey
@@ -120,6 +123,24 @@ def estimator_result(lane: Lane) -> EstimatorResult:
         status=status,
         noise_std=lane.scatter.noise_std,
     )
+
+
+def change_of(lane: Lane) -> Change | None:
+    """Return the last change of the valve that was found, None if none was, or none is sought."""
+    match lane.estimator, lane.state:
+        case RecursiveLeastSquares() as estimator, RlsState() as state:
+            return estimator.last_change(state)
+        case _:
+            return None
+
+
+def structure_of(lane: Lane) -> str | None:
+    """Name the structure that an estimator has chosen; None if it was given one."""
+    match lane.estimator, lane.state:
+        case Auto() as estimator, AutoState() as state:
+            return estimator.describe(state)
+        case _:
+            return None
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:

@@ -1,0 +1,37 @@
+"""Replay says when the valve changed, and what structure was chosen."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.app.replay import as_json, replay
+
+STEP, N = 3_000, 4_000
+
+
+@pytest.fixture(scope="module")
+def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    """A valve of eq. (7) on scattered points, that loses a tenth of its flow at sample STEP."""
+    rng = np.random.default_rng(3)
+    U, dp = rng.uniform(10.0, 100.0, N), rng.uniform(10.0, 180.0, N)
+    Q = 0.1 * U * np.sqrt(dp) * np.where(np.arange(N) < STEP, 1.0, 0.9) + rng.normal(0.0, 0.3, N)
+    table = np.column_stack([np.arange(N) * 0.1, U, dp + 10.0, np.full(N, 10.0), Q, np.full(N, 40)])
+    file: Path = tmp_path_factory.mktemp("recording") / "step.csv"
+    np.savetxt(file, table, "%.9g", ",", header="t,U,p1,p2,Q,T", comments="")
+    return json.loads(json.dumps(as_json(replay([file])), allow_nan=False))["Valvistor"]
+
+
+def test_rls_says_when_the_valve_changed_and_how_much(figures):
+    change = figures["RLS"]["last_change"]
+    assert abs(change["sample"] - STEP) < 100
+    assert abs(change["t"] / 1e9 - 0.1 * STEP) < 10.0
+    assert change["size"] < -1.0
+    assert change["count"] >= 1
+
+
+def test_auto_names_the_structure_that_it_has_chosen_and_the_others_none(figures):
+    assert figures["Auto"]["structure"]
+    assert figures["RLS"]["structure"] is None
+    assert figures["Auto"]["last_change"] is None
