@@ -16,7 +16,9 @@ def products(
 ) -> Floats:
     """Rows (N, n): for each term the product of its :data:`FACTORS` to its ``exponents`` (n, 7)."""
     starts, places, powers = _spelt_out(exponents)
-    has_viscosity = np.any(exponents[:, 6] != 0)
+    has_viscosity = False
+    for j in range(len(exponents)):
+        has_viscosity |= exponents[j, 6] != 0
     rows = np.ones((len(U), len(exponents)))
     factor = np.empty(7)
     for i in range(len(U)):
@@ -44,8 +46,11 @@ def _spelt_out(exponents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     Scanning the table of exponents at every point would cost more than the products.
     """
     starts = np.zeros(len(exponents) + 1, np.int64)
-    places = np.empty(np.sum(np.abs(exponents)), np.int64)
-    powers = np.empty(len(places), np.int64)
+    q = 0
+    for j in range(len(exponents)):
+        for k in range(7):
+            q += abs(exponents[j, k])
+    places, powers = np.empty(q, np.int64), np.empty(q, np.int64)
     q = 0
     for j in range(len(exponents)):
         for k in range(7):
