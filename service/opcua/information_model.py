@@ -186,6 +186,40 @@ def survey_variables(
     )
 
 
+def discovery_variables(
+    valve: ValveDescription, estimator: EstimatorDescription
+) -> tuple[VariableNode, ...]:
+    """What an estimator finds out by itself: changes of the valve, the structure of its map."""
+    prefix = f"{valve.name}.{estimator.name}"
+    _, Q_max = valve.Q_range
+    changes = (
+        VariableNode(
+            f"{prefix}.ChangeCount",
+            "Abrupt changes of the valve that were found since the start or the last Reset.",
+            ua.VariantType.UInt32,
+        ),
+        VariableNode(
+            f"{prefix}.ChangeTime",
+            "Source time of the last sample before the newest of them, as estimated.",
+            ua.VariantType.DateTime,
+        ),
+        VariableNode(
+            f"{prefix}.ChangeSize",
+            "Mean innovation from then on to its detection: less flow is negative.",
+            unit=Unit.LITRE_PER_MINUTE,
+            range=(-Q_max, Q_max),
+        ),
+    )
+    structure = VariableNode(
+        f"{prefix}.Structure",
+        "The structure of the map that the estimator has chosen, in words.",
+        ua.VariantType.String,
+    )
+    return (*(changes if estimator.finds_changes else ()),) + (
+        (structure,) if estimator.chooses_structure else ()
+    )
+
+
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The regions of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"

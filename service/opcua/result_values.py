@@ -17,6 +17,7 @@ UncertainLastUsableValue, while the rest is Bad.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,18 @@ def survey_values(valve: str, name: str, result: EstimatorResult, now: int) -> I
         ("SuggestedDp", survey.suggested_dp),
     ):
         yield Shown(f"{valve}.{name}.{variable}", value, code, t)
+
+
+def discovery_values(valve: str, name: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
+    """What an estimator found out by itself: changes of the valve, the structure of its map."""
+    prefix, t = f"{valve}.{name}", result.t or now
+    own = own_words(estimator_code(result))
+    found, code = result.change, own if result.change else int(_Codes.BadNoData)
+    yield Shown(f"{prefix}.ChangeCount", found.count if found else 0, own, t)
+    moment = datetime.fromtimestamp(found.t / 1e9, UTC) if found else None
+    yield Shown(f"{prefix}.ChangeTime", moment, code, t)
+    yield Shown(f"{prefix}.ChangeSize", found.size if found else 0.0, code, t)
+    yield Shown(f"{prefix}.Structure", result.structure or "", own, t)
 
 
 def map_value(result: ValveResult, now: int) -> Shown:

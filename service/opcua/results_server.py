@@ -11,6 +11,7 @@ from asyncua.common.node import Node
 
 from service.clock import Clock, SystemClock
 from service.identification.inversion import InverseStatus
+from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import Survey, axes
 from service.opcua.hardened import (
@@ -36,6 +37,7 @@ from service.opcua.information_model import (
     axis,
     check_names,
     counter_variable,
+    discovery_variables,
     estimator_variables,
     inverse_variables,
     map_variable,
@@ -44,7 +46,13 @@ from service.opcua.information_model import (
 )
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame, frame_names, frame_variables
-from service.opcua.result_values import Shown, map_value, survey_values, values_of
+from service.opcua.result_values import (
+    Shown,
+    discovery_values,
+    map_value,
+    survey_values,
+    values_of,
+)
 from service.streaming.ports import EstimatorDescription, Operator, ValveDescription, ValveResult
 
 __all__ = ["NAMESPACE", "ResultsServer"]
@@ -93,6 +101,7 @@ class ResultsServer:
         self._variables: dict[str, Variable] = {}
         self._maps: dict[str, tuple[Floats, int]] = {}
         self._surveys: dict[str, tuple[Survey | None, Quality]] = {}
+        self._discoveries: dict[str, tuple[Change | None, str | None, Quality]] = {}
         self._counts: dict[str, int] = {}
         self._diagnostics: dict[str, ua.NodeId] = {}
         self._demands: dict[str, tuple[float, float]] = {}
@@ -156,6 +165,7 @@ class ResultsServer:
             shown += values_of(result, now)
             shown += self._map_if_new(result, now)
             shown += self._surveys_if_new(result, now)
+            shown += self._discoveries_if_new(result, now)
             shown += await self._new_counts(self._server, result, now)
             shown += self._next_frame(result, now)
         self._server.write(
@@ -189,6 +199,17 @@ class ResultsServer:
             if estimator.survey is not old or estimator.quality != quality:
                 self._surveys[key] = estimator.survey, estimator.quality
                 shown += survey_values(result.valve, name, estimator, now)
+        return shown
+
+    def _discoveries_if_new(self, result: ValveResult, now: int) -> list[Shown]:
+        """Changes and structures are rare news: each goes out once."""
+        shown: list[Shown] = []
+        for name, estimator in result.estimators.items():
+            key = f"{result.valve}.{name}"
+            found = estimator.change, estimator.structure, estimator.quality
+            if self._discoveries.get(key) != found:
+                self._discoveries[key] = found
+                shown += discovery_values(result.valve, name, estimator, now)
         return shown
 
     async def _new_counts(
@@ -241,7 +262,10 @@ class ResultsServer:
             variable = await self._add_variable(server, parent, node, names)
             if node.dimensions is None:
                 self._scalars.append(variable)
-        for node in survey_variables(valve, estimator):
+        for node in (
+            *survey_variables(valve, estimator),
+            *discovery_variables(valve, estimator),
+        ):
             await self._add_variable(server, parent, node, None)
         command = partial(_add_command, server, parent, prefix)
         who = (valve.name, estimator.name)

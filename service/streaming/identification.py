@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import CommandRejected
+from service.identification.auto import Auto
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import Inversion
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
@@ -116,6 +117,8 @@ class Identification:
                         description=_first_line(estimator),
                         parameter_names=estimator.parameter_names,
                         has_forgetting_factor=isinstance(estimator, Forgetful),
+                        finds_changes=pipeline.finds_changes(estimator),
+                        chooses_structure=isinstance(estimator, Auto),
                     )
                     for name, estimator in plan.estimators.items()
                 ),

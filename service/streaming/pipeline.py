@@ -8,6 +8,7 @@ import numpy as np
 
 from service.identification.auto import Auto, AutoState
 from service.identification.estimator import Estimator, State, key_of
+from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.least_squares_state import RlsState
@@ -122,6 +123,15 @@ def estimator_result(lane: Lane) -> EstimatorResult:
         sample_count=lane.count,
         status=status,
         noise_std=lane.scatter.noise_std,
+        change=change_of(lane),
+        structure=structure_of(lane),
+    )
+
+
+def finds_changes(estimator: AnyEstimator) -> bool:
+    """Whether an estimator looks for abrupt changes of the valve and tells of them."""
+    return isinstance(estimator, RecursiveLeastSquares) and isinstance(
+        estimator.forgetting, Adaptive
     )
 
 

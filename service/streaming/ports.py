@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from service.identification.inversion import Inversion
+from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import Survey
 from service.streaming.data_changes import DataChanges
@@ -79,6 +80,8 @@ class EstimatorDescription:
     description: str
     parameter_names: tuple[str, ...]
     has_forgetting_factor: bool
+    finds_changes: bool = False
+    chooses_structure: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,7 @@ class EstimatorResult:
     ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
+    ``change`` is the last change of the valve that was found, ``structure`` what was chosen.
     """
 
     t: int
@@ -114,6 +118,8 @@ class EstimatorResult:
     status: Status
     noise_std: float = np.nan
     survey: Survey | None = None
+    change: Change | None = None
+    structure: str | None = None
 
 
 @dataclass(frozen=True)

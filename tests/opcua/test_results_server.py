@@ -9,6 +9,7 @@ from asyncua import Client, ua
 from service.clock import ManualClock
 from service.errors import CommandRejected, ServerError
 from service.identification.inversion import Inversion
+from service.identification.recursive_least_squares import Change
 from service.identification.samples import Quality, Status
 from service.identification.survey import Survey
 from service.opcua.hardened import Role, ServerSettings, UserStore
@@ -41,6 +42,15 @@ VALVES = (
     ),
     ValveDescription(
         "V2", (EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True),)
+    ),
+    ValveDescription(
+        "V3",
+        (
+            EstimatorDescription("RLS", "", (), has_forgetting_factor=True, finds_changes=True),
+            EstimatorDescription(
+                "Auto", "", (), has_forgetting_factor=True, chooses_structure=True
+            ),
+        ),
     ),
 )
 SURVEY = Survey(
@@ -416,3 +426,26 @@ async def test_a_port_in_use_is_named(served, tmp_path):
         await other.start()
     await other.publish([result()])
     await other.stop()
+
+
+async def test_a_change_that_was_found_is_told_with_its_time_and_size(server, observer):
+    quiet = replace(ESTIMATOR, parameter_names=(), theta=np.empty(0), std=np.empty(0))
+    await server.publish([ValveResult("V3", {"RLS": quiet}, INVERSE, {})])
+    assert (await value(observer, "V3.RLS.ChangeCount"))[:2] == (0, Codes.Good)
+    assert (await value(observer, "V3.RLS.ChangeTime"))[1] == Codes.BadNoData
+    assert (await value(observer, "V3.RLS.ChangeSize"))[1] == Codes.BadNoData
+    changed = replace(quiet, change=Change(count=1, sample=700, t=T - 5_000_000_000, size=-4.5))
+    await server.publish([ValveResult("V3", {"RLS": changed}, INVERSE, {})])
+    assert (await value(observer, "V3.RLS.ChangeCount"))[:2] == (1, Codes.Good)
+    assert (await value(observer, "V3.RLS.ChangeSize"))[:2] == (-4.5, Codes.Good)
+    moment, code, _ = await value(observer, "V3.RLS.ChangeTime")
+    assert code == Codes.Good
+    assert ua.datetime_to_win_epoch(moment) * 100 == T - 5_000_000_000 + 11_644_473_600_000_000_000
+
+
+async def test_a_structure_that_was_chosen_is_told_in_words(server, observer):
+    chosen = replace(ESTIMATOR, structure="spline, 4 x 3 cells, dead band 6 %")
+    await server.publish([ValveResult("V3", {"Auto": chosen}, INVERSE, {})])
+    assert (await value(observer, "V3.Auto.Structure"))[:2] == (chosen.structure, Codes.Good)
+    with pytest.raises(ua.UaStatusCodeError):
+        await (await node(observer, "V3.Auto.ChangeCount")).read_value()
