@@ -52,6 +52,7 @@ RULES = (
     Adaptive(0.99),
 )
 HORIZONS = (1, 60, 600)  # s
+PRIORS = (1.0, 10.0, 1e4)
 ORDERS = ((2, 1, 1), (2, 2, 1), (2, 2, 2), (3, 2, 1))
 BREAKS = tuple(np.linspace(0.0, 100.0, 9).tolist())
 MAPS = {
@@ -140,7 +141,7 @@ def actuator(_: list[str]) -> Figures:
     }
     for orders in ORDERS:
         name = ",".join(map(str, orders))
-        models |= {f"ARMAX({name}), p0 = {p0:g}": armax(data, *orders, p0) for p0 in (1.0, 1e4)}
+        models |= {f"ARMAX({name}), p0 = {p0:g}": armax(data, *orders, p0) for p0 in PRIORS}
     return {
         name: {"one step": model.one_step, "simulated": model.simulated}
         for name, model in models.items()
