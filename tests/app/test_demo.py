@@ -114,6 +114,32 @@ async def test_nobody_without_a_name_writes_or_commands(service):
         )
 
 
+HARMLESS = {"Predict", "PredictMeasurement", "Invert"}
+
+
+@pytest.mark.parametrize("server", ["rig", "service"])
+async def test_no_variable_takes_a_value_from_nobody_and_no_method_a_command(demo, server):
+    url = rig_url(demo["rig"]) if server == "rig" else service_url(demo["service"])
+    async with Client(url) as client:
+        index = await client.get_namespace_index(f"urn:valvemap:{server}")
+        waiting, variables, methods = [client.nodes.objects], [], []
+        while waiting:
+            for child in await waiting.pop().get_children_descriptions():
+                if child.NodeId.NamespaceIndex != index:
+                    continue
+                waiting.append(client.get_node(child.NodeId))
+                of = {ua.NodeClass.Variable: variables, ua.NodeClass.Method: methods}
+                of.get(child.NodeClass, []).append((waiting[-1], child.BrowseName.Name))
+        assert len(variables) > 20
+        for variable, _ in variables:
+            value = await variable.read_data_value(raise_on_bad_status=False)
+            with pytest.raises(ua.UaStatusCodeError):
+                await variable.write_value(ua.DataValue(value.Value))
+        for method, name in methods:
+            allowed = await method.read_attribute(ua.AttributeIds.UserExecutable)
+            assert allowed.Value.Value == (name in HARMLESS), name
+
+
 async def test_an_operator_demands_a_flow_and_gets_a_voltage(operator):
     await (await node(operator, "Valvistor.Inverse.FlowDemand")).write_value(50.0)
     await (await node(operator, "Valvistor.Inverse.PressureDrop")).write_value(100.0)

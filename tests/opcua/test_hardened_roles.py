@@ -188,6 +188,8 @@ async def test_every_role_may_do_just_what_it_may_on_every_endpoint(plant, endpo
             assert await code_of(call) == right
             executable = await method.read_attribute(ua.AttributeIds.UserExecutable)
             assert executable.Value.Value == allowed
+        children = await client.get_node(plant.folder).get_children()
+        assert client.get_node(plant.level.id) in children
         history = client.get_node(plant.level.id).read_raw_history(numvalues=1)
         assert await code_of(history) == Codes.BadHistoryOperationUnsupported
         added = client.get_node(plant.folder).add_variable(2, "New", 1.0)
