@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ Figures = dict[str, float]
 
 def one_model() -> Figures:
     """Time per update, ns, of the recursion alone: rows of X in, theta and innovations out."""
-    X, y, _ = _problem(N)
+    X, y = _problem(N)
     few = X[:PEER_N], y[:PEER_N]
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         f"ours, {rule}": (lambda r=rule: recursive_least_squares(X, y, r), N)
@@ -70,7 +71,7 @@ def whole_estimators() -> Figures:
 
 def many_models(rule: Forgetting) -> Figures:
     """Time per update, ns, of 10,000 models that get a sample each, again and again."""
-    X, y, _ = _problem(MODELS * PASSES)
+    X, y = _problem(MODELS * PASSES)
     rls = RecursiveLeastSquares(forgetting=rule)
     warm, _ = rls.update(rls.initial_state(), _samples(200))
     fleet = stack([warm] * MODELS)
@@ -111,9 +112,9 @@ def main() -> int:
     return 0
 
 
-def _problem(n: int) -> tuple[Floats, Floats, Samples]:
+def _problem(n: int) -> tuple[Floats, Floats]:
     samples = _samples(n)
-    return FiveTerms().regressors(samples.U, samples.dp, samples.T), samples.Q, samples
+    return FiveTerms().regressors(samples.U, samples.dp, samples.T), samples.Q
 
 
 def _samples(n: int) -> Samples:
@@ -136,6 +137,7 @@ def _nanoseconds(jobs: dict[str, tuple[Callable[[], object], int]]) -> Figures:
     return best
 
 
+@cache
 def _compiled() -> ctypes.CDLL | None:
     """``rls.c`` as a library; None where there is no gcc."""
     gcc = shutil.which("gcc")

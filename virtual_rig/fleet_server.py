@@ -3,12 +3,18 @@
 import asyncio
 import dataclasses
 import logging
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 
-from service.opcua.hardened import Clock, HardenedServer, ServerSettings, SystemClock, many_nodes
+from service.opcua.hardened import (
+    Clock,
+    HardenedServer,
+    ServerSettings,
+    Startable,
+    SystemClock,
+    many_nodes,
+)
 from virtual_rig.fleet import FleetRecording, record, valve_names
 from virtual_rig.information_model import FleetNodes, add_fleet, publish_fleet
 from virtual_rig.scenario import Scenario
@@ -22,7 +28,7 @@ _VALUES_PER_TURN = 200_000
 _QUEUED_S = 3.0  # so long may all items of one client wait to be published
 
 
-class FleetServer:
+class FleetServer(Startable):
     """Many valves that clients can watch; made by :meth:`create`."""
 
     def __init__(self, server: HardenedServer, scenario: Scenario, clock: Clock) -> None:
@@ -97,18 +103,6 @@ class FleetServer:
     async def stop(self) -> None:
         """Stop listening; safe to call twice."""
         await self._server.stop()
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.stop()
 
     async def run(self) -> None:
         """Play until the scenario is over, or cancelled; samples are never dropped.

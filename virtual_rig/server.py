@@ -3,7 +3,6 @@
 import asyncio
 import logging
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from service.opcua.hardened import (
@@ -12,6 +11,7 @@ from service.opcua.hardened import (
     HardenedServer,
     InvalidArgument,
     ServerSettings,
+    Startable,
     SystemClock,
 )
 from virtual_rig.faults import Fault, FaultError, commanded_fault
@@ -39,7 +39,7 @@ _UNCERTAIN_LAST_USABLE_VALUE = 0x40900000
 OnBlock = Callable[[RigBlock], None]
 
 
-class RigServer:
+class RigServer(Startable):
     """A rig that clients can watch and operate; made by :meth:`create`."""
 
     def __init__(
@@ -129,18 +129,6 @@ class RigServer:
     async def stop(self) -> None:
         """Stop listening; safe to call twice."""
         await self._server.stop()
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.stop()
 
     async def run(self) -> None:
         """Play the scenario, then whatever operators start, until cancelled.

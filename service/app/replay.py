@@ -234,8 +234,8 @@ def _report(
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
             survey=pipeline.survey_of(valve.plan, state, name),
             T=state.T,
-            change=pipeline.change_of(lane),
-            structure=pipeline.structure_of(lane),
+            change=result.change,
+            structure=result.structure,
         )
     return report
 

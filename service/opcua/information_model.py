@@ -215,9 +215,8 @@ def discovery_variables(
         "The structure of the map that the estimator has chosen, in words.",
         ua.VariantType.String,
     )
-    return (*(changes if estimator.finds_changes else ()),) + (
-        (structure,) if estimator.chooses_structure else ()
-    )
+    found = changes if estimator.finds_changes else ()
+    return (*found, structure) if estimator.chooses_structure else found
 
 
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:

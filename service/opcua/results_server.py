@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from asyncua import ua
@@ -20,6 +19,7 @@ from service.opcua.hardened import (
     OutOfRange,
     Role,
     ServerSettings,
+    Startable,
     Unit,
     Variable,
     add_method,
@@ -59,6 +59,7 @@ __all__ = ["NAMESPACE", "ResultsServer"]
 
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
+_U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
 _dp = Argument("dp", "Pressure drop p1 - p2", unit=Unit.BAR)
 _T = Argument(
     "T",
@@ -68,7 +69,7 @@ _T = Argument(
 )
 
 
-class ResultsServer:
+class ResultsServer(Startable):
     """Shows results and takes commands; fulfils :class:`~service.streaming.ports.ResultSink`.
 
     Use it with ``async with``, or call :meth:`start` and :meth:`stop`.
@@ -142,18 +143,6 @@ class ResultsServer:
         server, self._server = self._server, None
         if server is not None:
             await server.stop()
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.stop()
 
     async def publish(self, results: Sequence[ValveResult]) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
@@ -285,11 +274,7 @@ class ResultsServer:
             parent,
             f"{prefix}.Predict",
             partial(self._predict, *who),
-            inputs=(
-                Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE),
-                _dp,
-                _T,
-            ),
+            inputs=(_U, _dp, _T),
             outputs=(
                 Argument("Q", "Flow; NaN if unknown", unit=Unit.LITRE_PER_MINUTE),
                 Argument("Std", "Its standard deviation", unit=Unit.LITRE_PER_MINUTE),
@@ -304,11 +289,7 @@ class ResultsServer:
             parent,
             f"{prefix}.PredictMeasurement",
             partial(self._predict_measurement, *who),
-            inputs=(
-                Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE),
-                _dp,
-                _T,
-            ),
+            inputs=(_U, _dp, _T),
             outputs=(
                 Argument("Q", "Flow; NaN if unknown", unit=Unit.LITRE_PER_MINUTE),
                 Argument("Lower", "Lower end of the 95 % interval", unit=Unit.LITRE_PER_MINUTE),

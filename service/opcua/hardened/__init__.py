@@ -21,6 +21,7 @@ from service.opcua.hardened.certificates import (
     trust,
 )
 from service.opcua.hardened.insertion import many_nodes
+from service.opcua.hardened.lifecycle import Startable
 from service.opcua.hardened.nodes import (
     Argument,
     InvalidArgument,
@@ -56,6 +57,7 @@ __all__ = [
     "ServerCounters",
     "ServerError",
     "ServerSettings",
+    "Startable",
     "StorageError",
     "SystemClock",
     "Unit",

@@ -5,7 +5,6 @@ import dataclasses
 import datetime as dt
 import ipaddress
 from collections.abc import Iterable, Sequence
-from types import TracebackType
 from typing import Self
 from urllib.parse import urlparse
 
@@ -34,6 +33,7 @@ from service.opcua.hardened.certificates import (
 from service.opcua.hardened.encoding import instant, nanoseconds, ticks_of_ns
 from service.opcua.hardened.endpoints import offered_endpoints, offered_policies
 from service.opcua.hardened.internal import InsideServer
+from service.opcua.hardened.lifecycle import Startable
 from service.opcua.hardened.listener import Listener
 from service.opcua.hardened.logs import bound_asyncua, bounded_logger
 from service.opcua.hardened.nodes import Method, Value, Variable, as_variant
@@ -63,7 +63,7 @@ class ServerCounters:
     refused_connections: int
 
 
-class HardenedServer:
+class HardenedServer(Startable):
     """An OPC UA server with our guard, PKI and users.
 
     Make it with :meth:`create`, add nodes, then ``async with`` it or call :meth:`start` and
@@ -317,18 +317,6 @@ class HardenedServer:
             self._announcements.stop()
             await listener.stop()
             await self._inside.stop()
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.stop()
 
     def _write_data_value(self, nodeid: ua.NodeId, data: ua.DataValue) -> None:
         if place := self._subscriptions.blocks.get(nodeid):
