@@ -124,7 +124,7 @@ def test_resetting_bounds_p_where_plain_exponential_forgetting_winds_up():
 
 @pytest.mark.parametrize("rule", [Directional(0.99), Subspace(0.99), Adaptive(0.99), Adaptive()])
 def test_on_structured_data_the_map_stays_whole_where_plain_forgetting_loses_it(rule):
-    for seed in range(3):
+    for seed in range(20):
         X, y = structured(11, 1000, seed)
         history = recursive_least_squares(X, y, rule).theta_history
         assert map_rmse(history[2000:]).max() <= 2.5
