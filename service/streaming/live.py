@@ -31,7 +31,10 @@ class LiveSettings:
         How often states are kept, and how often the inverse tables are computed anew.
     publish_budget_s : float
         How long publishing may hold up the next batch. Valves that find no time are first next
-        time, with their newest results; a few valves are published with every batch.
+        time, with their newest results.
+    publish_share : float
+        Most of the time that goes into publishing as long as there is more to publish than that:
+        samples that come in go before results that go out.
     feed_forward : tuple of int
         Valves (by number) whose required U is written to the source.
     """
@@ -40,6 +43,7 @@ class LiveSettings:
     checkpoint_interval_s: float = 10.0
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
+    publish_share: float = 0.25
     feed_forward: tuple[int, ...] = ()
 
 
@@ -69,6 +73,7 @@ class LiveService:
         self._news: dict[int, None] = {}  # valves with something to show, the oldest first
         self._checkpoint_due = now + settings.checkpoint_interval_s
         self._map_due = now + settings.map_interval_s
+        self._publish_due = now
         self._written = np.full(len(identification.plans), np.nan)
 
     async def start(self) -> None:
@@ -79,7 +84,7 @@ class LiveService:
         if refused:
             log.warning("states of another configuration left aside", estimators=refused)
         self._news = dict.fromkeys(range(len(self._lost)))
-        await self._publish(np.inf)
+        await self._publish_all()
 
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
@@ -90,7 +95,7 @@ class LiveService:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._news.update(dict.fromkeys(samples))
-        await self._publish(self._settings.publish_budget_s)
+        await self._publish_in_turn()
         await self._feed_forward(samples)
 
     async def tick(self) -> None:
@@ -98,7 +103,7 @@ class LiveService:
         now = self._clock.monotonic()
         stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
         await self._lose(np.flatnonzero(stale).tolist())
-        await self._publish(self._settings.publish_budget_s)
+        await self._publish_in_turn()
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
@@ -130,10 +135,21 @@ class LiveService:
             log.warning("sensors lost", valve=self.identification.plans[valve].name)
         if valves:
             self._news.update(dict.fromkeys(valves))
-            await self._publish(np.inf)
+            await self._publish_all()
 
-    async def _publish(self, budget_s: float) -> None:
-        until = self._clock.monotonic() + budget_s
+    async def _publish_in_turn(self) -> None:
+        """Publish what the budget and the share of time allow."""
+        began = self._clock.monotonic()
+        if began < self._publish_due or not self._news:
+            return
+        await self._publish_until(began + self._settings.publish_budget_s)
+        now = self._clock.monotonic()
+        self._publish_due = now + (now - began) * (1.0 / self._settings.publish_share - 1.0)
+
+    async def _publish_all(self) -> None:
+        await self._publish_until(np.inf)
+
+    async def _publish_until(self, end: float) -> None:
         while self._news:
             some = list(islice(self._news, VALVES_AT_ONCE))
             for valve in some:
@@ -141,7 +157,7 @@ class LiveService:
             await self._sink.publish(
                 [self.identification.result(v, lost=bool(self._lost[v])) for v in some]
             )
-            if self._clock.monotonic() >= until:
+            if self._clock.monotonic() >= end:
                 break
 
     async def _feed_forward(self, valves: Iterable[int]) -> None:

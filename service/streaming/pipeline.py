@@ -185,6 +185,8 @@ def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
 
 def required(plan: ValvePlan, state: ValveState) -> tuple[float, InverseStatus]:
     """U for the standing demand, hysteresis passed through, and its status."""
+    if np.isnan(state.demand_Q) or np.isnan(state.demand_dp):
+        return np.nan, InverseStatus.NOT_FINITE
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
     moving = answer.status[0] == InverseStatus.OK and not lane.frozen

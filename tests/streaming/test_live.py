@@ -159,3 +159,18 @@ async def test_where_time_is_short_the_valves_shown_longest_ago_come_first(
     assert [r.valve for r in sink.published] == [f"V{k}" for k in range(n)] + ["V0"]
     await live.tick()
     assert len(sink.published) == n + 1
+
+
+async def test_publishing_leaves_most_of_the_time_to_what_comes_in(live, sink, clock):
+    published = sink.publish
+
+    async def slowly(results):
+        await published(results)
+        clock.advance(0.010)
+
+    sink.publish = slowly
+    for first in range(100):
+        await live.take(as_changes(plant(1, first=first)))
+        clock.advance(0.001)
+    shown = [r.estimators["RLS"].sample_count for r in sink.published]
+    assert shown == [1, 31, 61, 91]
