@@ -14,7 +14,7 @@ from service.opcua.connection import (
     status_name,
 )
 from service.opcua.source_nodes import ValveNodes, WritableNode, check_nodes
-from service.opcua.subscription import Revised, Subscription, Tally, subscribe
+from service.opcua.subscription import Subscription, Tally, subscribe
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import SourceCounters
 
@@ -59,11 +59,6 @@ class OpcUaSource:
         """What was seen so far, over all connections."""
         return SourceCounters(**vars(self._tally))
 
-    @property
-    def revised(self) -> Revised | None:
-        """Intervals and queue sizes as the server granted them; None before ``connect``."""
-        return None if self._subscription is None else self._subscription.revised
-
     async def connect(self) -> None:
         """Connect, check every node, subscribe.
 
@@ -84,7 +79,6 @@ class OpcUaSource:
         except BaseException:
             await connection.close()
             raise
-        subscription.start()
         self._connection, self._subscription = connection, subscription
         self._writable = nodes.writable
 
@@ -138,10 +132,10 @@ class OpcUaSource:
         """Disconnect; safe to call twice, and after a loss."""
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
-        if subscription is not None:
-            await subscription.stop()
         if connection is not None:
             await connection.close()
+        if subscription is not None:
+            await subscription.stop()
 
 
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

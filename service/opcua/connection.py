@@ -100,7 +100,7 @@ class SourceSettings:
     queue_size: int = 1_000
     keep_alive_s: float = 2.0
     timeout_s: float = 5.0
-    publish_requests: int = 3
+    publish_requests: int = 10
     buffer_limit: int = 1_000_000
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ from service.opcua.decoding import (
     decode_republish_response,
 )
 from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
-from service.streaming.data_changes import DataChanges
+from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 
 _log = logging.getLogger(__name__)
 
@@ -33,6 +33,7 @@ _LIFETIME_KEEP_ALIVES = 10
 _LIFETIME_S = 60.0
 _MAX_REPUBLISH = 100
 _NOTIFICATIONS_PER_PUBLISH = 100_000
+_ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
 _GOOD_TRANSFERRED = 0x002D0000
 
 
@@ -47,41 +48,25 @@ class Tally:
     undecodable: int = 0
 
 
-@dataclass(frozen=True)
-class Revised:
-    """What the server made of our wishes."""
-
-    publishing_interval_ms: float
-    keep_alive_count: int
-    lifetime_count: int
-    smallest_queue: int
-    slowest_sampling_ms: float
-
-    @property
-    def silence_s(self) -> float:
-        """After so long without any publish response the server is lost."""
-        return _LOST_KEEP_ALIVES * self.keep_alive_count * self.publishing_interval_ms * 1e-3
-
-
 class Subscription:
     """A running subscription; made by :func:`subscribe`."""
 
     def __init__(
         self,
         connection: Connection,
-        subscription_id: int,
-        revised: Revised,
+        created: ua.CreateSubscriptionResult,
         tally: Tally,
         clock: Clock,
     ) -> None:
-        self.revised = revised
         self._connection = connection
         self._session = connection.session
         self._settings = connection.settings
-        self._id = subscription_id
+        self._id = created.SubscriptionId
+        self._interval_s = created.RevisedPublishingInterval * 1e-3
         self._tally = tally
         self._clock = clock
-        self._silence = revised.silence_s + connection.settings.timeout_s
+        silent_s = _LOST_KEEP_ALIVES * created.RevisedMaxKeepAliveCount * self._interval_s
+        self._silence = silent_s + connection.settings.timeout_s
         self._heard = clock.monotonic()
         self._next: int | None = None
         self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
@@ -156,10 +141,10 @@ class Subscription:
                         p for p in self._publishers if p is not asyncio.current_task()
                     }
                     return
-                await asyncio.sleep(self.revised.publishing_interval_ms * 1e-3)
+                await asyncio.sleep(self._interval_s)
                 continue
             except ua.uaerrors.BadTimeout:
-                await asyncio.sleep(self.revised.publishing_interval_ms * 1e-3)
+                await asyncio.sleep(self._interval_s)
                 continue
             async with self._in_turn:
                 await self._take_response(data)
@@ -245,6 +230,8 @@ async def subscribe(
 ) -> Subscription:
     """Subscribe to every sample of every node.
 
+    The first items report while the last are still made: no queue must hold all of that time.
+
     Raises
     ------
     SourceLost, SourceRejected
@@ -265,27 +252,21 @@ async def subscribe(
             ),
             _unused,
         )
-        limits = await operation_limits(connection)
-        created = await in_chunks(
-            nodes,
-            limits.items_per_call,
-            lambda chunk: _create_items(connection, result.SubscriptionId, chunk),
-        )
-    for node, item in zip(nodes, created, strict=True):
-        if item.StatusCode.value >> 30:
-            raise SourceRejected(
-                f"{node.label} cannot be subscribed to at {settings.url}: "
-                f"{status_name(item.StatusCode.value)}"
+    subscription = Subscription(connection, result, tally, clock)
+    subscription.start()
+    try:
+        with connection.errors("subscribing"):
+            size = (await operation_limits(connection)).items_per_call
+            created = await in_chunks(
+                nodes,
+                min(size, _ITEMS_AT_ONCE),
+                lambda chunk: _create_items(connection, result.SubscriptionId, chunk),
             )
-    revised = Revised(
-        publishing_interval_ms=result.RevisedPublishingInterval,
-        keep_alive_count=result.RevisedMaxKeepAliveCount,
-        lifetime_count=result.RevisedLifetimeCount,
-        smallest_queue=min(item.RevisedQueueSize for item in created),
-        slowest_sampling_ms=max(item.RevisedSamplingInterval for item in created),
-    )
-    _warn_of_what_may_be_lost(connection, revised)
-    return Subscription(connection, result.SubscriptionId, revised, tally, clock)
+        _check(connection, nodes, created)
+    except BaseException:
+        await subscription.stop()
+        raise
+    return subscription
 
 
 async def _create_items(
@@ -324,20 +305,33 @@ def _request(
     )
 
 
-def _warn_of_what_may_be_lost(connection: Connection, revised: Revised) -> None:
+def _check(
+    connection: Connection,
+    nodes: Sequence[MonitoredNode],
+    created: Sequence[ua.MonitoredItemCreateResult],
+) -> None:
+    """Refuse what cannot be watched; warn of what may be lost."""
     settings = connection.settings
-    if revised.smallest_queue < settings.queue_size:
+    for node, item in zip(nodes, created, strict=True):
+        if item.StatusCode.value >> 30:
+            raise SourceRejected(
+                f"{node.label} cannot be subscribed to at {settings.url}: "
+                f"{status_name(item.StatusCode.value)}"
+            )
+    smallest_queue = min(item.RevisedQueueSize for item in created)
+    if smallest_queue < settings.queue_size:
         _log.warning(
             "%s: keeps %d values of a node instead of %d between two publishings",
             settings.url,
-            revised.smallest_queue,
+            smallest_queue,
             settings.queue_size,
         )
-    if revised.slowest_sampling_ms > max(settings.sampling_interval_ms, 0.0):
+    slowest_ms = max(item.RevisedSamplingInterval for item in created)
+    if slowest_ms > max(settings.sampling_interval_ms, 0.0):
         _log.warning(
             "%s: samples a node every %g ms instead of %g ms",
             settings.url,
-            revised.slowest_sampling_ms,
+            slowest_ms,
             settings.sampling_interval_ms,
         )
 

@@ -150,9 +150,8 @@ class BlockItems:
         """Sample for the first time."""
         self._reported[slot] = False
         column = int(self._column[slot])
-        batch = self.block.batch_of(column, self.block.current(column))
-        moment = self._subscription.holding.next_moment()
-        self._take_in(batch, np.array([slot]), moment - column)
+        moment = self._subscription.holding.next_moment() - column
+        self._see(self.block.newest(column), np.array([slot]), np.array([column]), moment)
 
     def set_mode(self, slot: int, mode: ua.MonitoringMode) -> bool:
         """Change the mode of an item; tell whether a first sample is due."""
@@ -231,6 +230,10 @@ class BlockItems:
                 batch.server,
                 None if batch.present is None else batch.present[:, columns],
             )
+        self._see(batch, slots, columns, moment)
+
+    def _see(self, batch: Batch, slots: Slots, columns: Slots, moment: int) -> None:
+        """Queue what is news in samples of just these columns."""
         changed = self._changes(batch, slots)
         if not changed.any():
             return

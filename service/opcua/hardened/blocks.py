@@ -106,7 +106,9 @@ class Block:
         self._watched: set[int] = set()  # columns that somebody watches one by one
         for column, variable in enumerate(self.variables):
             held = aspace[variable.id].attributes[ua.AttributeIds.Value]
-            self._store(self.batch_of(column, held.value))
+            self._values[column], *rest = self._content(held.value)
+            self._codes[column], self._has[column], self._source[column] = rest[:3]
+            self._server[column] = rest[3]
             held.value_callback = self._reader(column)
             held.datachange_callbacks = _Callbacks(held.datachange_callbacks, self._watched, column)
             self._held.append(held)
@@ -156,15 +158,9 @@ class Block:
     def batch_of(self, column: int, data: ua.DataValue) -> Batch:
         """Make a batch of one value of one variable."""
         n = len(self)
-        values = np.zeros((1, n, self.width), self.dtype)
-        has = data.Value is not None and data.Value.Value is not None
-        if has:
-            values[0, column] = data.Value.Value
-        code = 0 if data.StatusCode is None else data.StatusCode.value
-        server = 0 if data.ServerTimestamp is None else ticks(data.ServerTimestamp)
-        source = server if data.SourceTimestamp is None else ticks(data.SourceTimestamp)
+        value, code, has, source, server = self._content(data)
         return Batch(
-            values,
+            np.full((1, n, self.width), value, self.dtype),
             np.full((1, n), code, np.uint32),
             np.full((1, n), has),
             np.full((1, n), source),
@@ -195,6 +191,18 @@ class Block:
             int(self._server[column]),
         )
 
+    def newest(self, column: int) -> Batch:
+        """Return the newest value of a variable as the batch of a block that has no others."""
+        one = slice(column, column + 1)
+        return Batch(
+            self._values[None, one].copy(),
+            self._codes[None, one].copy(),
+            self._has[None, one].copy(),
+            self._source[None, one].copy(),
+            int(self._server[column]),
+            None,
+        )
+
     def data_value(
         self,
         value: Values,
@@ -222,6 +230,14 @@ class Block:
             ticks_of_ns(now),
             None,
         )
+
+    def _content(self, data: ua.DataValue) -> tuple[Any, int, bool, int, int]:
+        """Value (0 if there is none), code, whether there is a value, source and server time."""
+        has = data.Value is not None and data.Value.Value is not None
+        code = 0 if data.StatusCode is None else data.StatusCode.value
+        server = 0 if data.ServerTimestamp is None else ticks(data.ServerTimestamp)
+        source = server if data.SourceTimestamp is None else ticks(data.SourceTimestamp)
+        return data.Value.Value if has else 0, code, has, source, server
 
     def _reader(self, column: int) -> Callable[[ua.NodeId, ua.AttributeIds], ua.DataValue]:
         return lambda _node, _attribute: self.current(column)

@@ -209,7 +209,7 @@ class Connection(asyncio.BufferedProtocol):
 
     async def breathe(self) -> None:
         """Let others go first if this request has lasted for long."""
-        if self.listener.turns.held_s > self._limits.turn_s:
+        if self.listener.turns.costs_more_than(self._limits.turn_s):
             self.listener.turns.give(self.account)
             await asyncio.sleep(0)
             await self.listener.turns.take(self.account)

@@ -63,7 +63,7 @@ class Turns:
         self._order = itertools.count()
         self._modest: list[_Waiting] = []
         self._in_excess: list[_Waiting] = []
-        self._since = 0.0
+        self._began = self._since = 0.0
         self._excess_runs = False
         self._excess_from = 0.0
         self._modest_seen = -_MEMORY_S
@@ -93,6 +93,7 @@ class Turns:
         self._excess_runs = in_excess
         self._now = max(self._now, start)
         account.finished = start
+        self._began = time.perf_counter()
         self._since = time.thread_time()
 
     def give(self, account: Account) -> None:
@@ -104,10 +105,12 @@ class Turns:
             self._excess_from = now + min(_PAUSE * cost, _LONGEST_PAUSE_S)
         self._next()
 
-    @property
-    def held_s(self) -> float:
-        """What the running turn has cost so far."""
-        return time.thread_time() - self._since
+    def costs_more_than(self, limit_s: float) -> bool:
+        """Tell whether the running turn does; only a long one is worth the processor's clock."""
+        return (
+            time.perf_counter() - self._began > limit_s
+            and time.thread_time() - self._since > limit_s
+        )
 
     def _next(self) -> None:
         """Wake who is next; whoever is woken holds the turn."""
