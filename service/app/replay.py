@@ -22,6 +22,7 @@ from service.storage.recordings import read_recording
 from service.streaming import pipeline
 from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
+from service.streaming.ports import EstimatorResults
 from service.streaming.score import Score
 
 BEST_FIT = "eq. (7), batch LSM"
@@ -163,6 +164,9 @@ class _Learnt:
         self.last = samples
         return self._fleet.take(samples, Segments.one(len(samples)))
 
+    def results(self) -> Mapping[str, EstimatorResults]:
+        return self._fleet.results(np.zeros(1, np.int64))
+
     def state(self) -> ValveState:
         return self._fleet.state(0)
 
@@ -218,24 +222,24 @@ def _report(
     valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
 ) -> Mapping[str, EstimatorReport]:
     report = {}
-    state = valve.state()
+    state, results = valve.state(), valve.results()
     for name, lane in state.lanes.items():
-        result = pipeline.estimator_result(lane)
+        result, names = results[name], lane.estimator.parameter_names
         check = checks.get(name)
         report[name] = EstimatorReport(
             lane=lane,
-            parameters=dict(zip(result.parameter_names, result.theta.tolist(), strict=True)),
-            std=dict(zip(result.parameter_names, result.std.tolist(), strict=True)),
+            parameters=dict(zip(names, result.theta[0].tolist(), strict=True)),
+            std=dict(zip(names, result.std[0].tolist(), strict=True)),
             one_step=lane.score,
             verify=check.score if check is not None and verified else None,
             round_trip_max=np.nan if check is None else check.round_trip_max,
             infeasible=0 if check is None else check.infeasible,
-            noise_std=result.noise_std,
+            noise_std=float(result.noise_std[0]),
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
             survey=pipeline.survey_of(valve.plan, state, name),
             T=state.T,
-            change=result.change,
-            structure=result.structure,
+            change=result.change[0],
+            structure=result.structure[0],
         )
     return report
 

@@ -18,7 +18,7 @@ _ONE_CHANGE = DataChanges(
 
 
 def warm_up(config: Config) -> None:
-    """Run each valve's pipeline once on made-up samples; nothing of it is kept.
+    """Run every kind of pipeline once on made-up samples; nothing of it is kept.
 
     The first run on a machine compiles for some seconds and caches the result on disk; later runs
     load it.
@@ -32,7 +32,8 @@ def warm_up(config: Config) -> None:
     samples = Samples.of(
         t=np.arange(n), U=U, p1=np.full(n, 200.0), p2=200.0 - dp, Q=U * np.sqrt(dp) / 10, T=0 * U
     )
-    for valve, plan in enumerate(identification.plans):
+    for valve in identification.one_of_each_kind():
+        plan = identification.plans[valve]
         identification.take_samples(valve, samples)
         for estimator in plan.estimators:
             identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)

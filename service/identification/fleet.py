@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from service.identification.estimator import State
+from service.identification.estimator import Estimator, State
 from service.identification.forgetting import Forgetting, Resetting, SlidingWindow
 from service.identification.kernels.fleet import run_fleet
 from service.identification.kernels.recursion import Batch, Memory
@@ -32,6 +32,9 @@ class ManyModels(Protocol[In_contra]):
         Bit for bit what ``update`` gives model by model. What the trace says of rows outside of
         the segments means nothing.
         """
+
+    def parameters_many(self, states: In_contra) -> tuple[Floats, Floats]:
+        """What ``parameters`` gives model by model, both (M, n)."""
 
 
 def stack(states: Sequence[S]) -> S:
@@ -59,6 +62,20 @@ def copied(state: S) -> S:
     """The same state in arrays of its own."""
     kind = type(state)
     return kind(**{f.name: np.array(getattr(state, f.name)) for f in fields(kind)})
+
+
+def members(fleet: S, chosen: Times) -> S:
+    """States of some models, with a leading axis of their own: copies."""
+    kind = type(fleet)
+    return kind(**{f.name: getattr(fleet, f.name)[chosen] for f in fields(kind)})
+
+
+def one_by_one(estimator: Estimator[S], states: S) -> tuple[Floats, Floats]:
+    """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+    M = len(getattr(states, fields(states)[0].name))
+    found = [estimator.parameters(member(states, m)) for m in range(M)]
+    theta, std = zip(*found, strict=True)
+    return np.stack(theta), np.stack(std)
 
 
 def update_one(estimator: ManyModels[S], state: S, samples: Samples) -> tuple[S, Trace]:

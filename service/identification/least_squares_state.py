@@ -133,6 +133,17 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
     return _spread(state, forgetting) * _noise_variance(state)
 
 
+def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
+    """Variance of each parameter of M models (M, n); None where it is not at hand for all."""
+    ready = (fleet.counters[:, recursion.FACTORED] == 1) & (fleet.noise[:, recursion.WEIGHT] > 0.0)
+    match forgetting:
+        case Directional() | Subspace() | Adaptive() if ready.all():
+            own = np.diagonal(fleet.spread, axis1=1, axis2=2)
+            return np.asarray(own * fleet.noise[:, recursion.VARIANCE, None])
+        case _:
+            return None
+
+
 def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta over σ²."""
     P = matrix_P(state)

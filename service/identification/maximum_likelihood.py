@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import State
-from service.identification.fleet import update_one
+from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
 from service.identification.kernels.stability import is_stable, root_margins
@@ -181,6 +181,10 @@ class MaximumLikelihood:
         known = (P > 0) & (kernel.UNDETERMINED * state.prior >= P)
         known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
         return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
+
+    def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+        return one_by_one(self, states)
 
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimator import State
-from service.identification.fleet import update_one
+from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import rbf_network as kernel
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Trace
 
@@ -189,6 +189,10 @@ class RbfNetwork:
             ]
         )
         return theta, np.full(len(theta), np.nan)
+
+    def parameters_many(self, states: RbfNetworkState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+        return one_by_one(self, states)
 
     def _normalised(self, U: Floats, dp: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rows (U, dp) in ranges, and which of them are finite."""

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from service.identification.fleet import learn_many, update_one
+from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels import change_detection, recursion
 from service.identification.least_squares_state import (
@@ -17,6 +17,7 @@ from service.identification.least_squares_state import (
     learn,
     parameter_covariance,
     predict,
+    variances,
 )
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
@@ -150,6 +151,13 @@ class RecursiveLeastSquares:
         return theta, np.sqrt(
             np.maximum(np.diag(parameter_covariance(state, self.forgetting)), 0.0)
         )
+
+    def parameters_many(self, states: RlsState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+        known = variances(states, self.forgetting)
+        if known is None:
+            return one_by_one(self, states)
+        return states.theta, np.sqrt(np.maximum(known, 0.0))
 
     def covariance(self, state: RlsState) -> Floats:
         """Covariance of theta (n, n); NaN while not determined."""

@@ -71,8 +71,7 @@ class Scatter:
     @property
     def noise_std(self) -> float:
         """Standard deviation of a measurement about the map, l/min; NaN before the first."""
-        known = self.overall[kernel.WEIGHT] > 0.0
-        return float(np.sqrt(self.overall[kernel.SQUARES])) if known else np.nan
+        return float(noise_std(self.overall))
 
     @property
     def multiple(self) -> float:
@@ -110,3 +109,9 @@ class Scatter:
         seen = self.cells[:, kernel.WEIGHT] > 0.0
         last = np.where(seen, self.cells[:, kernel.LAST], np.nan)
         return last.reshape(kernel.CELLS_U, kernel.CELLS_S)
+
+
+def noise_std(overall: Floats) -> Floats:
+    """`Scatter.noise_std` of any number of them, (…, 3) → (…)."""
+    known = overall[..., kernel.WEIGHT] > 0.0
+    return np.asarray(np.where(known, np.sqrt(overall[..., kernel.SQUARES]), np.nan))

@@ -295,15 +295,20 @@ def map_variable(valve: ValveDescription) -> VariableNode:
     )
 
 
-def counter_variable(valve: str, counter: str) -> VariableNode:
-    """One counter of a valve, from its name in snake case.
+def counter_name(counter: str) -> str:
+    """Name of a counter's variable within its valve, from its name in snake case.
 
-    >>> counter_variable("V1", "bad_status").id
-    'V1.Diagnostics.BadStatus'
+    >>> counter_name("bad_status")
+    'Diagnostics.BadStatus'
     """
+    return f"{DIAGNOSTICS}.{_camel_case(counter)}"
+
+
+def counter_variable(valve: str, counter: str) -> VariableNode:
+    """One counter of a valve."""
     meaning = _COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
     return VariableNode(
-        f"{valve}.{DIAGNOSTICS}.{_camel_case(counter)}",
+        f"{valve}.{counter_name(counter)}",
         f"{meaning} Counted since the service started.",
         ua.VariantType.UInt64,
     )

@@ -1,89 +1,77 @@
-"""The results of all valves, written as blocks: one for each type of number."""
+"""The results of all valves, written as blocks: one for each type and length of value."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
+from service.identification.samples import Times
 from service.opcua.hardened import Block, HardenedServer, Variable
-from service.opcua.result_values import Shown
+from service.opcua.result_values import Column
 
 
-@dataclass
-class _Row:
-    """What is new of one block."""
+@dataclass(frozen=True)
+class Place:
+    """A variable that changes with each result.
 
-    columns: list[int] = field(default_factory=list)
-    values: list[Any] = field(default_factory=list)
-    codes: list[int] = field(default_factory=list)
-    t: list[int] = field(default_factory=list)
+    ``valve`` is its number, ``name`` the variable's within the valve, ``length`` that of its value
+    if it is an array.
+    """
+
+    valve: int
+    name: str
+    variable: Variable
+    length: int | None
 
 
 class ResultBlocks:
-    """Writes what changes with each result; made once all variables are there.
+    """Writes what changes with each result; made once all variables are there."""
 
-    Parameters
-    ----------
-    server
-        Where.
-    scalars
-        Scalar numbers.
-    frames
-        Arrays of Doubles, each with its length.
-    """
-
-    def __init__(
-        self,
-        server: HardenedServer,
-        scalars: Sequence[Variable],
-        frames: Sequence[tuple[Variable, int]],
-    ) -> None:
+    def __init__(self, server: HardenedServer, valves: int, places: Iterable[Place]) -> None:
         self._server = server
-        self._places: dict[str, tuple[Block, int]] = {}
-        for kind in sorted({variable.type for variable in scalars}):
-            self._add([v for v in scalars if v.type == kind], None)
-        for length in sorted({length for _, length in frames}):
-            self._add([variable for variable, own in frames if own == length], length)
+        self._blocks: list[Block] = []
+        self._where: dict[str, NDArray[np.intp]] = {}  # block and column by valve; -1: none
+        kinds: dict[tuple[ua.VariantType, int | None], list[Place]] = {}
+        for place in places:
+            kinds.setdefault((place.variable.type, place.length), []).append(place)
+        for (_, length), own in kinds.items():
+            for column, place in enumerate(own):
+                where = self._where.setdefault(place.name, np.full((valves, 2), -1))
+                where[place.valve] = len(self._blocks), column
+            self._blocks.append(server.add_block([place.variable for place in own], length))
 
-    def write(self, shown: Iterable[Shown]) -> list[Shown]:
-        """Publish what is in a block; return the rest."""
-        rest: list[Shown] = []
-        rows: dict[Block, _Row] = {}
-        for new in shown:
-            place = self._places.get(new.id)
-            if place is None:
-                rest.append(new)
+    def write(self, valves: Times, columns: Iterable[Column]) -> None:
+        """Publish the variables of M valves; those that are not there are passed over."""
+        rows: dict[int, _Row] = {}
+        for column in columns:
+            where = self._where.get(column.name)
+            if where is None:
                 continue
-            row = rows.get(place[0])
-            if row is None:
-                row = rows[place[0]] = _Row()
-            row.columns.append(place[1])
-            row.values.append(0 if new.code & _BAD else new.value)
-            row.codes.append(new.code)
-            row.t.append(new.t)
-        for block, row in rows.items():
-            self._write(block, row)
-        return rest
+            numbers, places = where[valves].T
+            for number in np.unique(numbers[numbers >= 0]):
+                own = numbers == number
+                row = rows.setdefault(int(number), _Row(self._blocks[number]))
+                row.put(places[own], column, own)
+        for row in rows.values():
+            self._server.write_block(row.block, row.values, row.t, row.codes, row.present)
 
-    def _write(self, block: Block, row: _Row) -> None:
+
+class _Row:
+    """What is new of one block."""
+
+    def __init__(self, block: Block) -> None:
         n = len(block)
+        self.block = block
         shape = (1, n) if block.length is None else (1, n, block.length)
-        values = np.zeros(shape, block.dtype)
-        codes = np.zeros((1, n), np.uint32)
-        t = np.zeros((1, n), np.int64)
-        present = np.zeros((1, n), np.bool_)
-        values[0, row.columns] = np.array(row.values, block.dtype)
-        codes[0, row.columns] = row.codes
-        t[0, row.columns] = row.t
-        present[0, row.columns] = True
-        self._server.write_block(block, values, t, codes, present)
+        self.values = np.zeros(shape, block.dtype)
+        self.codes = np.zeros((1, n), np.uint32)
+        self.t = np.zeros((1, n), np.int64)
+        self.present = np.zeros((1, n), np.bool_)
 
-    def _add(self, variables: list[Variable], length: int | None) -> None:
-        block = self._server.add_block(variables, length)
-        for column, variable in enumerate(variables):
-            self._places[str(variable.id.Identifier)] = block, column
-
-
-_BAD = ua.StatusCodes.Bad
+    def put(self, places: NDArray[np.intp], column: Column, own: NDArray[np.bool_]) -> None:
+        self.values[0, places] = column.values[own]
+        self.codes[0, places] = column.codes[own]
+        self.t[0, places] = column.t[own]
+        self.present[0, places] = True

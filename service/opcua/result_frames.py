@@ -5,13 +5,16 @@ that of the newest sample behind it. NaN is what is not known. The first column,
 by one with each frame: a jump is a loss.
 """
 
+from typing import Any
+
 import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
-from service.identification.samples import Floats
+from service.identification.samples import Times
 from service.opcua.information_model import FRAME, FRAME_NAMES, INVERSE, VariableNode
-from service.opcua.result_values import Shown, estimator_code, own_words, worse
-from service.streaming.ports import EstimatorDescription, ValveDescription, ValveResult
+from service.opcua.result_values import Column, estimator_codes, own_words, worse
+from service.streaming.ports import Results, ValveDescription
 
 _NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCount", "Status")
 
@@ -50,24 +53,24 @@ def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode
     )
 
 
-def frame(valve: ValveDescription, result: ValveResult, sequence: int, now: int) -> Shown:
-    """The numbers of one result; parameters only of a structure that is the one described."""
-    row: list[float] = [sequence]
-    code, t = int(ua.StatusCodes.Good), 0
+def frames(valve: ValveDescription, results: Results, sequence: Times, now: int) -> Column:
+    """The numbers of M valves that are described like ``valve``, one frame each.
+
+    ``sequence`` (M,) numbers them.
+    """
+    M = len(results.valves)
+    codes, t = np.full(M, ua.StatusCodes.Good, np.uint32), np.zeros(M, np.int64)
+    columns: list[NDArray[Any]] = [sequence]
     for described in valve.estimators:
-        found = result.estimators.get(described.name)
+        found = results.estimators.get(described.name)
+        n = len(described.parameter_names)
         if found is None:
-            row += [np.nan] * (len(_NUMBERS) + len(described.parameter_names))
+            columns.append(np.full((M, len(_NUMBERS) + n), np.nan))
             continue
-        code, t = worse(code, own_words(estimator_code(found))), max(t, found.t)
-        row += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
-        row += [found.sample_count, int(found.status)]
-        row += _theta(described, found.parameter_names, found.theta)
-    row += [result.inverse.required_U, int(result.inverse.status)]
-    return Shown(f"{valve.name}.{FRAME}", np.array(row, float), code, t or now)
-
-
-def _theta(described: EstimatorDescription, names: tuple[str, ...], theta: Floats) -> list[float]:
-    if names != described.parameter_names:
-        return [np.nan] * len(described.parameter_names)
-    return np.asarray(theta).tolist()
+        codes = worse(codes, own_words(estimator_codes(found)))
+        t = np.maximum(t, found.t)
+        columns += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
+        columns += [found.sample_count, found.status, found.theta]
+    columns += [results.inverse.required_U, results.inverse.status]
+    values = np.column_stack([np.asarray(column, np.float64) for column in columns])
+    return Column(FRAME, values, codes, np.where(t, t, now))

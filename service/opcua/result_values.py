@@ -18,46 +18,60 @@ UncertainLastUsableValue, while the rest is Bad.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
 from service.identification.inversion import InverseStatus
-from service.identification.samples import Quality, Status
+from service.identification.samples import Floats, Quality, Status, Times
 from service.opcua.information_model import INVERSE
-from service.streaming.ports import EstimatorResult, InverseResult, ValveResult
+from service.streaming.ports import EstimatorResults, InverseResults, Results
 
 _Codes = ua.StatusCodes
 _BAD = 0x8000_0000
 
+StatusCodes = NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One variable of M valves: its name within the valve, values, StatusCodes, source times."""
+
+    name: str
+    values: NDArray[Any]
+    codes: StatusCodes
+    t: Times
+
 
 @dataclass(frozen=True)
 class Shown:
-    """A variable's new value: identifier, value, StatusCode, source time (UTC ns)."""
+    """One variable's new value: its name within the valve, value, StatusCode, source time."""
 
-    id: str
+    name: str
     value: Any
     code: int
     t: int
 
 
-def values_of(result: ValveResult, now: int) -> Iterator[Shown]:
-    """All that is shown of one valve, but for its map and counters.
+def columns_of(results: Results, now: int) -> Iterator[Column]:
+    """All numbers that are shown of M valves, but for maps and counters.
 
     ``now`` (UTC ns) stamps what no sample is behind yet.
     """
-    for name, estimator in result.estimators.items():
-        yield from _estimator_values(f"{result.valve}.{name}", estimator, now)
-    yield from _inverse_values(f"{result.valve}.{INVERSE}", result.inverse, now)
+    for name, estimator in results.estimators.items():
+        yield from _estimator_columns(name, estimator, now)
+    yield from _inverse_columns(results.inverse, now)
 
 
-def survey_values(valve: str, name: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
-    """How well an estimator knows its map; nothing before the first survey."""
-    survey = result.survey
+def survey_values(name: str, m: int, results: EstimatorResults, now: int) -> Iterator[Shown]:
+    """How well an estimator knows the map of the m-th valve; nothing before the first survey."""
+    survey = results.survey[m]
     if survey is None:
         return
-    code, t = own_words(estimator_code(result)), result.t or now
+    code, t = _own_word(results, m), int(results.t[m]) or now
     for variable, value in (
         ("Coverage", survey.std),
         ("CoverageAge", survey.age_s),
@@ -66,107 +80,127 @@ def survey_values(valve: str, name: str, result: EstimatorResult, now: int) -> I
         ("SuggestedU", survey.suggested_U),
         ("SuggestedDp", survey.suggested_dp),
     ):
-        yield Shown(f"{valve}.{name}.{variable}", value, code, t)
+        yield Shown(f"{name}.{variable}", value, code, t)
 
 
-def discovery_values(valve: str, name: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
+def discovery_values(name: str, m: int, results: EstimatorResults, now: int) -> Iterator[Shown]:
     """What an estimator found out by itself: changes of the valve, the structure of its map."""
-    prefix, t = f"{valve}.{name}", result.t or now
-    own = own_words(estimator_code(result))
-    found, code = result.change, own if result.change else int(_Codes.BadNoData)
-    yield Shown(f"{prefix}.ChangeCount", found.count if found else 0, own, t)
+    own, t, found = _own_word(results, m), int(results.t[m]) or now, results.change[m]
+    code = own if found else int(_Codes.BadNoData)
+    yield Shown(f"{name}.ChangeCount", found.count if found else 0, own, t)
     moment = datetime.fromtimestamp(found.t / 1e9, UTC) if found else None
-    yield Shown(f"{prefix}.ChangeTime", moment, code, t)
-    yield Shown(f"{prefix}.ChangeSize", found.size if found else 0.0, code, t)
-    yield Shown(f"{prefix}.Structure", result.structure or "", own, t)
+    yield Shown(f"{name}.ChangeTime", moment, code, t)
+    yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
+    yield Shown(f"{name}.Structure", results.structure[m] or "", own, t)
 
 
-def map_value(result: ValveResult, now: int) -> Shown:
-    """The inverse map of one valve."""
-    inverse = result.inverse
-    code = _inverse_code(inverse)
-    if not np.isfinite(inverse.map_U).any():
-        code = worse(code, _Codes.BadWaitingForInitialData)
-    id_ = f"{result.valve}.{INVERSE}.Map"
-    return Shown(id_, inverse.map_U, code, inverse.t or now)
+def map_values(results: InverseResults, now: int) -> Iterator[Shown]:
+    """The inverse maps of M valves."""
+    codes, t = _inverse_codes(results).tolist(), np.where(results.t, results.t, now).tolist()
+    for m, table in enumerate(results.map_U):
+        code = codes[m]
+        if not np.isfinite(table).any():
+            code = int(worse(np.array([code]), _Codes.BadWaitingForInitialData)[0])
+        yield Shown(f"{INVERSE}.Map", table, code, t[m])
 
 
-def estimator_code(result: EstimatorResult) -> int:
-    """StatusCode of what an estimator knows."""
-    if result.t == 0:
-        return int(_Codes.BadWaitingForInitialData)
-    if result.quality == Quality.GOOD:
-        return int(_Codes.Good)
-    if result.quality == Quality.UNCERTAIN:
-        return int(_UNCERTAIN_BECAUSE.get(result.status, _Codes.UncertainLastUsableValue))
-    rejected = result.status == Status.REJECTED
-    return int(_Codes.BadSensorFailure if rejected else _Codes.BadNoCommunication)
+def estimator_codes(results: EstimatorResults) -> StatusCodes:
+    """StatusCodes (M,) of what an estimator knows."""
+    rejected = results.status == Status.REJECTED
+    return np.select(
+        [results.t == 0, results.quality == Quality.GOOD, results.quality == Quality.UNCERTAIN],
+        [_code(_Codes.BadWaitingForInitialData), _code(_Codes.Good), _UNCERTAIN[results.status]],
+        np.where(rejected, _code(_Codes.BadSensorFailure), _code(_Codes.BadNoCommunication)),
+    ).astype(np.uint32)
 
 
-_UNCERTAIN_BECAUSE: dict[Status, int] = {
-    Status.WARMING_UP: _Codes.UncertainInitialValue,
-    Status.UNEXCITED: _Codes.UncertainSubNormal,
-}
+def own_words(codes: StatusCodes) -> StatusCodes:
+    """StatusCodes of what the service itself knows for certain, whatever its sensors do."""
+    return np.select(
+        [codes == _Codes.BadWaitingForInitialData, codes >= _BAD],
+        [_code(_Codes.UncertainInitialValue), _code(_Codes.UncertainLastUsableValue)],
+        _code(_Codes.Good),
+    ).astype(np.uint32)
 
 
-def _estimator_values(prefix: str, result: EstimatorResult, now: int) -> Iterator[Shown]:
-    code, t = estimator_code(result), result.t or now
-    own = own_words(code)
-    for name, value, number_code in (
-        ("ParameterVector", result.theta, code),
-        ("ParameterStd", result.std, code),
-        ("ParameterNames", list(result.parameter_names), int(_Codes.Good)),
-        ("PredictedFlow", result.predicted, _of_number(result.predicted, code)),
-        ("Residual", result.residual, _of_number(result.residual, code)),
-        ("ResidualRmse", result.residual_rmse, _of_number(result.residual_rmse, code)),
-        ("NoiseStd", result.noise_std, _of_number(result.noise_std, code)),
-        ("SampleCount", result.sample_count, own),
-        ("Status", int(result.status), own),
-    ):
-        yield Shown(f"{prefix}.{name}", value, number_code, t)
+def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
+    """The StatusCodes of the worse severity; the first, if they are equal."""
+    second = np.broadcast_to(np.asarray(others, np.uint32), codes.shape)
+    return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
 
 
-def _inverse_values(prefix: str, result: InverseResult, now: int) -> Iterator[Shown]:
-    t = result.t or now
-    code = worse(_inverse_code(result), _ANSWERS[InverseStatus(result.status)])
-    yield Shown(f"{prefix}.RequiredU", result.required_U, code, t)
-    yield Shown(
-        f"{prefix}.RequiredUStatus", int(result.status), own_words(_inverse_code(result)), t
+def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterator[Column]:
+    codes = estimator_codes(results)
+    own, t = own_words(codes), np.where(results.t, results.t, now)
+    numbers: tuple[tuple[str, Floats], ...] = (
+        ("PredictedFlow", results.predicted),
+        ("Residual", results.residual),
+        ("ResidualRmse", results.residual_rmse),
+        ("NoiseStd", results.noise_std),
     )
+    yield Column(f"{name}.ParameterVector", results.theta, codes, t)
+    yield Column(f"{name}.ParameterStd", results.std, codes, t)
+    for variable, values in numbers:  # a number that is none is not Good
+        doubtful = worse(codes, _Codes.UncertainInitialValue)
+        known = np.isfinite(values)
+        yield Column(f"{name}.{variable}", values, np.where(known, codes, doubtful), t)
+    yield Column(f"{name}.SampleCount", results.sample_count, own, t)
+    yield Column(f"{name}.Status", results.status, own, t)
 
 
-def _inverse_code(result: InverseResult) -> int:
-    if result.t == 0:
-        return int(_Codes.BadWaitingForInitialData)
-    return {
-        Quality.GOOD: int(_Codes.Good),
-        Quality.UNCERTAIN: int(_Codes.UncertainSubNormal),
-        Quality.BAD: int(_Codes.BadNoCommunication),
-    }[result.quality]
+def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
+    codes, t = _inverse_codes(results), np.where(results.t, results.t, now)
+    answers = worse(codes, _ANSWERS[results.status])
+    yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
+    yield Column(f"{INVERSE}.RequiredUStatus", results.status, own_words(codes), t)
 
 
-_ANSWERS: dict[InverseStatus, int] = {
-    InverseStatus.OK: _Codes.Good,
-    InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-    InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-    InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
-    InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
-    InverseStatus.NOT_FINITE: _Codes.BadNoData,
-}
+def _inverse_codes(results: InverseResults) -> StatusCodes:
+    known = _OF_QUALITY[results.quality]
+    return np.where(results.t == 0, _code(_Codes.BadWaitingForInitialData), known)
 
 
-def _of_number(value: float, code: int) -> int:
-    """A number that is none is not Good."""
-    return code if np.isfinite(value) else worse(code, _Codes.UncertainInitialValue)
+def _own_word(results: EstimatorResults, m: int) -> int:
+    return int(own_words(estimator_codes(results)[m : m + 1])[0])
 
 
-def own_words(code: int) -> int:
-    """StatusCode of what the service itself knows for certain, whatever its sensors do."""
-    if code == _Codes.BadWaitingForInitialData:
-        return int(_Codes.UncertainInitialValue)
-    return int(_Codes.UncertainLastUsableValue) if code & _BAD else int(_Codes.Good)
+def _code(code: int) -> np.uint32:
+    return np.uint32(code)
 
 
-def worse(code: int, other: int) -> int:
-    """The StatusCode of the worse severity; the first, if they are equal."""
-    return code if code >> 30 >= other >> 30 else int(other)
+def _table(kind: type[IntEnum], codes: dict[Any, int], otherwise: int) -> StatusCodes:
+    table = np.full(len(kind), otherwise, np.uint32)
+    for place, code in codes.items():
+        table[place] = code
+    return table
+
+
+_UNCERTAIN = _table(
+    Status,
+    {
+        Status.WARMING_UP: _Codes.UncertainInitialValue,
+        Status.UNEXCITED: _Codes.UncertainSubNormal,
+    },
+    _Codes.UncertainLastUsableValue,
+)
+_OF_QUALITY = _table(
+    Quality,
+    {
+        Quality.GOOD: _Codes.Good,
+        Quality.UNCERTAIN: _Codes.UncertainSubNormal,
+        Quality.BAD: _Codes.BadNoCommunication,
+    },
+    _Codes.BadNoCommunication,
+)
+_ANSWERS = _table(
+    InverseStatus,
+    {
+        InverseStatus.OK: _Codes.Good,
+        InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+        InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+        InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
+        InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
+        InverseStatus.NOT_FINITE: _Codes.BadNoData,
+    },
+    _Codes.BadNoData,
+)

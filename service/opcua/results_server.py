@@ -10,9 +10,8 @@ from asyncua.common.node import Node
 
 from service.clock import Clock, SystemClock
 from service.identification.inversion import InverseStatus
-from service.identification.recursive_least_squares import Change
-from service.identification.samples import Floats, Quality, Status
-from service.identification.survey import Survey, axes
+from service.identification.samples import Floats, Status
+from service.identification.survey import axes
 from service.opcua.hardened import (
     Argument,
     HardenedServer,
@@ -29,6 +28,7 @@ from service.opcua.hardened import (
 )
 from service.opcua.information_model import (
     DIAGNOSTICS,
+    FRAME,
     INVERSE,
     NAMESPACE,
     ROOT,
@@ -36,6 +36,7 @@ from service.opcua.information_model import (
     VariableNode,
     axis,
     check_names,
+    counter_name,
     counter_variable,
     discovery_variables,
     estimator_variables,
@@ -44,16 +45,11 @@ from service.opcua.information_model import (
     survey_axes,
     survey_variables,
 )
-from service.opcua.result_blocks import ResultBlocks
-from service.opcua.result_frames import frame, frame_names, frame_variables
-from service.opcua.result_values import (
-    Shown,
-    discovery_values,
-    map_value,
-    survey_values,
-    values_of,
-)
-from service.streaming.ports import EstimatorDescription, Operator, ValveDescription, ValveResult
+from service.opcua.result_blocks import Place, ResultBlocks
+from service.opcua.result_frames import frame_names, frame_variables, frames
+from service.opcua.result_news import ResultNews
+from service.opcua.result_values import columns_of
+from service.streaming.ports import EstimatorDescription, Operator, Results, ValveDescription
 
 __all__ = ["NAMESPACE", "ResultsServer"]
 
@@ -100,16 +96,11 @@ class ResultsServer(Startable):
         self._clock = clock or SystemClock()
         self._server: HardenedServer | None = None
         self._variables: dict[str, Variable] = {}
-        self._maps: dict[str, tuple[Floats, int]] = {}
-        self._surveys: dict[str, tuple[Survey | None, Quality]] = {}
-        self._discoveries: dict[str, tuple[Change | None, str | None, Quality]] = {}
-        self._counts: dict[str, int] = {}
-        self._diagnostics: dict[str, ua.NodeId] = {}
+        self._places: list[Place] = []
         self._demands: dict[str, tuple[float, float]] = {}
-        self._described = {valve.name: valve for valve in self._valves}
-        self._sequences = dict.fromkeys(self._described, 0)
-        self._scalars: list[Variable] = []
-        self._frames: list[tuple[Variable, int]] = []
+        self._sequences = np.zeros(len(self._valves), np.int64)
+        counters = max((len(valve.counters) for valve in self._valves), default=0)
+        self._news = ResultNews(len(self._valves), counters)
         self._blocks: ResultBlocks
 
     @property
@@ -132,9 +123,9 @@ class ResultsServer(Startable):
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
         with many_nodes():
-            for valve in self._valves:
-                await self._add_valve(server, root, valve)
-        self._blocks = ResultBlocks(server, self._scalars, self._frames)
+            for number, valve in enumerate(self._valves):
+                await self._add_valve(server, root, number, valve)
+        self._blocks = ResultBlocks(server, len(self._valves), self._places)
         await server.start()
         self._server = server
 
@@ -144,78 +135,28 @@ class ResultsServer(Startable):
         if server is not None:
             await server.stop()
 
-    async def publish(self, results: Sequence[ValveResult]) -> None:
+    async def publish(self, results: Results) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
-        if self._server is None:
+        if self._server is None or not len(results.valves):
             return
-        now = self._clock.now()
-        shown: list[Shown] = []
-        for result in results:
-            shown += values_of(result, now)
-            shown += self._map_if_new(result, now)
-            shown += self._surveys_if_new(result, now)
-            shown += self._discoveries_if_new(result, now)
-            shown += await self._new_counts(self._server, result, now)
-            shown += self._next_frame(result, now)
-        self._server.write(
-            (self._variables[new.id], new.value, new.code, new.t)
-            for new in self._blocks.write(shown)
-            if new.id in self._variables
+        now, valves = self._clock.now(), results.valves
+        self._sequences[valves] += 1
+        described = self._valves[int(valves[0])]
+        self._blocks.write(
+            valves,
+            (
+                *columns_of(results, now),
+                *self._news.counts(results, now),
+                frames(described, results, self._sequences[valves], now),
+            ),
         )
-
-    def _next_frame(self, result: ValveResult, now: int) -> list[Shown]:
-        valve = self._described.get(result.valve)
-        if valve is None:
-            return []
-        self._sequences[valve.name] += 1
-        return [frame(valve, result, self._sequences[valve.name], now)]
-
-    def _map_if_new(self, result: ValveResult, now: int) -> list[Shown]:
-        """The map is large: it goes out only when it was computed anew or its code changed."""
-        shown = map_value(result, now)
-        table, code = self._maps.get(result.valve, (None, 0))
-        if result.inverse.map_U is table and shown.code == code:
-            return []
-        self._maps[result.valve] = (result.inverse.map_U, shown.code)
-        return [shown]
-
-    def _surveys_if_new(self, result: ValveResult, now: int) -> list[Shown]:
-        """Surveys are made now and then, and go out once each."""
-        shown: list[Shown] = []
-        for name, estimator in result.estimators.items():
-            key = f"{result.valve}.{name}"
-            old, quality = self._surveys.get(key, (None, None))
-            if estimator.survey is not old or estimator.quality != quality:
-                self._surveys[key] = estimator.survey, estimator.quality
-                shown += survey_values(result.valve, name, estimator, now)
-        return shown
-
-    def _discoveries_if_new(self, result: ValveResult, now: int) -> list[Shown]:
-        """Changes and structures are rare news: each goes out once."""
-        shown: list[Shown] = []
-        for name, estimator in result.estimators.items():
-            key = f"{result.valve}.{name}"
-            found = estimator.change, estimator.structure, estimator.quality
-            if self._discoveries.get(key) != found:
-                self._discoveries[key] = found
-                shown += discovery_values(result.valve, name, estimator, now)
-        return shown
-
-    async def _new_counts(
-        self, server: HardenedServer, result: ValveResult, now: int
-    ) -> list[Shown]:
-        shown: list[Shown] = []
-        for name, count in result.counters.items():
-            node = counter_variable(result.valve, name)
-            if node.id not in self._variables and result.valve in self._diagnostics:
-                await self._add_variable(server, self._diagnostics[result.valve], node, count)
-            if self._counts.get(node.id) != count:
-                self._counts[node.id] = count
-                shown.append(Shown(node.id, count, ua.StatusCodes.Good, now))
-        return shown
+        for valve, new in self._news.values(results, now):
+            variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")
+            if variable is not None:
+                self._server.write([(variable, new.value, new.code, new.t)])
 
     async def _add_valve(
-        self, server: HardenedServer, root: ua.NodeId, valve: ValveDescription
+        self, server: HardenedServer, root: ua.NodeId, number: int, valve: ValveDescription
     ) -> None:
         folder = await add_object(
             server, root, valve.name, description=f"The valve {valve.name} and what is known of it."
@@ -224,33 +165,43 @@ class ResultsServer(Startable):
         names = frame_names(valve)
         await self._add_variable(server, folder, of_names, names)
         whole = await self._add_variable(server, folder, of_frame, None)
-        self._frames.append((whole, len(names)))
+        self._places.append(Place(number, FRAME, whole, len(names)))
         for estimator in valve.estimators:
-            await self._add_estimator(server, folder, valve, estimator)
-        await self._add_inverse(server, folder, valve)
-        self._diagnostics[valve.name] = await add_object(
+            await self._add_estimator(server, folder, number, estimator)
+        await self._add_inverse(server, folder, number)
+        diagnostics = await add_object(
             server,
             folder,
             f"{valve.name}.{DIAGNOSTICS}",
             description="What became of the valve's data on their way into the model.",
         )
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
-            await self._add_variable(server, self._diagnostics[valve.name], node, middles.tolist())
+            await self._add_variable(server, diagnostics, node, middles.tolist())
+        for counter in valve.counters:
+            node = counter_variable(valve.name, counter)
+            variable = await self._add_variable(server, diagnostics, node, 0)
+            self._places.append(Place(number, counter_name(counter), variable, None))
 
     async def _add_estimator(
         self,
         server: HardenedServer,
         folder: ua.NodeId,
-        valve: ValveDescription,
+        number: int,
         estimator: EstimatorDescription,
     ) -> None:
+        valve = self._valves[number]
         prefix = f"{valve.name}.{estimator.name}"
         parent = await add_object(server, folder, prefix, description=estimator.description)
         for node in estimator_variables(valve, estimator):
-            names = list(estimator.parameter_names) if node.id.endswith(".ParameterNames") else None
-            variable = await self._add_variable(server, parent, node, names)
-            if node.dimensions is None:
-                self._scalars.append(variable)
+            name = node.id.removeprefix(f"{valve.name}.")
+            if node.kind == ua.VariantType.String:
+                names = list(estimator.parameter_names)
+                await self._add_variable(server, parent, node, names)
+                continue
+            variable = await self._add_variable(server, parent, node, None)
+            length = None if node.dimensions is None else len(estimator.parameter_names)
+            if length != 0:
+                self._places.append(Place(number, name, variable, length))
         for node in (
             *survey_variables(valve, estimator),
             *discovery_variables(valve, estimator),
@@ -301,9 +252,8 @@ class ResultsServer(Startable):
             f"structure cannot follow included. Status: {_numbered(Status)}.",
         )
 
-    async def _add_inverse(
-        self, server: HardenedServer, folder: ua.NodeId, valve: ValveDescription
-    ) -> None:
+    async def _add_inverse(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
+        valve = self._valves[number]
         prefix = f"{valve.name}.{INVERSE}"
         parent = await add_object(
             server, folder, prefix, description="The control voltage that a flow demands."
@@ -322,7 +272,8 @@ class ResultsServer(Startable):
                 server, parent, node, start.get(node.id), on_write.get(node.id)
             )
             if node.dimensions is None and not node.writable:
-                self._scalars.append(variable)
+                name = node.id.removeprefix(f"{valve.name}.")
+                self._places.append(Place(number, name, variable, None))
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
         await add_method(

@@ -6,22 +6,26 @@ a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
 :class:`~service.streaming.pipeline.ValveState`) are copies that later samples do not change.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from service.identification.auto import Auto
 from service.identification.estimator import State
-from service.identification.fleet import ManyModels, copied, member, repeated
+from service.identification.fleet import ManyModels, copied, member, members, repeated
 from service.identification.kernels import scatter as scatter_kernel
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Trace
-from service.identification.scatter import Scatter
+from service.identification.kernels.change_detection import CHANGES
+from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
+from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.scatter import Scatter, noise_std
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
 from service.streaming.kernels.lanes import NO_STATUS, Notes
 from service.streaming.pipeline import AnyEstimator, Lane, ValvePlan, ValveState, with_forgetting
-from service.streaming.score import Score
+from service.streaming.ports import EstimatorResults
+from service.streaming.score import Score, recent_rmse
 
 
 class Fleet:
@@ -74,6 +78,14 @@ class Fleet:
             demand_dp=float(self._demand[m, 1]),
         )
 
+    def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
+        """What is published of the estimators of some valves; surveys are made elsewhere."""
+        return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
+
+    def demands(self, chosen: Times) -> Floats:
+        """Flow and pressure drop demanded of some valves (M, 2); NaN where none is."""
+        return np.asarray(self._demand[chosen])
+
     def last_T(self, m: int) -> float:
         """The last temperature measured at one valve, °C."""
         return float(self._T[m])
@@ -82,9 +94,9 @@ class Fleet:
         """Set the standing demand of one valve."""
         self._demand[m] = Q, dp
 
-    def rejections(self, m: int) -> Mapping[str, int]:
-        """What the gate rejected of one valve since the start, by reason."""
-        return self._gate.counters_of(m)
+    def rejections(self) -> Times:
+        """What the gate rejected since the start, (M, reasons)."""
+        return self._gate.counts()
 
 
 class _Lanes:
@@ -145,6 +157,26 @@ class _Lanes:
         lam = float(self._lam[m])
         return lane if np.isnan(lam) else with_forgetting(lane, lam)
 
+    def results(self, chosen: Times) -> EstimatorResults:
+        notes, said = self._notes, self._notes.status[chosen]
+        theta, std = self._states.parameters(chosen)
+        status = np.where(said == NO_STATUS, Status.WARMING_UP, said).astype(np.uint8)
+        return EstimatorResults(
+            t=notes.t[chosen],
+            quality=_QUALITY[status],
+            theta=theta,
+            std=std,
+            predicted=notes.predicted[chosen],
+            residual=notes.residual[chosen],
+            residual_rmse=recent_rmse(self._scores[chosen]),
+            sample_count=notes.learnt[chosen],
+            status=status,
+            noise_std=noise_std(self._overall[chosen]),
+            survey=[None] * len(chosen),
+            change=self._states.changes(chosen),
+            structure=self._states.structures(chosen),
+        )
+
     def put(self, m: int, lane: Lane) -> None:
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
@@ -183,6 +215,19 @@ class _Stacked:
         one: State = copied(member(self._all, m))
         return one
 
+    def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
+        return self._estimator.parameters_many(members(self._all, chosen))
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        found: list[Change | None] = [None] * len(chosen)
+        if isinstance(self._estimator, RecursiveLeastSquares):
+            for k in np.flatnonzero(self._all.history[chosen, CHANGES]):
+                found[k] = self._estimator.last_change(member(self._all, chosen[k]))
+        return found
+
+    def structures(self, chosen: Times) -> Sequence[str | None]:
+        return [None] * len(chosen)
+
     def put(self, m: int, state: State) -> None:
         for f in fields(state):
             getattr(self._all, f.name)[m] = getattr(state, f.name)
@@ -208,8 +253,32 @@ class _Listed:
     def get(self, m: int) -> State:
         return self._all[m]
 
+    def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
+        found = [self._estimator.parameters(self._all[m]) for m in chosen]
+        theta, std = zip(*found, strict=True)
+        return np.stack(theta), np.stack(std)
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        return [None] * len(chosen)
+
+    def structures(self, chosen: Times) -> Sequence[str | None]:
+        describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
+        return [describe(self._all[m]) if describe else None for m in chosen]
+
     def put(self, m: int, state: State) -> None:
         self._all[m] = state
+
+
+_QUALITY = np.zeros(max(Status) + 1, np.uint8)
+for _status, _quality in {
+    Status.OK: Quality.GOOD,
+    Status.FROZEN: Quality.GOOD,
+    Status.WARMING_UP: Quality.UNCERTAIN,
+    Status.UNEXCITED: Quality.UNCERTAIN,
+    Status.HELD: Quality.UNCERTAIN,
+    Status.REJECTED: Quality.BAD,
+}.items():
+    _QUALITY[_status] = _quality
 
 
 def _prediction_only(lane: Lane, samples: Samples) -> Trace:

@@ -4,7 +4,7 @@ Both the live service and the replay of recordings go through this one object; i
 time nor network.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from service.errors import CommandRejected
 from service.identification.auto import Auto
 from service.identification.estimator import StateMismatchError, key_of
-from service.identification.inversion import Inversion
+from service.identification.inversion import InverseStatus, Inversion
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
 from service.identification.survey import Survey
 from service.streaming import pipeline
+from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.fleet import Fleet
@@ -24,11 +25,16 @@ from service.streaming.pipeline import Forgetful, Lane, ValvePlan, ValveState
 from service.streaming.ports import (
     Checkpoint,
     EstimatorDescription,
+    EstimatorResults,
+    InverseResults,
+    Results,
     ValveDescription,
     ValveResult,
 )
+from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 
 MAPS_AT_ONCE = 100
+COUNTERS = (*OF_ALIGNMENT, *OF_GATE)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 
@@ -64,6 +70,11 @@ class Identification:
         fleet, m = self._at(valve)
         return fleet.take(samples, Segments.one(len(samples))._replace(members=np.array([m])))
 
+    def one_of_each_kind(self) -> list[int]:
+        """Return the first of the valves that are treated alike, for every kind there is."""
+        found: list[int] = np.unique(self._fleet_of, return_index=True)[1].tolist()
+        return found
+
     def lane(self, valve: str, estimator: str) -> Lane:
         """One estimator as it stands."""
         fleet, m = self._at(self._numbers[valve])
@@ -87,24 +98,67 @@ class Identification:
             self._surveys[number] = {**self._surveys[number], name: found}
             self._next_survey += 1
 
-    def result(self, valve: int, *, lost: bool = False) -> ValveResult:
-        """What is published of one valve; all of it is BAD where its sensors are ``lost``."""
-        plan, state = self.plans[valve], self.state(valve)
+    def results(
+        self, valves: Sequence[int], lost: NDArray[np.bool_] | None = None
+    ) -> Iterator[Results]:
+        """What is published of some valves, those treated alike together.
+
+        All of it is BAD where ``lost``, an array over all valves, says that the sensors are.
+        """
+        chosen = np.array(valves, np.int64)
+        fleets = self._fleet_of[chosen]
+        for number in np.unique(fleets):
+            own = chosen[fleets == number]
+            gone = np.zeros(len(own), np.bool_) if lost is None else lost[own]
+            yield self._results(self._fleets[number], own, gone)
+
+    def result(self, valve: int) -> ValveResult:
+        """The same of one valve."""
+        (results,) = self.results([valve])
+        return results.one(0)
+
+    def _results(self, fleet: Fleet, valves: Times, lost: NDArray[np.bool_]) -> Results:
+        places = self._member_of[valves]
         estimators = {
-            name: replace(pipeline.estimator_result(lane), survey=self._surveys[valve].get(name))
-            for name, lane in state.lanes.items()
+            name: replace(
+                found,
+                quality=np.where(lost, np.uint8(Quality.BAD), found.quality),
+                survey=[self._surveys[valve].get(name) for valve in valves],
+            )
+            for name, found in fleet.results(places).items()
         }
-        inverse = pipeline.inverse_result(plan, state, self._maps[valve])
-        if lost:
-            estimators = {n: replace(r, quality=Quality.BAD) for n, r in estimators.items()}
-            inverse = replace(inverse, quality=Quality.BAD)
-        return ValveResult(plan.name, estimators, inverse, self.counters(valve))
+        return Results(
+            valves=valves,
+            estimators=estimators,
+            inverse=self._inverse_results(fleet, valves, estimators),
+            counters=self._counts(fleet, valves),
+            counter_names=COUNTERS,
+        )
+
+    def _inverse_results(
+        self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
+    ) -> InverseResults:
+        M = len(valves)
+        t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
+        for name, found in estimators.items():
+            own = np.array([self.plans[valve].inverse == name for valve in valves])
+            t[own], quality[own] = found.t[own], found.quality[own]
+        U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
+        demanded = np.isfinite(fleet.demands(self._member_of[valves])).all(axis=1)
+        for k in np.flatnonzero(demanded):
+            valve = int(valves[k])
+            U[k], status[k] = pipeline.required(self.plans[valve], self.state(valve))
+        maps = [self._maps[valve] for valve in valves]
+        return InverseResults(t=t, quality=quality, required_U=U, status=status, map_U=maps)
+
+    def _counts(self, fleet: Fleet, valves: Times) -> Times:
+        rejected = fleet.rejections()[self._member_of[valves]]
+        return np.column_stack((self._waiting.counters[valves], rejected))
 
     def counters(self, valve: int) -> Mapping[str, int]:
         """What was aligned, lost and rejected of one valve since the start."""
-        aligned = self._alignment.counters(self._waiting, valve)
-        fleet, m = self._at(valve)
-        return {**aligned, **fleet.rejections(m)}
+        (counts,) = self._counts(self._at(valve)[0], np.array([valve])).tolist()
+        return dict(zip(COUNTERS, counts, strict=True))
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """What a results server must know."""
@@ -126,6 +180,7 @@ class Identification:
                 dp_range=(0.0, max(plan.map_dp)),
                 map_Q=plan.map_Q,
                 map_dp=plan.map_dp,
+                counters=COUNTERS,
             )
             for plan in self.plans
         )

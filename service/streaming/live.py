@@ -14,7 +14,7 @@ from service.streaming.data_changes import DataChanges
 from service.streaming.identification import Identification
 from service.streaming.ports import CheckpointStore, ResultSink, Source
 
-VALVES_AT_ONCE = 8
+VALVES_AT_ONCE = 32
 
 log = structlog.get_logger(__name__)
 
@@ -154,9 +154,8 @@ class LiveService:
             some = list(islice(self._news, VALVES_AT_ONCE))
             for valve in some:
                 del self._news[valve]
-            await self._sink.publish(
-                [self.identification.result(v, lost=bool(self._lost[v])) for v in some]
-            )
+            for results in self.identification.results(some, self._lost):
+                await self._sink.publish(results)
             if self._clock.monotonic() >= end:
                 break
 

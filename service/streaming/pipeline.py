@@ -6,18 +6,15 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from service.identification.auto import Auto, AutoState
 from service.identification.estimator import Estimator, State, key_of
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
-from service.identification.least_squares_state import RlsState
 from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
-from service.identification.samples import Floats, Quality, Samples, Status
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Floats, Samples, Status
 from service.identification.scatter import TWO_SIDED_95, Scatter
 from service.identification.survey import Survey, survey
-from service.streaming.ports import EstimatorResult, InverseResult
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
 
@@ -107,50 +104,11 @@ def fresh_lane(estimator: AnyEstimator) -> Lane:
     return Lane(estimator, estimator.initial_state(), Score.none())
 
 
-def estimator_result(lane: Lane) -> EstimatorResult:
-    """What is published of one estimator; before its first sample its status is WARMING_UP."""
-    theta, std = lane.estimator.parameters(lane.state)
-    status = Status.WARMING_UP if lane.status is None else lane.status
-    return EstimatorResult(
-        t=lane.t,
-        quality=_QUALITY[status],
-        parameter_names=lane.estimator.parameter_names,
-        theta=theta,
-        std=std,
-        predicted=lane.predicted,
-        residual=lane.residual,
-        residual_rmse=lane.score.recent_rmse,
-        sample_count=lane.count,
-        status=status,
-        noise_std=lane.scatter.noise_std,
-        change=change_of(lane),
-        structure=structure_of(lane),
-    )
-
-
 def finds_changes(estimator: AnyEstimator) -> bool:
     """Whether an estimator looks for abrupt changes of the valve and tells of them."""
     return isinstance(estimator, RecursiveLeastSquares) and isinstance(
         estimator.forgetting, Adaptive
     )
-
-
-def change_of(lane: Lane) -> Change | None:
-    """Return the last change of the valve that was found, None if none was, or none is sought."""
-    match lane.estimator, lane.state:
-        case RecursiveLeastSquares() as estimator, RlsState() as state:
-            return estimator.last_change(state)
-        case _:
-            return None
-
-
-def structure_of(lane: Lane) -> str | None:
-    """Name the structure that an estimator has chosen; None if it was given one."""
-    match lane.estimator, lane.state:
-        case Auto() as estimator, AutoState() as state:
-            return estimator.describe(state)
-        case _:
-            return None
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
@@ -159,20 +117,6 @@ def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
     dp_max, Q_max = max(plan.map_dp), max(plan.map_Q)
     return survey(
         lane.estimator, lane.state, lane.scatter, state.t, state.T, dp_max=dp_max, Q_max=Q_max
-    )
-
-
-def inverse_result(plan: ValvePlan, state: ValveState, table: Floats) -> InverseResult:
-    """Answer to the standing demand; ``table`` is what :func:`inverse_map` gave."""
-    lane = state.lanes[plan.inverse]
-    U, answer = required(plan, state)
-    status = Status.WARMING_UP if lane.status is None else lane.status
-    return InverseResult(
-        t=lane.t,
-        quality=_QUALITY[status],
-        required_U=U,
-        status=answer,
-        map_U=table,
     )
 
 
@@ -278,13 +222,3 @@ def with_forgetting(lane: Lane, lam: float) -> Lane:
     """The lane with another forgetting factor; the estimator must be Forgetful."""
     assert isinstance(lane.estimator, Forgetful)  # noqa: S101 - callers check
     return replace(lane, estimator=lane.estimator.with_forgetting(lam), lam=lam)
-
-
-_QUALITY = {
-    Status.OK: Quality.GOOD,
-    Status.FROZEN: Quality.GOOD,
-    Status.WARMING_UP: Quality.UNCERTAIN,
-    Status.UNEXCITED: Quality.UNCERTAIN,
-    Status.HELD: Quality.UNCERTAIN,
-    Status.REJECTED: Quality.BAD,
-}

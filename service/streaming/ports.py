@@ -12,7 +12,7 @@ import numpy as np
 
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
-from service.identification.samples import Floats, Quality, Status
+from service.identification.samples import Codes, Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.streaming.data_changes import DataChanges
 
@@ -94,6 +94,7 @@ class ValveDescription:
     dp_range: tuple[float, float] = (0.0, 200.0)
     map_Q: tuple[float, ...] = ()
     map_dp: tuple[float, ...] = ()
+    counters: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,6 @@ class EstimatorResult:
 
     t: int
     quality: Quality
-    parameter_names: tuple[str, ...]
     theta: Floats
     std: Floats
     predicted: float
@@ -138,18 +138,97 @@ class InverseResult:
 
 @dataclass(frozen=True)
 class ValveResult:
-    """All that is published of one valve at once."""
+    """All that is known of one valve at once."""
 
-    valve: str
+    valve: int
     estimators: Mapping[str, EstimatorResult]
     inverse: InverseResult
     counters: Mapping[str, int]
 
 
+@dataclass(frozen=True)
+class EstimatorResults:
+    """One estimator on M valves: the fields of :class:`EstimatorResult`, all of length M.
+
+    ``theta`` and ``std`` are of shape (M, n).
+    """
+
+    t: Times
+    quality: Codes
+    theta: Floats
+    std: Floats
+    predicted: Floats
+    residual: Floats
+    residual_rmse: Floats
+    sample_count: Times
+    status: Codes
+    noise_std: Floats
+    survey: Sequence[Survey | None]
+    change: Sequence[Change | None]
+    structure: Sequence[str | None]
+
+
+@dataclass(frozen=True)
+class InverseResults:
+    """The inverse maps of M valves: the fields of :class:`InverseResult`, all of length M."""
+
+    t: Times
+    quality: Codes
+    required_U: Floats
+    status: Codes
+    map_U: Sequence[Floats]
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that is published of M valves that are treated alike.
+
+    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
+    """
+
+    valves: Times
+    estimators: Mapping[str, EstimatorResults]
+    inverse: InverseResults
+    counters: Times
+    counter_names: tuple[str, ...]
+
+    def one(self, m: int) -> ValveResult:
+        """What there is of the m-th of them."""
+        return ValveResult(
+            valve=int(self.valves[m]),
+            estimators={
+                name: EstimatorResult(
+                    t=int(found.t[m]),
+                    quality=Quality(int(found.quality[m])),
+                    theta=found.theta[m],
+                    std=found.std[m],
+                    predicted=float(found.predicted[m]),
+                    residual=float(found.residual[m]),
+                    residual_rmse=float(found.residual_rmse[m]),
+                    sample_count=int(found.sample_count[m]),
+                    status=Status(int(found.status[m])),
+                    noise_std=float(found.noise_std[m]),
+                    survey=found.survey[m],
+                    change=found.change[m],
+                    structure=found.structure[m],
+                )
+                for name, found in self.estimators.items()
+            },
+            inverse=InverseResult(
+                t=int(self.inverse.t[m]),
+                quality=Quality(int(self.inverse.quality[m])),
+                required_U=float(self.inverse.required_U[m]),
+                status=int(self.inverse.status[m]),
+                map_U=self.inverse.map_U[m],
+            ),
+            counters=dict(zip(self.counter_names, self.counters[m].tolist(), strict=True)),
+        )
+
+
 class ResultSink(Protocol):
     """Where results go; ``publish`` never waits for a reader."""
 
-    async def publish(self, results: Sequence[ValveResult]) -> None:
+    async def publish(self, results: Results) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
 
 

@@ -11,7 +11,7 @@ from service.streaming.data_changes import Signal
 from service.streaming.kernels import gate as kernel
 from service.streaming.kernels.gate import Limits, Memory
 
-REASON_NAMES = ("not_finite", "out_of_range", "frozen", "too_fast", "spike")
+COUNTER_NAMES = ("bad_status", "not_finite", "out_of_range", "frozen", "too_fast", "spike")
 SENSORS = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
 
 # Beyond these no valve's sensor can be: what is outside is a broken number, not a measurement.
@@ -59,16 +59,14 @@ class GateState:
         memory = Memory._make(array[valves].copy() for array in self.memory)
         return GateState(memory, self.bad_status[valves].copy())
 
-    def counters_of(self, m: int) -> Mapping[str, int]:
-        """Rejections of one valve since the start by reason; a sample may count under several."""
-        totals = self.memory.counters[m].sum(axis=0)
-        reasons = {name: int(n) for name, n in zip(REASON_NAMES, totals, strict=True)}
-        return {"bad_status": int(self.bad_status[m]), **reasons}
+    def counts(self) -> Times:
+        """Rejections (M, reasons) since the start; a sample may count under several reasons."""
+        return np.column_stack((self.bad_status, self.memory.counters.sum(axis=1)))
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """The same of the first valve, for who has only one."""
-        return self.counters_of(0)
+        """The same of the first valve by name, for who has only one."""
+        return dict(zip(COUNTER_NAMES, self.counts()[0].tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -76,8 +76,7 @@ class Score:
     @property
     def recent_rmse(self) -> float:
         """Root mean square over about the last 1,000 residuals, l/min; NaN before the first."""
-        weight = self.sums[kernel.WEIGHT]
-        return float(np.sqrt(self.sums[kernel.RECENT] / weight)) if weight > 0 else np.nan
+        return float(recent_rmse(self.sums))
 
     @property
     def nrmse(self) -> float:
@@ -90,3 +89,10 @@ class Score:
         """Share of the scatter of Q that was predicted; NaN where Q did not move."""
         scatter = self.sums[kernel.SCATTER_Q]
         return float(1.0 - self.sums[kernel.SQUARES] / scatter) if scatter > 0 else np.nan
+
+
+def recent_rmse(sums: Floats) -> Floats:
+    """`Score.recent_rmse` of any number of scores, (…, fields) → (…)."""
+    weight = sums[..., kernel.WEIGHT]
+    known = np.where(weight > 0.0, weight, np.nan)
+    return np.asarray(np.sqrt(sums[..., kernel.RECENT] / known))

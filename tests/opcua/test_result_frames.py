@@ -1,16 +1,18 @@
 """All numbers of a valve in one array."""
 
+from dataclasses import replace
+
 import numpy as np
 from asyncua import ua
+from support.results import results_of
 
 from service.identification.samples import Quality, Status
-from service.opcua.result_frames import frame, frame_names, frame_variables
+from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResult,
     InverseResult,
     ValveDescription,
-    ValveResult,
 )
 
 VALVE = ValveDescription(
@@ -23,7 +25,6 @@ VALVE = ValveDescription(
 ESTIMATOR = EstimatorResult(
     t=1_000,
     quality=Quality.GOOD,
-    parameter_names=("a1", "a2"),
     theta=np.array([1.0, -2.5]),
     std=np.array([0.1, 0.2]),
     predicted=50.0,
@@ -33,22 +34,23 @@ ESTIMATOR = EstimatorResult(
     status=Status.OK,
     noise_std=0.3,
 )
+OTHER = replace(ESTIMATOR, theta=np.empty(0), std=np.empty(0))
 INVERSE = InverseResult(1_000, Quality.GOOD, 42.0, 0, np.zeros((1, 1)))
 
 
 def columns(**estimators):
-    shown = frame(VALVE, ValveResult("V1", estimators, INVERSE, {}), 3, 9_999)
-    return dict(zip(frame_names(VALVE), shown.value.tolist(), strict=True)), shown
+    shown = frames(VALVE, results_of(0, estimators, INVERSE), np.array([3]), 9_999)
+    return dict(zip(frame_names(VALVE), shown.values[0].tolist(), strict=True)), shown
 
 
 def test_a_frame_holds_every_number_under_its_name():
-    found, shown = columns(RLS=ESTIMATOR, Auto=ESTIMATOR)
+    found, shown = columns(RLS=ESTIMATOR, Auto=OTHER)
     assert found["Sequence"] == 3
     assert found["RLS.PredictedFlow"] == 50.0
     assert found["RLS.SampleCount"] == 7
     assert found["RLS.ParameterVector.a2"] == -2.5
     assert found["Inverse.RequiredU"] == 42.0
-    assert (shown.id, shown.t, shown.code) == ("V1.Frame", 1_000, ua.StatusCodes.Good)
+    assert (shown.name, shown.t[0], shown.codes[0]) == ("Frame", 1_000, ua.StatusCodes.Good)
 
 
 def test_the_variables_say_how_long_a_frame_is():
@@ -59,9 +61,5 @@ def test_the_variables_say_how_long_a_frame_is():
 def test_what_is_not_known_is_nan_and_makes_no_good_frame():
     found, shown = columns(RLS=ESTIMATOR)
     assert np.isnan(found["Auto.Residual"])
-    other = EstimatorResult(
-        **{**vars(ESTIMATOR), "parameter_names": ("b",), "quality": Quality.BAD}
-    )
-    found, shown = columns(RLS=other, Auto=ESTIMATOR)
-    assert np.isnan(found["RLS.ParameterVector.a1"])
-    assert shown.code == ua.StatusCodes.UncertainLastUsableValue
+    found, shown = columns(RLS=replace(ESTIMATOR, quality=Quality.BAD), Auto=OTHER)
+    assert shown.codes[0] == ua.StatusCodes.UncertainLastUsableValue

@@ -3,11 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asyncua import ua
+from support.results import results_of
 
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Quality, Status
-from service.opcua.result_values import estimator_code, map_value, values_of
-from service.streaming.ports import EstimatorResult, InverseResult, ValveResult
+from service.opcua.result_values import Shown, columns_of, map_values
+from service.streaming.ports import EstimatorResult, InverseResult
 
 T = 1_800_000_000_000_000_000
 NOW = T + 5
@@ -16,7 +17,6 @@ Codes = ua.StatusCodes
 ESTIMATOR = EstimatorResult(
     t=T,
     quality=Quality.GOOD,
-    parameter_names=("a1", "a2"),
     theta=np.array([1.0, 2.0]),
     std=np.array([0.1, 0.2]),
     predicted=50.0,
@@ -30,9 +30,8 @@ INVERSE = InverseResult(T, Quality.GOOD, 42.0, int(InverseStatus.OK), np.ones((3
 
 
 def shown(estimator=ESTIMATOR, inverse=INVERSE):
-    result = ValveResult("V", {"RLS": estimator}, inverse, {})
-    values = {new.id: new for new in values_of(result, NOW)}
-    return {key.removeprefix("V."): value for key, value in values.items()}
+    columns = columns_of(results_of(0, {"RLS": estimator}, inverse), NOW)
+    return {c.name: Shown(c.name, c.values[0], c.codes[0], c.t[0]) for c in columns}
 
 
 def test_a_good_result_is_good_with_the_samples_time():
@@ -53,7 +52,8 @@ def test_a_good_result_is_good_with_the_samples_time():
     ],
 )
 def test_quality_and_status_make_a_code_that_means_something(quality, status, code):
-    assert estimator_code(replace(ESTIMATOR, quality=quality, status=status)) == code
+    found = replace(ESTIMATOR, quality=quality, status=status)
+    assert shown(found)["RLS.ParameterVector"].code == code
 
 
 def test_before_the_first_sample_everything_waits():
@@ -109,6 +109,7 @@ def test_the_worse_of_two_reasons_counts():
 
 def test_a_map_without_a_single_number_is_not_identified():
     empty = replace(INVERSE, map_U=np.full((3, 2), np.nan))
-    assert map_value(ValveResult("V", {}, empty, {}), NOW).code == Codes.BadWaitingForInitialData
-    some = map_value(ValveResult("V", {}, INVERSE, {}), NOW)
-    assert (some.id, some.code, some.t) == ("V.Inverse.Map", Codes.Good, T)
+    (none,) = map_values(results_of(0, {}, empty).inverse, NOW)
+    assert none.code == Codes.BadWaitingForInitialData
+    (some,) = map_values(results_of(0, {}, INVERSE).inverse, NOW)
+    assert (some.name, some.code, some.t) == ("Inverse.Map", Codes.Good, T)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from support.results import results_of
 
 from service.clock import ManualClock
 from service.errors import CommandRejected, ServerError
@@ -19,7 +20,6 @@ from service.streaming.ports import (
     EstimatorResult,
     InverseResult,
     ValveDescription,
-    ValveResult,
 )
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -39,6 +39,7 @@ VALVES = (
         ),
         map_Q=(0.0, 100.0, 200.0),
         map_dp=(50.0, 100.0),
+        counters=("late", "bad_status"),
     ),
     ValveDescription(
         "V2", (EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True),)
@@ -66,7 +67,6 @@ SURVEY = Survey(
 ESTIMATOR = EstimatorResult(
     t=T,
     quality=Quality.GOOD,
-    parameter_names=("a1", "a2"),
     theta=np.array([1.0, -2.5]),
     std=np.array([0.1, np.nan]),
     predicted=50.0,
@@ -77,12 +77,14 @@ ESTIMATOR = EstimatorResult(
     noise_std=0.3,
     survey=SURVEY,
 )
+WITHOUT_PARAMETERS = replace(ESTIMATOR, theta=np.empty(0), std=np.empty(0))
 MAP = np.arange(6.0).reshape(3, 2)
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, MAP)
 
 
 def result(estimator=ESTIMATOR, inverse=INVERSE, **counters):
-    return ValveResult("Valvistor", {"RLS": estimator, "RBF": estimator}, inverse, counters)
+    other = replace(estimator, theta=estimator.theta[:1], std=estimator.std[:1])
+    return results_of(0, {"RLS": estimator, "RBF": other}, inverse, **counters)
 
 
 class Operator:
@@ -211,7 +213,7 @@ async def test_paths_lead_to_the_ids_of_the_contract(observer, path):
 
 
 async def test_a_result_is_read_as_it_was_published(server, observer):
-    await server.publish([result(late=3)])
+    await server.publish(result(late=3))
     expected = {
         "RLS.ParameterVector": [1.0, -2.5],
         "RLS.ParameterNames": ["a1", "a2"],
@@ -244,7 +246,7 @@ async def test_a_result_is_read_as_it_was_published(server, observer):
 async def test_a_frame_holds_all_numbers_of_a_valve_under_their_names(server, observer):
     names = (await value(observer, "Valvistor.FrameNames"))[0]
     for _ in range(2):
-        await server.publish([result()])
+        await server.publish(result())
     numbers, code, t = await value(observer, "Valvistor.Frame")
     frame = dict(zip(names, numbers, strict=True))
     assert (code, t) == (Codes.Good, T)
@@ -253,33 +255,27 @@ async def test_a_frame_holds_all_numbers_of_a_valve_under_their_names(server, ob
     assert frame["RLS.ParameterVector.a2"] == -2.5
     assert frame["Inverse.RequiredU"] == 42.0
     before = frame["Sequence"]
-    await server.publish([result()])
+    await server.publish(result())
     assert (await value(observer, "Valvistor.Frame"))[0][0] == before + 1
 
 
 async def test_lost_sensors_leave_nothing_good(server, observer):
-    await server.publish([result()])
+    await server.publish(result())
     lost = replace(ESTIMATOR, quality=Quality.BAD)
-    await server.publish([result(lost, replace(INVERSE, quality=Quality.BAD))])
+    await server.publish(result(lost, replace(INVERSE, quality=Quality.BAD)))
     for name in ("RLS.ParameterVector", "RLS.PredictedFlow", "Inverse.RequiredU", "Inverse.Map"):
         shown = await value(observer, f"Valvistor.{name}")
         assert shown == (None, Codes.BadNoCommunication, T), name
     assert await value(observer, "Valvistor.RLS.Status") == (0, Codes.UncertainLastUsableValue, T)
-    await server.publish([result()])
+    await server.publish(result())
     assert (await value(observer, "Valvistor.Inverse.Map"))[0] == MAP.tolist()
 
 
-async def test_counters_grow_nodes_of_their_own_when_they_first_appear(server, observer):
-    await server.publish([result(late=4, newcomer=1)])
-    assert (await value(observer, "Valvistor.Diagnostics.Newcomer"))[0] == 1
-    await server.publish([result(late=5, newcomer=1)])
+async def test_counters_are_told_as_they_grow(server, observer):
+    await server.publish(result(late=4, bad_status=1))
+    assert (await value(observer, "Valvistor.Diagnostics.BadStatus"))[0] == 1
+    await server.publish(result(late=5, bad_status=1))
     assert (await value(observer, "Valvistor.Diagnostics.Late"))[0] == 5
-
-
-async def test_results_of_an_unknown_valve_are_passed_over(server, observer):
-    stranger = ValveResult("Stranger", {"RLS": ESTIMATOR}, INVERSE, {"late": 1})
-    await server.publish([stranger, result()])
-    assert (await value(observer, "Valvistor.RLS.Residual"))[0] == 0.5
 
 
 async def test_units_ranges_and_names_of_values_are_there(observer):
@@ -405,7 +401,7 @@ async def test_a_subscriber_sees_every_result_with_its_time(server, observer):
     )
     await asyncio.wait_for(seen.get(), 5)
     for k in range(5):
-        await server.publish([result(replace(ESTIMATOR, residual=float(k), t=T + k * 10_000_000))])
+        await server.publish(result(replace(ESTIMATOR, residual=float(k), t=T + k * 10_000_000)))
     got = [await asyncio.wait_for(seen.get(), 5) for _ in range(5)]
     assert [number for number, _ in got] == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert len({time for _, time in got}) == 5
@@ -424,18 +420,19 @@ async def test_a_port_in_use_is_named(served, tmp_path):
     other = ResultsServer(settings, [], Operator())
     with pytest.raises(ServerError, match="cannot listen"):
         await other.start()
-    await other.publish([result()])
+    await other.publish(result())
     await other.stop()
 
 
 async def test_a_change_that_was_found_is_told_with_its_time_and_size(server, observer):
-    quiet = replace(ESTIMATOR, parameter_names=(), theta=np.empty(0), std=np.empty(0))
-    await server.publish([ValveResult("V3", {"RLS": quiet}, INVERSE, {})])
+    await server.publish(results_of(2, {"RLS": WITHOUT_PARAMETERS}, INVERSE))
     assert (await value(observer, "V3.RLS.ChangeCount"))[:2] == (0, Codes.Good)
     assert (await value(observer, "V3.RLS.ChangeTime"))[1] == Codes.BadNoData
     assert (await value(observer, "V3.RLS.ChangeSize"))[1] == Codes.BadNoData
-    changed = replace(quiet, change=Change(count=1, sample=700, t=T - 5_000_000_000, size=-4.5))
-    await server.publish([ValveResult("V3", {"RLS": changed}, INVERSE, {})])
+    changed = replace(
+        WITHOUT_PARAMETERS, change=Change(count=1, sample=700, t=T - 5_000_000_000, size=-4.5)
+    )
+    await server.publish(results_of(2, {"RLS": changed}, INVERSE))
     assert (await value(observer, "V3.RLS.ChangeCount"))[:2] == (1, Codes.Good)
     assert (await value(observer, "V3.RLS.ChangeSize"))[:2] == (-4.5, Codes.Good)
     moment, code, _ = await value(observer, "V3.RLS.ChangeTime")
@@ -444,8 +441,8 @@ async def test_a_change_that_was_found_is_told_with_its_time_and_size(server, ob
 
 
 async def test_a_structure_that_was_chosen_is_told_in_words(server, observer):
-    chosen = replace(ESTIMATOR, structure="spline, 4 x 3 cells, dead band 6 %")
-    await server.publish([ValveResult("V3", {"Auto": chosen}, INVERSE, {})])
+    chosen = replace(WITHOUT_PARAMETERS, structure="spline, 4 x 3 cells, dead band 6 %")
+    await server.publish(results_of(2, {"Auto": chosen}, INVERSE))
     assert (await value(observer, "V3.Auto.Structure"))[:2] == (chosen.structure, Codes.Good)
     with pytest.raises(ua.UaStatusCodeError):
         await (await node(observer, "V3.Auto.ChangeCount")).read_value()

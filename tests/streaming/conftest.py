@@ -77,7 +77,7 @@ class FakeSink:
     published: list = field(default_factory=list)
 
     async def publish(self, results):
-        self.published += results
+        self.published += [results.one(m) for m in range(len(results.valves))]
 
 
 @dataclass

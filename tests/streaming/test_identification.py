@@ -43,7 +43,8 @@ def test_before_the_first_sample_nothing_is_good(identification):
 
 def test_lost_sensors_make_every_result_bad(identification):
     identification.take_samples(0, plant(300))
-    result = identification.result(0, lost=True)
+    (results,) = identification.results([0], lost=np.array([True]))
+    result = results.one(0)
     assert {r.quality for r in result.estimators.values()} == {Quality.BAD}
     assert result.inverse.quality is Quality.BAD
 

@@ -85,7 +85,8 @@ async def identify(live, server):
     while True:
         live.take_samples(0, plant(SAMPLES, seed=first + 1, first=first))
         live.refresh_maps()
-        await server.publish([live.result(0)])
+        for results in live.results([0]):
+            await server.publish(results)
         first += SAMPLES
         await asyncio.sleep(PERIOD_S)
 

@@ -1,0 +1,72 @@
+"""Results that are rare or large: they go out when they are new."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+
+from service.identification.samples import Times
+from service.opcua.information_model import counter_name
+from service.opcua.result_values import (
+    Column,
+    Shown,
+    discovery_values,
+    map_values,
+    survey_values,
+)
+from service.streaming.ports import Results
+
+
+class ResultNews:
+    """Remembers what was told of each valve.
+
+    Parameters
+    ----------
+    valves, counters
+        How many there are of them.
+    """
+
+    def __init__(self, valves: int, counters: int) -> None:
+        self._counts = np.full((valves, counters), -1, np.int64)
+        self._counted = np.zeros((valves, counters), np.int64)  # when it last grew, UTC ns
+        self._told: dict[tuple[int, str], tuple[Any, ...]] = {}
+
+    def counts(self, results: Results, now: int) -> Iterator[Column]:
+        """Counters of M valves, each with the time at which it was first seen as it is."""
+        M, k = results.counters.shape
+        where = results.valves[:, None], np.arange(k)
+        t = np.where(results.counters != self._counts[where], now, self._counted[where])
+        self._counts[where], self._counted[where] = results.counters, t
+        good = np.full(M, ua.StatusCodes.Good, np.uint32)
+        for k, name in enumerate(results.counter_names):
+            yield Column(counter_name(name), results.counters[:, k], good, t[:, k])
+
+    def values(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        """Maps, surveys, changes and structures that are new, each with its valve's number."""
+        valves = _numbers(results.valves)
+        tables = zip(valves, results.inverse.map_U, map_values(results.inverse, now), strict=True)
+        for valve, table, shown in tables:
+            if self._is_new(valve, shown.name, table, shown.code):
+                yield valve, shown
+        for name, found in results.estimators.items():
+            for m, valve in enumerate(valves):
+                quality = int(found.quality[m])
+                if self._is_new(valve, f"{name}.Coverage", found.survey[m], quality):
+                    yield from ((valve, new) for new in survey_values(name, m, found, now))
+                if self._is_new(valve, name, None, found.change[m], found.structure[m], quality):
+                    yield from ((valve, new) for new in discovery_values(name, m, found, now))
+
+    def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
+        """Tell whether it is another thing, or one of the facts is another than last time."""
+        key = valve, name
+        before = self._told.get(key)
+        if before is not None and before[0] is thing and before[1:] == facts:
+            return False
+        self._told[key] = thing, *facts
+        return True
+
+
+def _numbers(valves: Times) -> list[int]:
+    numbers: list[int] = valves.tolist()
+    return numbers

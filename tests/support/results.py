@@ -1,0 +1,30 @@
+"""Results of one valve, as the results server takes them."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from service.streaming.ports import EstimatorResults, InverseResults, Results
+
+
+def results_of(valve, estimators, inverse, **counters):
+    """Results of valve number ``valve`` from what there is of each of its estimators."""
+    return Results(
+        valves=np.array([valve]),
+        estimators={n: _arrays(EstimatorResults, e) for n, e in estimators.items()},
+        inverse=_arrays(InverseResults, inverse),
+        counters=np.array([list(counters.values())], np.int64).reshape(1, -1),
+        counter_names=tuple(counters),
+    )
+
+
+def _arrays(kind, one):
+    lists = {"survey", "change", "structure", "map_U"}
+    types = {"quality": np.uint8, "status": np.uint8}
+    return kind(
+        **{
+            f.name: [value] if f.name in lists else np.array([value], types.get(f.name))
+            for f in fields(kind)
+            for value in [getattr(one, f.name)]
+        }
+    )
