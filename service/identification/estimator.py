@@ -3,7 +3,6 @@
 import hashlib
 import io
 import json
-import zipfile
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol, Self, TypeVar
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from service.identification.samples import Floats, Samples, Trace
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 
 
 class StateMismatchError(ValueError):
@@ -22,15 +21,19 @@ class StateMismatchError(ValueError):
 class State:
     """Base of all estimator states: a frozen dataclass whose fields are arrays.
 
-    Scalars are arrays of shape (): the bytes are one ``.npz``, readable for ever by numpy alone.
+    Scalars are arrays of shape (): the bytes are one record in a ``.npy``, readable for ever by
+    numpy alone.
     """
 
     def to_bytes(self, key: str) -> bytes:
         """Pack the state; ``key`` names the hyper-parameters it belongs to."""
-        buffer = io.BytesIO()
         arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        header = np.array([str(STATE_VERSION), type(self).__name__, key])
-        np.savez(buffer, allow_pickle=False, header_=header, **arrays)
+        arrays["header_"] = np.array([str(STATE_VERSION), type(self).__name__, key])
+        record = np.zeros((), [(name, array.dtype, array.shape) for name, array in arrays.items()])
+        for name, array in arrays.items():
+            record[name] = array
+        buffer = io.BytesIO()
+        np.save(buffer, record, allow_pickle=False)
         return buffer.getvalue()
 
     @classmethod
@@ -44,10 +47,10 @@ class State:
         """
         names = [f.name for f in fields(cls)]
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                header = tuple(archive["header_"].tolist())
-                arrays = {name: archive[name] for name in names}
-        except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            record = np.load(io.BytesIO(data), allow_pickle=False)
+            header = tuple(record["header_"].tolist())
+            arrays = {name: record[name].copy() for name in names}
+        except (ValueError, OSError, KeyError, IndexError, EOFError) as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
         expected = (str(STATE_VERSION), cls.__name__, key)
         if header != expected:

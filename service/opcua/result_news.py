@@ -12,7 +12,9 @@ from service.opcua.result_values import (
     Column,
     Shown,
     discovery_values,
+    estimator_codes,
     map_values,
+    own_words,
     survey_values,
 )
 from service.streaming.ports import Results
@@ -50,12 +52,17 @@ class ResultNews:
             if self._is_new(valve, shown.name, table, shown.code):
                 yield valve, shown
         for name, found in results.estimators.items():
-            for m, valve in enumerate(valves):
-                quality = int(found.quality[m])
-                if self._is_new(valve, f"{name}.Coverage", found.survey[m], quality):
-                    yield from ((valve, new) for new in survey_values(name, m, found, now))
-                if self._is_new(valve, name, None, found.change[m], found.structure[m], quality):
-                    yield from ((valve, new) for new in discovery_values(name, m, found, now))
+            codes = own_words(estimator_codes(found)).tolist()
+            t = np.where(found.t, found.t, now).tolist()
+            discoveries = zip(found.change, found.structure, strict=True)
+            for m, discovery in enumerate(discoveries):
+                valve, code = valves[m], codes[m]
+                if self._is_new(valve, f"{name}.Coverage", found.survey[m], code):
+                    for new in survey_values(name, found.survey[m], code, t[m]):
+                        yield valve, new
+                if self._is_new(valve, name, None, *discovery, code):
+                    for new in discovery_values(name, *discovery, code, t[m]):
+                        yield valve, new
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Tell whether it is another thing, or one of the facts is another than last time."""

@@ -26,7 +26,9 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.identification.inversion import InverseStatus
+from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
+from service.identification.survey import Survey
 from service.opcua.information_model import INVERSE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 
@@ -66,12 +68,10 @@ def columns_of(results: Results, now: int) -> Iterator[Column]:
     yield from _inverse_columns(results.inverse, now)
 
 
-def survey_values(name: str, m: int, results: EstimatorResults, now: int) -> Iterator[Shown]:
-    """How well an estimator knows the map of the m-th valve; nothing before the first survey."""
-    survey = results.survey[m]
+def survey_values(name: str, survey: Survey | None, code: int, t: int) -> Iterator[Shown]:
+    """How well an estimator knows its map; nothing before the first survey."""
     if survey is None:
         return
-    code, t = _own_word(results, m), int(results.t[m]) or now
     for variable, value in (
         ("Coverage", survey.std),
         ("CoverageAge", survey.age_s),
@@ -83,15 +83,16 @@ def survey_values(name: str, m: int, results: EstimatorResults, now: int) -> Ite
         yield Shown(f"{name}.{variable}", value, code, t)
 
 
-def discovery_values(name: str, m: int, results: EstimatorResults, now: int) -> Iterator[Shown]:
+def discovery_values(
+    name: str, found: Change | None, structure: str | None, own: int, t: int
+) -> Iterator[Shown]:
     """What an estimator found out by itself: changes of the valve, the structure of its map."""
-    own, t, found = _own_word(results, m), int(results.t[m]) or now, results.change[m]
     code = own if found else int(_Codes.BadNoData)
     yield Shown(f"{name}.ChangeCount", found.count if found else 0, own, t)
     moment = datetime.fromtimestamp(found.t / 1e9, UTC) if found else None
     yield Shown(f"{name}.ChangeTime", moment, code, t)
     yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
-    yield Shown(f"{name}.Structure", results.structure[m] or "", own, t)
+    yield Shown(f"{name}.Structure", structure or "", own, t)
 
 
 def map_values(results: InverseResults, now: int) -> Iterator[Shown]:
@@ -158,10 +159,6 @@ def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
 def _inverse_codes(results: InverseResults) -> StatusCodes:
     known = _OF_QUALITY[results.quality]
     return np.where(results.t == 0, _code(_Codes.BadWaitingForInitialData), known)
-
-
-def _own_word(results: EstimatorResults, m: int) -> int:
-    return int(own_words(estimator_codes(results)[m : m + 1])[0])
 
 
 def _code(code: int) -> np.uint32:

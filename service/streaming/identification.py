@@ -4,7 +4,7 @@ Both the live service and the replay of recordings go through this one object; i
 time nor network.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +44,10 @@ class Identification:
     def __init__(self, plans: Sequence[ValvePlan], alignment: Alignment) -> None:
         self.plans = tuple(plans)
         self._fleets, self._fleet_of, self._member_of = _fleets(self.plans)
+        self._keys = [
+            {name: key_of(estimator) for name, estimator in fleet.plan.estimators.items()}
+            for fleet in self._fleets
+        ]
         self._alignment = alignment
         self._waiting = alignment.initial_state()
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
@@ -242,20 +246,21 @@ class Identification:
         """The answer to a valve's standing demand; NaN where there is none."""
         return pipeline.required(self.plans[valve], self.state(valve))[0]
 
-    def checkpoints(self) -> list[Checkpoint]:
-        """Every estimator's state as bytes."""
+    def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """Every estimator's state as bytes, of some valves or of all."""
+        chosen = range(len(self.plans)) if valves is None else valves
         return [
             Checkpoint(
-                valve=plan.name,
+                valve=self.plans[valve].name,
                 estimator=name,
-                key=key_of(plan.estimators[name]),
+                key=self._keys[self._fleet_of[valve]][name],
                 t=lane.t,
-                state=pipeline.lane_to_bytes(lane, plan.estimators[name]),
+                state=pipeline.lane_to_bytes(lane, self._keys[self._fleet_of[valve]][name]),
                 lam=lane.lam,
                 frozen=lane.frozen,
             )
-            for plan, state in self._pairs()
-            for name, lane in state.lanes.items()
+            for valve in chosen
+            for name, lane in self.state(valve).lanes.items()
         ]
 
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:

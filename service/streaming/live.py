@@ -71,7 +71,7 @@ class LiveService:
         self._last_sample = np.full(len(identification.plans), now)
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._news: dict[int, None] = {}  # valves with something to show, the oldest first
-        self._checkpoint_due = now + settings.checkpoint_interval_s
+        self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
         self._written = np.full(len(identification.plans), np.nan)
@@ -107,12 +107,7 @@ class LiveService:
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
-        if now >= self._checkpoint_due:
-            self._checkpoint_due = now + self._settings.checkpoint_interval_s
-            try:
-                self.keep()
-            except StorageError as error:
-                log.warning("checkpoint not kept", reason=str(error))
+        self._keep_in_turn(now)
 
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""
@@ -128,6 +123,19 @@ class LiveService:
             naming the file; the states go on in memory.
         """
         self._store.save(self.identification.checkpoints())
+
+    def _keep_in_turn(self, now: float) -> None:
+        """Keep each valve's state once in an interval, a few at a time: no batch waits for all."""
+        M = len(self._lost)
+        due = int(M * (now - self._began) / self._settings.checkpoint_interval_s)
+        some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
+        self._turns = due
+        if not some:
+            return
+        try:
+            self._store.save(self.identification.checkpoints(sorted(some)))
+        except StorageError as error:
+            log.warning("checkpoint not kept", reason=str(error))
 
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:

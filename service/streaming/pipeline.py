@@ -191,9 +191,8 @@ class _Kept(State):
     count: Any
 
 
-def lane_to_bytes(lane: Lane, configured: AnyEstimator) -> bytes:
-    """Pack a lane; it is bound to the estimator as configured, whatever the operator changed."""
-    key = key_of(configured)
+def lane_to_bytes(lane: Lane, key: str) -> bytes:
+    """Pack a lane; ``key`` is that of the estimator as configured, whatever operators changed."""
     packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
     scatter = lane.scatter
     kept = _Kept(packed, lane.score.sums, scatter.cells, scatter.overall, np.array(lane.count))

@@ -174,3 +174,17 @@ async def test_publishing_leaves_most_of_the_time_to_what_comes_in(live, sink, c
         clock.advance(0.001)
     shown = [r.estimators["RLS"].sample_count for r in sink.published]
     assert shown == [1, 31, 61, 91]
+
+
+async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink, store, clock):
+    n = 20
+    plans = [replace(plan, name=f"V{k}") for k in range(n)]
+    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
+    live = LiveService(many, source, sink, store, clock, LiveSettings())
+    saved = []
+    store.save = lambda checkpoints: saved.append([c.valve for c in checkpoints])
+    for _ in range(40):
+        clock.advance(0.25)
+        await live.tick()
+    assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
+    assert max(len(set(some)) for some in saved) == 1
