@@ -1,25 +1,30 @@
 """Live over TCP: a rig that plays a fleet, the service beside it, nothing lost.
 
-``python -m benchmarks.live_speed [VALVES] [HZ] [SECONDS]``. Rig and service are processes of their
-own; the service (this process) runs RLS on every valve, publishes, keeps its states, as always.
+``python -m benchmarks.live_speed [VALVES] [HZ] [SECONDS] [secured]``. Rig and service are
+processes of their own; the service (this process) runs RLS on every valve, publishes, keeps its
+states, as always. With ``secured`` both are set up by ``valvemap init``: SignAndEncrypt.
 """
 
 import asyncio
+import importlib.util
+import os
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
 from service.app.serve import serve
+from service.cli.logs import set_up_logs
 from service.config.estimators import RlsConfig
 from service.config.loading import load_config
-from service.config.models import Config, NodesConfig, ValveConfig
+from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
 from service.opcua.hardened import ServerSettings
 from service.streaming.identification import Identification
 from virtual_rig.fleet import valve_names
@@ -27,85 +32,130 @@ from virtual_rig.scenario import Fleet, Scenario
 
 SIGNALS = 6  # five signals and the running number
 SETTLING_S, PATIENCE_S = 5.0, 120.0
+LOSSES = "missing", "gaps", "late", "duplicates"
+SCRIPTED_VALVES, SCRIPTED_HZ = 50, 200.0
+
+Figures = dict[str, float]
 
 
-async def live(valves: int, hz: float, seconds: float, folder: Path) -> dict[str, float]:
+def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = False) -> Figures:
     """Notifications per second that reach the parameters, what was lost, and the cores used."""
-    config = _config(valves, folder)
-    command = [sys.executable, "-m", "service", "rig", "--under-demo", "--url", config.source.url]
-    command += ["--valves", str(valves), "--rate", str(hz)]
-    rig = subprocess.Popen(  # noqa: ASYNC220 - nothing else runs yet
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    set_up_logs(LogConfig(level="error"))
+    with tempfile.TemporaryDirectory() as name:
+        folder, url = Path(name), _url("rig")
+        environment = _init(folder, url) if secured else {}
+        with _rig(valves, hz, url, environment):
+            config = _config(valves, folder, url, secured=secured)
+            figures = asyncio.run(_live(config, hz, seconds, secured=secured))
+    return {"valves": valves, "wanted, notifications/s": valves * hz * SIGNALS, **figures}
+
+
+def scripted(seconds: float = 10.0) -> Figures:
+    """Notifications per second that plain scripts take in; nothing where padasip is missing."""
+    if importlib.util.find_spec("padasip") is None:
+        return {}
+    names = ",".join(valve_names(Scenario(fleet=Fleet(valves=SCRIPTED_VALVES))))
+    figures, url = {}, _url("rig")
+    with _running(["benchmarks.plain_server", url, names], {}):
+        figures["asyncua's server, asyncua and padasip"] = _script(url, names, seconds)
+    url = _url("rig")
+    with _rig(SCRIPTED_VALVES, SCRIPTED_HZ, url, {}):
+        figures["our rig, asyncua and padasip"] = _script(url, names, seconds)
+    return figures
+
+
+def main(arguments: list[str]) -> int:
+    """Measure and print."""
+    given = [float(x) for x in arguments if x != "secured"]
+    valves, hz, seconds = given + [1000.0, 170.0, 60.0][len(given) :]
+    figures = measured(int(valves), hz, seconds, secured="secured" in arguments)
+    for name, value in figures.items():
+        print(f"{name:26} {value:14,.1f}")
+    return 0
+
+
+async def _live(config: Config, hz: float, seconds: float, *, secured: bool) -> Figures:
+    identification, stop = build_identification(config), asyncio.Event()
+    settings = None if secured else _open_settings(config)
+    serving = asyncio.ensure_future(serve(config, stop, settings, identification))
+    given_up = time.perf_counter() + PATIENCE_S
+    await _until(
+        lambda: (
+            serving.done()
+            or time.perf_counter() >= given_up
+            or _counts(identification, "aligned").min() >= hz * SETTLING_S
+        )
     )
-    try:
-        rig.stdin.write("password\n")
-        rig.stdin.flush()
-        await asyncio.to_thread(rig.stdout.readline)
-        identification, stop = build_identification(config), asyncio.Event()
-        settings = ServerSettings(
-            url=config.server.url,
-            application_uri=APPLICATION_URI,
-            application_name=APPLICATION_NAME,
-            namespace_uri=APPLICATION_URI,
-            none_on_loopback=True,
-        )
-        serving = asyncio.ensure_future(serve(config, stop, settings, identification))
-        given_up = time.perf_counter() + PATIENCE_S
-        await _until(
-            lambda: (
-                serving.done()
-                or time.perf_counter() >= given_up
-                or _counts(identification, "aligned").min() >= hz * SETTLING_S
-            )
-        )
-        before = _counts(identification, "aligned")
-        began, cpu = time.perf_counter(), time.process_time()
-        await _until(lambda: serving.done() or time.perf_counter() - began >= seconds)
-        took, cpu = time.perf_counter() - began, time.process_time() - cpu
-        arrived = _counts(identification, "aligned") - before
-        lost = sum(
-            int(_counts(identification, name).sum())
-            for name in ("missing", "gaps", "late", "duplicates")
-        )
-        stop.set()
-        await serving
-    finally:
-        rig.kill()
-        rig.wait()
+    before = _counts(identification, "aligned")
+    began, cpu = time.perf_counter(), time.process_time()
+    await _until(lambda: serving.done() or time.perf_counter() - began >= seconds)
+    took, cpu = time.perf_counter() - began, time.process_time() - cpu
+    arrived = _counts(identification, "aligned") - before
+    lost = sum(int(_counts(identification, name).sum()) for name in LOSSES)
+    stop.set()
+    await serving
     return {
-        "valves": valves,
-        "wanted, notifications/s": valves * hz * SIGNALS,
         "reached, notifications/s": float(arrived.sum()) * SIGNALS / took,
         "lost": lost,
         "cores of the service": cpu / took,
     }
 
 
-def measured(valves: int = 200, hz: float = 200.0, seconds: float = 60.0) -> dict[str, float]:
-    """The same, with a loop and a folder of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        return asyncio.run(live(valves, hz, seconds, Path(folder)))
+def _script(url: str, names: str, seconds: float) -> float:
+    command = [sys.executable, "-m", "benchmarks.plain_script", url, names, str(seconds)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[-1])
 
 
-def main(arguments: list[str]) -> int:
-    """Measure and print."""
-    given = [float(x) for x in arguments] + [200.0, 200.0, 60.0][len(arguments) :]
-    figures = measured(int(given[0]), *given[1:])
-    for name, value in figures.items():
-        print(f"{name:26} {value:14,.1f}")
-    return 0
+@contextmanager
+def _rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
+    command = ["service", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
+    with _running(command if environment else [*command, "--under-demo"], environment):
+        yield
 
 
-async def _until(reached: Callable[[], bool]) -> None:
-    while not reached():  # noqa: ASYNC110 - counts, not events
-        await asyncio.sleep(0.5)
+@contextmanager
+def _running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
+    """Run a server in a process of its own, from when it says where it listens."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", *module],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | environment,
+    )
+    assert process.stdin is not None and process.stdout is not None  # noqa: PT018, S101 - pipes
+    try:
+        process.stdin.write("password\n")
+        process.stdin.flush()
+        while "opc.tcp" not in (line := process.stdout.readline()):
+            if not line:
+                raise RuntimeError(f"{module[0]} did not start")
+        yield
+    finally:
+        process.kill()
+        process.wait()
 
 
-def _config(valves: int, folder: Path) -> Config:
-    loaded = load_config()
+def _init(folder: Path, url: str) -> dict[str, str]:
+    """Certificates, users and configurations as a user makes them."""
+    environment = {
+        "VALVEMAP_OPERATOR_PASSWORD": "a password for a benchmark",
+        "VALVEMAP_DATA": str(folder / "data"),
+        "VALVEMAP_RIG_URL": url,
+    }
+    command = [sys.executable, "-m", "service", "init"]
+    subprocess.run(command, check=True, capture_output=True, env=os.environ | environment)
+    return environment
+
+
+def _config(valves: int, folder: Path, url: str, *, secured: bool) -> Config:
+    loaded = load_config(folder / "data" / "service.toml") if secured else load_config()
     names = valve_names(Scenario(fleet=Fleet(valves=valves)))
     estimators = (RlsConfig(),)
-    source = {"url": _url("rig"), "security": "None", "startup_timeout_s": 60.0, "timeout_s": 60.0}
+    source = {"url": url, "startup_timeout_s": 60.0, "timeout_s": 60.0}
+    source |= {} if secured else {"security": "None"}
     return loaded.model_copy(
         update={
             "source": loaded.source.model_copy(update=source),
@@ -119,9 +169,25 @@ def _config(valves: int, folder: Path) -> Config:
     )
 
 
+def _open_settings(config: Config) -> ServerSettings:
+    return ServerSettings(
+        url=config.server.url,
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        none_on_loopback=True,
+    )
+
+
 def _counts(identification: Identification, name: str) -> np.ndarray:
     valves = range(len(identification.plans))
-    return np.array([identification.counters(valve)[name] for valve in valves])
+    counted = list(identification.results(valves))
+    return np.concatenate([r.counters[:, r.counter_names.index(name)] for r in counted])
+
+
+async def _until(reached: Callable[[], bool]) -> None:
+    while not reached():  # noqa: ASYNC110 - counts, not events
+        await asyncio.sleep(0.5)
 
 
 def _url(name: str) -> str:

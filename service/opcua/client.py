@@ -132,10 +132,10 @@ class OpcUaSource:
         """Disconnect; safe to call twice, and after a loss."""
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
-        if connection is not None:
-            await connection.close()
         if subscription is not None:
             await subscription.stop()
+        if connection is not None:
+            await connection.close()
 
 
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}
