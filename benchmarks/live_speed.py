@@ -13,9 +13,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from service.cli.logs import set_up_logs
 from service.config.estimators import RlsConfig
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
-from service.opcua.hardened import ServerSettings
+from service.opcua.hardened import Limits, ServerSettings
 from service.streaming.identification import Identification
 from virtual_rig.fleet import valve_names
 from virtual_rig.scenario import Fleet, Scenario
@@ -42,10 +43,15 @@ def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = F
     """Notifications per second that reach the parameters, what was lost, and the cores used."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
-        folder, url = Path(name), _url("rig")
+        folder, url = Path(name), free_url("rig")
         environment = _init(folder, url) if secured else {}
         with _rig(valves, hz, url, environment):
-            config = _config(valves, folder, url, secured=secured)
+            names = _names(valves)
+            if secured:
+                loaded = load_config(folder / "data" / "service.toml")
+                config = _with_valves(loaded, names, folder, {})
+            else:
+                config = open_config(names, folder, url)
             figures = asyncio.run(_live(config, hz, seconds, secured=secured))
     return {"valves": valves, "wanted, notifications/s": valves * hz * SIGNALS, **figures}
 
@@ -54,11 +60,11 @@ def scripted(seconds: float = 10.0) -> Figures:
     """Notifications per second that plain scripts take in; nothing where padasip is missing."""
     if importlib.util.find_spec("padasip") is None:
         return {}
-    names = ",".join(valve_names(Scenario(fleet=Fleet(valves=SCRIPTED_VALVES))))
-    figures, url = {}, _url("rig")
-    with _running(["benchmarks.plain_server", url, names], {}):
+    names = ",".join(_names(SCRIPTED_VALVES))
+    figures, url = {}, free_url("rig")
+    with running(["benchmarks.plain_server", url, names], {}):
         figures["asyncua's server, asyncua and padasip"] = _script(url, names, seconds)
-    url = _url("rig")
+    url = free_url("rig")
     with _rig(SCRIPTED_VALVES, SCRIPTED_HZ, url, {}):
         figures["our rig, asyncua and padasip"] = _script(url, names, seconds)
     return figures
@@ -76,22 +82,22 @@ def main(arguments: list[str]) -> int:
 
 async def _live(config: Config, hz: float, seconds: float, *, secured: bool) -> Figures:
     identification, stop = build_identification(config), asyncio.Event()
-    settings = None if secured else _open_settings(config)
+    settings = None if secured else open_settings(config, Limits())
     serving = asyncio.ensure_future(serve(config, stop, settings, identification))
     given_up = time.perf_counter() + PATIENCE_S
     await _until(
         lambda: (
             serving.done()
             or time.perf_counter() >= given_up
-            or _counts(identification, "aligned").min() >= hz * SETTLING_S
+            or counts(identification, "aligned").min() >= hz * SETTLING_S
         )
     )
-    before = _counts(identification, "aligned")
+    before = counts(identification, "aligned")
     began, cpu = time.perf_counter(), time.process_time()
     await _until(lambda: serving.done() or time.perf_counter() - began >= seconds)
     took, cpu = time.perf_counter() - began, time.process_time() - cpu
-    arrived = _counts(identification, "aligned") - before
-    lost = sum(int(_counts(identification, name).sum()) for name in LOSSES)
+    arrived = counts(identification, "aligned") - before
+    lost = sum(int(counts(identification, name).sum()) for name in LOSSES)
     stop.set()
     await serving
     return {
@@ -110,12 +116,12 @@ def _script(url: str, names: str, seconds: float) -> float:
 @contextmanager
 def _rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
     command = ["service", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
-    with _running(command if environment else [*command, "--under-demo"], environment):
+    with running(command if environment else [*command, "--under-demo"], environment):
         yield
 
 
 @contextmanager
-def _running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
+def running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
     """Run a server in a process of its own, from when it says where it listens."""
     process = subprocess.Popen(
         [sys.executable, "-m", *module],
@@ -150,39 +156,48 @@ def _init(folder: Path, url: str) -> dict[str, str]:
     return environment
 
 
-def _config(valves: int, folder: Path, url: str, *, secured: bool) -> Config:
-    loaded = load_config(folder / "data" / "service.toml") if secured else load_config()
-    names = valve_names(Scenario(fleet=Fleet(valves=valves)))
-    estimators = (RlsConfig(),)
-    source = {"url": url, "startup_timeout_s": 60.0, "timeout_s": 60.0}
-    source |= {} if secured else {"security": "None"}
-    return loaded.model_copy(
-        update={
-            "source": loaded.source.model_copy(update=source),
-            "server": loaded.server.model_copy(update={"url": _url("service")}),
-            "state": loaded.state.model_copy(update={"file": folder / "state.sqlite"}),
-            "valves": tuple(
-                ValveConfig(name=n, nodes=NodesConfig.of_rig(n), estimators=estimators)
-                for n in names
-            ),
-        }
-    )
+def open_config(valves: Sequence[str], folder: Path, url: str) -> Config:
+    """RLS on these valves of an open rig; states in the folder."""
+    return _with_valves(load_config(), valves, folder, {"url": url, "security": "None"})
 
 
-def _open_settings(config: Config) -> ServerSettings:
+def open_settings(config: Config, limits: Limits) -> ServerSettings:
+    """A results server without security."""
     return ServerSettings(
         url=config.server.url,
         application_uri=APPLICATION_URI,
         application_name=APPLICATION_NAME,
         namespace_uri=APPLICATION_URI,
         none_on_loopback=True,
+        limits=limits,
     )
 
 
-def _counts(identification: Identification, name: str) -> np.ndarray:
-    valves = range(len(identification.plans))
-    counted = list(identification.results(valves))
-    return np.concatenate([r.counters[:, r.counter_names.index(name)] for r in counted])
+def counts(identification: Identification, name: str) -> np.ndarray:
+    """A counter of every valve."""
+    found = list(identification.results(range(len(identification.plans))))
+    return np.concatenate([r.counters[:, r.counter_names.index(name)] for r in found])
+
+
+def _with_valves(
+    loaded: Config, valves: Sequence[str], folder: Path, source: dict[str, Any]
+) -> Config:
+    source |= {"startup_timeout_s": 60.0, "timeout_s": 60.0}
+    return loaded.model_copy(
+        update={
+            "source": loaded.source.model_copy(update=source),
+            "server": loaded.server.model_copy(update={"url": free_url("service")}),
+            "state": loaded.state.model_copy(update={"file": folder / "state.sqlite"}),
+            "valves": tuple(
+                ValveConfig(name=n, nodes=NodesConfig.of_rig(n), estimators=(RlsConfig(),))
+                for n in valves
+            ),
+        }
+    )
+
+
+def _names(valves: int) -> tuple[str, ...]:
+    return tuple(valve_names(Scenario(fleet=Fleet(valves=valves))))
 
 
 async def _until(reached: Callable[[], bool]) -> None:
@@ -190,7 +205,8 @@ async def _until(reached: Callable[[], bool]) -> None:
         await asyncio.sleep(0.5)
 
 
-def _url(name: str) -> str:
+def free_url(name: str) -> str:
+    """Where nobody listens."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"opc.tcp://127.0.0.1:{free.getsockname()[1]}/valvemap/{name}/"

@@ -15,7 +15,7 @@ from service.cli.logs import set_up_logs
 from service.cli.options import FolderOption
 from service.config.models import LogConfig
 from service.identification.samples import Samples
-from service.opcua.hardened import Pki, Role, ServerSettings, UserStore
+from service.opcua.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import Fleet, Scenario, load_scenario
 from virtual_rig.server import RigServer
@@ -57,6 +57,12 @@ def rig(
         float | None,
         typer.Option(min=1.0, max=1_000.0, metavar="HZ", help="Samples of each valve per second."),
     ] = None,
+    publishing_interval: Annotated[
+        float,
+        typer.Option(
+            min=1.0, max=60_000.0, metavar="MS", help="Shortest that a client may ask for."
+        ),
+    ] = Limits.publishing_interval_ms,
     *,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
@@ -77,7 +83,8 @@ def rig(
         record_offline(loaded, record)
         return
     set_up_logs(LogConfig(level="error" if under_demo else "info"))
-    asyncio.run(_serve(loaded, url, data, host or [], record, under_demo=under_demo))
+    limits = Limits(publishing_interval_ms=publishing_interval)
+    asyncio.run(_serve(loaded, url, data, host or [], record, limits, under_demo=under_demo))
 
 
 def record_offline(scenario: Scenario, file: Path | None) -> None:
@@ -113,6 +120,7 @@ async def _serve(
     data: Path,
     hosts: list[str],
     record: Path | None,
+    limits: Limits,
     *,
     under_demo: bool,
 ) -> None:
@@ -134,6 +142,7 @@ async def _serve(
         users=users,
         none_on_loopback=under_demo,
         host_names=tuple(hosts),
+        limits=limits,
     )
     with ExitStack() as stack:
         stack.enter_context(stop_on_signal(stop))

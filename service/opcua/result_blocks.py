@@ -43,17 +43,16 @@ class ResultBlocks:
             self._blocks.append(server.add_block([place.variable for place in own], length))
 
     def write(self, valves: Times, columns: Iterable[Column]) -> None:
-        """Publish the variables of M valves; those that are not there are passed over."""
+        """Publish variables of valves that are treated alike; what is not there is passed over."""
         rows: dict[int, _Row] = {}
         for column in columns:
             where = self._where.get(column.name)
-            if where is None:
+            number = -1 if where is None else int(where[valves[0], 0])
+            if where is None or number < 0:
                 continue
-            numbers, places = where[valves].T
-            for number in np.unique(numbers[numbers >= 0]):
-                own = numbers == number
-                row = rows.setdefault(int(number), _Row(self._blocks[number]))
-                row.put(places[own], column, own)
+            if number not in rows:
+                rows[number] = _Row(self._blocks[number])
+            rows[number].put(where[valves, 1], column)
         for row in rows.values():
             self._server.write_block(row.block, row.values, row.t, row.codes, row.present)
 
@@ -70,8 +69,8 @@ class _Row:
         self.t = np.zeros((1, n), np.int64)
         self.present = np.zeros((1, n), np.bool_)
 
-    def put(self, places: NDArray[np.intp], column: Column, own: NDArray[np.bool_]) -> None:
-        self.values[0, places] = column.values[own]
-        self.codes[0, places] = column.codes[own]
-        self.t[0, places] = column.t[own]
+    def put(self, places: NDArray[np.intp], column: Column) -> None:
+        self.values[0, places] = column.values
+        self.codes[0, places] = column.codes
+        self.t[0, places] = column.t
         self.present[0, places] = True

@@ -7,13 +7,14 @@ import numpy as np
 from asyncua import ua
 
 from service.identification.samples import Times
-from service.opcua.information_model import counter_name
+from service.opcua.information_model import INVERSE, counter_name
 from service.opcua.result_values import (
     Column,
     Shown,
     discovery_values,
     estimator_codes,
-    map_values,
+    inverse_codes,
+    map_value,
     own_words,
     survey_values,
 )
@@ -38,22 +39,25 @@ class ResultNews:
         """Counters of M valves, each with the time at which it was first seen as it is."""
         M, k = results.counters.shape
         where = results.valves[:, None], np.arange(k)
-        t = np.where(results.counters != self._counts[where], now, self._counted[where])
+        grown = results.counters != self._counts[where]
+        t = np.where(grown, now, self._counted[where])
         self._counts[where], self._counted[where] = results.counters, t
         good = np.full(M, ua.StatusCodes.Good, np.uint32)
-        for k, name in enumerate(results.counter_names):
-            yield Column(counter_name(name), results.counters[:, k], good, t[:, k])
+        for k in np.flatnonzero(grown.any(axis=0)):
+            name = counter_name(results.counter_names[k])
+            yield Column(name, results.counters[:, k], good, t[:, k])
 
     def values(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
         """Maps, surveys, changes and structures that are new, each with its valve's number."""
         valves = _numbers(results.valves)
-        tables = zip(valves, results.inverse.map_U, map_values(results.inverse, now), strict=True)
-        for valve, table, shown in tables:
-            if self._is_new(valve, shown.name, table, shown.code):
-                yield valve, shown
+        inverse = results.inverse
+        codes, t = inverse_codes(inverse).tolist(), _times(inverse.t, now)
+        for m, table in enumerate(inverse.map_U):
+            if self._is_new(valves[m], INVERSE, table, codes[m]):
+                yield valves[m], map_value(table, codes[m], t[m])
         for name, found in results.estimators.items():
             codes = own_words(estimator_codes(found)).tolist()
-            t = np.where(found.t, found.t, now).tolist()
+            t = _times(found.t, now)
             discoveries = zip(found.change, found.structure, strict=True)
             for m, discovery in enumerate(discoveries):
                 valve, code = valves[m], codes[m]
@@ -74,6 +78,10 @@ class ResultNews:
         return True
 
 
-def _numbers(valves: Times) -> list[int]:
-    numbers: list[int] = valves.tolist()
+def _times(t: Times, now: int) -> list[int]:
+    return _numbers(np.where(t, t, now))
+
+
+def _numbers(array: Times) -> list[int]:
+    numbers: list[int] = array.tolist()
     return numbers

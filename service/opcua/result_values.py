@@ -18,7 +18,6 @@ UncertainLastUsableValue, while the rest is Bad.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -95,43 +94,40 @@ def discovery_values(
     yield Shown(f"{name}.Structure", structure or "", own, t)
 
 
-def map_values(results: InverseResults, now: int) -> Iterator[Shown]:
-    """The inverse maps of M valves."""
-    codes, t = _inverse_codes(results).tolist(), np.where(results.t, results.t, now).tolist()
-    for m, table in enumerate(results.map_U):
-        code = codes[m]
-        if not np.isfinite(table).any():
-            code = int(worse(np.array([code]), _Codes.BadWaitingForInitialData)[0])
-        yield Shown(f"{INVERSE}.Map", table, code, t[m])
+def map_value(table: Floats, code: int, t: int) -> Shown:
+    """The inverse map; ``code`` is one of `inverse_codes`."""
+    if not np.isfinite(table).any():
+        code = int(worse(np.array([code]), _Codes.BadWaitingForInitialData)[0])
+    return Shown(f"{INVERSE}.Map", table, code, t)
 
 
 def estimator_codes(results: EstimatorResults) -> StatusCodes:
     """StatusCodes (M,) of what an estimator knows."""
-    rejected = results.status == Status.REJECTED
-    return np.select(
-        [results.t == 0, results.quality == Quality.GOOD, results.quality == Quality.UNCERTAIN],
-        [_code(_Codes.BadWaitingForInitialData), _code(_Codes.Good), _UNCERTAIN[results.status]],
-        np.where(rejected, _code(_Codes.BadSensorFailure), _code(_Codes.BadNoCommunication)),
-    ).astype(np.uint32)
+    waiting = (results.t == 0).astype(np.uint8)
+    return np.asarray(_ESTIMATOR[waiting, results.quality, results.status])
+
+
+def inverse_codes(results: InverseResults) -> StatusCodes:
+    """StatusCodes (M,) of what is known of the inverse maps."""
+    return np.asarray(_INVERSE[(results.t == 0).astype(np.uint8), results.quality])
 
 
 def own_words(codes: StatusCodes) -> StatusCodes:
     """StatusCodes of what the service itself knows for certain, whatever its sensors do."""
-    return np.select(
-        [codes == _Codes.BadWaitingForInitialData, codes >= _BAD],
-        [_code(_Codes.UncertainInitialValue), _code(_Codes.UncertainLastUsableValue)],
-        _code(_Codes.Good),
-    ).astype(np.uint32)
+    words = np.where(codes >= _BAD, _code(_Codes.UncertainLastUsableValue), _code(_Codes.Good))
+    waiting = codes == _Codes.BadWaitingForInitialData
+    return np.where(waiting, _code(_Codes.UncertainInitialValue), words)
 
 
 def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
     """The StatusCodes of the worse severity; the first, if they are equal."""
-    second = np.broadcast_to(np.asarray(others, np.uint32), codes.shape)
+    second = np.asarray(others, np.uint32)
     return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
 
 
 def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterator[Column]:
     codes = estimator_codes(results)
+    doubtful = worse(codes, _Codes.UncertainInitialValue)
     own, t = own_words(codes), np.where(results.t, results.t, now)
     numbers: tuple[tuple[str, Floats], ...] = (
         ("PredictedFlow", results.predicted),
@@ -142,62 +138,59 @@ def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterat
     yield Column(f"{name}.ParameterVector", results.theta, codes, t)
     yield Column(f"{name}.ParameterStd", results.std, codes, t)
     for variable, values in numbers:  # a number that is none is not Good
-        doubtful = worse(codes, _Codes.UncertainInitialValue)
-        known = np.isfinite(values)
-        yield Column(f"{name}.{variable}", values, np.where(known, codes, doubtful), t)
+        yield Column(
+            f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
+        )
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
 
 
 def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
-    codes, t = _inverse_codes(results), np.where(results.t, results.t, now)
+    codes, t = inverse_codes(results), np.where(results.t, results.t, now)
     answers = worse(codes, _ANSWERS[results.status])
     yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
     yield Column(f"{INVERSE}.RequiredUStatus", results.status, own_words(codes), t)
-
-
-def _inverse_codes(results: InverseResults) -> StatusCodes:
-    known = _OF_QUALITY[results.quality]
-    return np.where(results.t == 0, _code(_Codes.BadWaitingForInitialData), known)
 
 
 def _code(code: int) -> np.uint32:
     return np.uint32(code)
 
 
-def _table(kind: type[IntEnum], codes: dict[Any, int], otherwise: int) -> StatusCodes:
-    table = np.full(len(kind), otherwise, np.uint32)
-    for place, code in codes.items():
-        table[place] = code
-    return table
+def _of_estimator(t: int, quality: Quality, status: Status) -> int:
+    if t == 0:
+        return int(_Codes.BadWaitingForInitialData)
+    if quality == Quality.GOOD:
+        return int(_Codes.Good)
+    if quality == Quality.UNCERTAIN:
+        return int(_UNCERTAIN_BECAUSE.get(status, _Codes.UncertainLastUsableValue))
+    rejected = status == Status.REJECTED
+    return int(_Codes.BadSensorFailure if rejected else _Codes.BadNoCommunication)
 
 
-_UNCERTAIN = _table(
-    Status,
-    {
-        Status.WARMING_UP: _Codes.UncertainInitialValue,
-        Status.UNEXCITED: _Codes.UncertainSubNormal,
-    },
-    _Codes.UncertainLastUsableValue,
+_UNCERTAIN_BECAUSE: dict[Status, int] = {
+    Status.WARMING_UP: _Codes.UncertainInitialValue,
+    Status.UNEXCITED: _Codes.UncertainSubNormal,
+}
+_OF_INVERSE: dict[Quality, int] = {
+    Quality.GOOD: _Codes.Good,
+    Quality.UNCERTAIN: _Codes.UncertainSubNormal,
+    Quality.BAD: _Codes.BadNoCommunication,
+}
+_OF_ANSWER: dict[InverseStatus, int] = {
+    InverseStatus.OK: _Codes.Good,
+    InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
+    InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
+    InverseStatus.NOT_FINITE: _Codes.BadNoData,
+}
+
+# By "nothing known yet" (0 or 1), quality, status.
+_ESTIMATOR = np.array(
+    [[[_of_estimator(t, q, s) for s in Status] for q in Quality] for t in (1, 0)], np.uint32
 )
-_OF_QUALITY = _table(
-    Quality,
-    {
-        Quality.GOOD: _Codes.Good,
-        Quality.UNCERTAIN: _Codes.UncertainSubNormal,
-        Quality.BAD: _Codes.BadNoCommunication,
-    },
-    _Codes.BadNoCommunication,
+_INVERSE = np.array(
+    [[_OF_INVERSE[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
+    np.uint32,
 )
-_ANSWERS = _table(
-    InverseStatus,
-    {
-        InverseStatus.OK: _Codes.Good,
-        InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-        InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
-        InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
-        InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
-        InverseStatus.NOT_FINITE: _Codes.BadNoData,
-    },
-    _Codes.BadNoData,
-)
+_ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)

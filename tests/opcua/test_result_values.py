@@ -7,7 +7,7 @@ from support.results import results_of
 
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Quality, Status
-from service.opcua.result_values import Shown, columns_of, map_values
+from service.opcua.result_values import Shown, columns_of, map_value
 from service.streaming.ports import EstimatorResult, InverseResult
 
 T = 1_800_000_000_000_000_000
@@ -109,7 +109,6 @@ def test_the_worse_of_two_reasons_counts():
 
 def test_a_map_without_a_single_number_is_not_identified():
     empty = replace(INVERSE, map_U=np.full((3, 2), np.nan))
-    (none,) = map_values(results_of(0, {}, empty).inverse, NOW)
-    assert none.code == Codes.BadWaitingForInitialData
-    (some,) = map_values(results_of(0, {}, INVERSE).inverse, NOW)
-    assert (some.name, some.code, some.t) == ("Inverse.Map", Codes.Good, T)
+    assert map_value(empty.map_U, Codes.Good, T).code == Codes.BadWaitingForInitialData
+    assert map_value(empty.map_U, Codes.BadNoCommunication, T).code == Codes.BadNoCommunication
+    assert map_value(INVERSE.map_U, Codes.Good, T).code == Codes.Good

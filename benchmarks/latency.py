@@ -1,0 +1,72 @@
+"""From sample to result at a client: ``python -m benchmarks.latency [HZ] [SECONDS]``.
+
+One valve, publishing intervals of 1 ms on both ways; rig, service (this process) and client are
+processes of their own. The time is the machine's, from the sample's SourceTimestamp on.
+"""
+
+import asyncio
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks import live_speed
+from service.app.build import build_identification
+from service.app.serve import serve
+from service.cli.logs import set_up_logs
+from service.config.models import LogConfig
+from service.opcua.hardened import Limits
+
+PUBLISHING_MS = 1.0
+
+
+def measured(hz: float = 1_000.0, seconds: float = 20.0) -> dict[str, float]:
+    """Percentiles of the latency, ms; what was lost."""
+    set_up_logs(LogConfig(level="error"))
+    with tempfile.TemporaryDirectory() as name:
+        url = live_speed.free_url("rig")
+        command = ["service", "rig", "--under-demo", "--url", url, "--rate", str(hz)]
+        command += ["--publishing-interval", str(PUBLISHING_MS)]
+        with live_speed.running(command, {}):
+            return asyncio.run(_measured(Path(name), url, hz, seconds))
+
+
+async def _measured(folder: Path, url: str, hz: float, seconds: float) -> dict[str, float]:
+    config = live_speed.open_config(["Valvistor"], folder, url)
+    quick = config.source.model_copy(update={"publishing_interval_ms": PUBLISHING_MS})
+    config = config.model_copy(update={"source": quick})
+    settings = live_speed.open_settings(config, Limits(publishing_interval_ms=PUBLISHING_MS))
+    identification, stop = build_identification(config), asyncio.Event()
+    serving = asyncio.ensure_future(serve(config, stop, settings, identification))
+    try:
+        while live_speed.counts(identification, "aligned").min() < hz and not serving.done():  # noqa: ASYNC110 - counts
+            await asyncio.sleep(0.1)
+        client = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "benchmarks.latency_client"),
+            *(config.server.url, str(PUBLISHING_MS), str(seconds)),
+            stdout=subprocess.PIPE,
+        )
+        out, _ = await client.communicate()
+        p50, p99, worst, count = (float(x) for x in out.split())
+        lost = sum(int(live_speed.counts(identification, n).sum()) for n in live_speed.LOSSES)
+    finally:
+        stop.set()
+        await serving
+    return {
+        "results/s": count / seconds,
+        "p50, ms": p50,
+        "p99, ms": p99,
+        "worst, ms": worst,
+        "lost": lost,
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Measure and print."""
+    for name, value in measured(*(float(x) for x in arguments)).items():
+        print(f"{name:12} {value:10.2f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
