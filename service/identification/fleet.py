@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from service.identification.estimator import Estimator, State
-from service.identification.forgetting import Forgetting, Resetting, SlidingWindow
-from service.identification.kernels.fleet import run_fleet
-from service.identification.kernels.recursion import Batch, Memory
-from service.identification.kernels.stepwise import run_stepwise
-from service.identification.least_squares_state import RlsState, batch_of, memory_of, rule_of
+from service.identification.forgetting import Forgetting
+from service.identification.least_squares_state import RlsState, batch_of, learn_segments
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
 
 S = TypeVar("S", bound=State)
@@ -95,15 +92,8 @@ def learn_many(
     segments: Segments,
 ) -> Trace:
     """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
-    memory, batch = Memory(*(getattr(fleet, f) for f in Memory._fields)), batch_of(X, y, t, usable)
-    rule = rule_of(forgetting)
-    match forgetting:
-        case Resetting() | SlidingWindow():
-            for m, start, stop in zip(*segments, strict=True):
-                one = Memory(*(array[m] for array in memory))
-                run_stepwise(one, rule, _rows(batch, start, stop))
-        case _:
-            run_fleet(memory, rule, batch, segments)
+    batch = batch_of(X, y, t, usable)
+    learn_segments(fleet, forgetting, batch, segments)
     return Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
 
 
@@ -154,22 +144,6 @@ def learn_fleet(
             f"offsets of shape {edges.shape}: {len(fleet.theta) + 1} ascending ones are wanted, "
             f"from 0 to {len(y)}"
         )
-    after = RlsState(**memory_of(fleet)._asdict())
+    after = copied(fleet)
     segments = Segments(np.arange(len(edges) - 1), edges[:-1].copy(), edges[1:].copy())
     return after, learn_many(after, forgetting, X, y, t, usable, segments)
-
-
-def _rows(batch: Batch, start: int, stop: int) -> Batch:
-    t, X, y, usable, predicted, residual, status, thetas, changes = batch
-    rows = slice(start, stop)
-    return Batch(
-        t=t[rows],
-        X=X[rows],
-        y=y[rows],
-        usable=usable[rows],
-        predicted=predicted[rows],
-        residual=residual[rows],
-        status=status[rows],
-        thetas=thetas,
-        changes=changes,
-    )

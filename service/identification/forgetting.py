@@ -110,6 +110,10 @@ class Adaptive:
     innovations (:mod:`service.identification.kernels.change_detection`); then what was learnt
     weighs a tenth of a sample, and is soon replaced where there are new ones.
 
+    Forgetting costs more than learning, so it takes turns: one sample of eight, its number times
+    the golden section telling which, forgets along its X with λ⁸. That comes to the same over a
+    memory of hundreds of samples, and nothing periodic in the plant falls into step with it.
+
     Attributes
     ----------
     least : float

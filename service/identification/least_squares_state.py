@@ -16,12 +16,25 @@ from service.identification.forgetting import (
     Subspace,
     Variable,
 )
-from service.identification.kernels import change_detection, recursion
-from service.identification.kernels.change_detection import Counts
+from service.identification.kernels import rules, uncertainty
+from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
-from service.identification.kernels.recursion import Batch, Memory, Rule
+from service.identification.kernels.information_form import determine
+from service.identification.kernels.places import (
+    FACTORED,
+    PLACES_OF_COUNTERS,
+    SQUARES,
+    VARIANCE,
+    WEIGHT,
+    Counts,
+    Places,
+    places,
+    size_of,
+)
+from service.identification.kernels.recursion import Batch, Memory, evaluate, run
+from service.identification.kernels.rules import RESETTING, TURNS, Rule
 from service.identification.kernels.stepwise import run_stepwise
-from service.identification.samples import Codes, Floats, Times, Trace
+from service.identification.samples import Codes, Floats, Segments, Times, Trace
 
 A = TypeVar("A", Floats, Times, Codes)
 
@@ -32,42 +45,75 @@ class RlsState(State):
 
     Attributes
     ----------
-    theta : (n,)
-        Parameters; where the samples leave a direction open, its parameter is 0.
-    factor : (n, n)
-        The triangle R with RᵀR = P⁻¹ until theta is determined, and as long as regressors nearly
-        depend on each other; from then on Uᵀ with D on its diagonal, P = U·D·Uᵀ.
-    rhs : (n,)
-        z of R·theta = z; unused with U·D·Uᵀ.
-    spread : (n, n)
-        What the noise has made of theta, over σ²: with rules that divide P by λ the covariance Z
-        of P⁻¹·theta (that of theta is P·Z·P), with the others the covariance of theta.
-    scale : (n,)
-        Largest |Xⱼ| so far: thresholds are in its units.
-    noise : (4,)
-        Sum of the weights and of their squares, estimate of σ², trace of P in units of the scales.
-    counters : (6,)
+    row : (size,)
+        What a step reads and writes, in one piece, see
+        :mod:`service.identification.kernels.places`. Triangles are lower ones, row by row.
+
+        - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
+        - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
+        - previous, score (n,), variance (triangle), detector (12,): of change detection, see
+          :mod:`service.identification.kernels.change_detection`.
+        - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
+        - spread (triangle): what the noise has made of theta, over σ². With rules that divide P by
+          λ it is the covariance Z of P⁻¹·theta, that of theta is P·Z·P; with the others, where
+          P⁻¹ and Z grow by the same X·Xᵀ, it is what forgetting has set between them, P⁻¹ - Z.
+        - noise (4,): sum of the weights and of their squares, estimate of σ², trace of P in units
+          of the scales.
+    R, rhs : (n, n), (n,)
+        R·theta = z, RᵀR = P⁻¹, until theta is determined, and as long as regressors nearly depend
+        on each other; then unused.
+    counters : (11,)
         Samples used; 1 with U·D·Uᵀ, 0 with R; place and fill of the window; 1 if P holds samples
-        from before it; sample number at which the memory was last opened.
+        from before it; sample number at which the memory was last opened. Then number of changes,
+        sample and time of the last one and of the suspected one.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
-    detector, history, score, variance, previous : (13,), (5,), (n,), (n, n), (n,)
-        Change detection, see :mod:`service.identification.kernels.change_detection`.
     """
 
-    theta: Floats
-    factor: Floats
+    row: Floats
+    R: Floats
     rhs: Floats
-    spread: Floats
-    scale: Floats
-    noise: Floats
     counters: Counts
     window: Floats
-    detector: Floats
-    history: Counts
-    score: Floats
-    variance: Floats
-    previous: Floats
+
+    @property
+    def theta(self) -> Floats:
+        """Parameters (n,)."""
+        return self.row[..., : self.rhs.shape[-1]]
+
+    @property
+    def scale(self) -> Floats:
+        """Largest |Xⱼ| so far (n,)."""
+        at = self._places
+        return self.row[..., at.scale : at.previous]
+
+    @property
+    def noise(self) -> Floats:
+        """Sum of the weights, of their squares, σ², trace of P (4,)."""
+        at = self._places
+        return self.row[..., at.noise : at.detector]
+
+    @property
+    def detector(self) -> Floats:
+        """Of change detection (12,)."""
+        at = self._places
+        return self.row[..., at.detector : at.x]
+
+    @property
+    def factor(self) -> Floats:
+        """Uᵀ with D on its diagonal (n, n)."""
+        at = self._places
+        return _square(self.row[at.factor : at.spread], self.rhs.shape[-1])
+
+    @property
+    def spread(self) -> Floats:
+        """Lower triangle of the symmetric matrix (n, n)."""
+        at = self._places
+        return _square(self.row[at.spread : at.variance], self.rhs.shape[-1])
+
+    @property
+    def _places(self) -> Places:
+        return places(self.rhs.shape[-1])
 
 
 def initial_state(
@@ -78,46 +124,33 @@ def initial_state(
 ) -> RlsState:
     """State of n parameters before the first sample; ``prior``: rows (R, n) and values (R,)."""
     length = forgetting.length if isinstance(forgetting, SlidingWindow) else 0
-    memory = Memory(
-        theta=np.zeros(n),
-        factor=np.eye(n) / np.sqrt(p0),
+    at, rule = places(n), rule_of(forgetting, n)
+    state = RlsState(
+        row=np.zeros(at.x),
+        R=np.eye(n) / np.sqrt(p0),
         rhs=np.zeros(n),
-        spread=np.eye(n) / p0,
-        scale=np.zeros(n),
-        noise=np.zeros(recursion.PLACES_OF_NOISE),
-        counters=np.zeros(recursion.PLACES_OF_COUNTERS, np.int64),
+        counters=np.zeros(PLACES_OF_COUNTERS, np.int64),
         window=np.zeros((length, n + 1)),
-        detector=np.zeros(change_detection.PLACES_OF_DETECTOR),
-        history=np.zeros(change_detection.PLACES_OF_HISTORY, np.int64),
-        score=np.zeros(n),
-        variance=np.zeros((n, n)),
-        previous=np.zeros(n),
     )
+    Z = np.eye(n) / p0
     if prior is not None:
         rows, values = prior
-        memory.spread[:] += rows.T @ rows
-        np.max(np.abs(rows), axis=0, initial=0.0, out=memory.scale)
+        Z += rows.T @ rows
+        np.max(np.abs(rows), axis=0, initial=0.0, out=state.scale)
         for i, (row, value) in enumerate(zip(rows, values, strict=True)):
-            rotate_in(memory.factor, memory.rhs, row.copy(), value, 1.0, memory.scale, i)
-    recursion.determine(
-        memory.theta,
-        memory.factor,
-        memory.rhs,
-        memory.spread,
-        memory.scale,
-        memory.noise,
-        memory.counters,
-        rule_of(forgetting).kind,
-    )
-    return RlsState(**memory._asdict())
+            rotate_in(state.R, state.rhs, row.copy(), value, 1.0, state.scale, i)
+    if rule.kind <= RESETTING:
+        state.row[at.spread : at.variance] = Z[np.tril_indices(n)]
+    determine(state.row, state.R, state.rhs, state.counters, rule.kind)
+    return state
 
 
 def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats, Floats]:
     """Xᵀ·theta (N,) at N rows of X and its standard deviation (N,); NaN if unknown."""
     values, variances = np.empty(len(X)), np.empty(len(X))
-    recursion.evaluate(
+    evaluate(
         state.theta,
-        state.factor,
+        state.R,
         parameter_covariance(state, forgetting),
         state.scale,
         state.counters,
@@ -135,24 +168,31 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
 
 def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
     """Variance of each parameter of M models (M, n); None where it is not at hand for all."""
-    ready = (fleet.counters[:, recursion.FACTORED] == 1) & (fleet.noise[:, recursion.WEIGHT] > 0.0)
-    match forgetting:
-        case Directional() | Subspace() | Adaptive() if ready.all():
-            own = np.diagonal(fleet.spread, axis1=1, axis2=2)
-            return np.asarray(own * fleet.noise[:, recursion.VARIANCE, None])
-        case _:
-            return None
+    ready = (fleet.counters[:, FACTORED] == 1) & (fleet.noise[:, WEIGHT] > 0.0)
+    if not ready.all():
+        return None
+    known = np.empty(fleet.theta.shape)
+    rule = rule_of(forgetting, fleet.rhs.shape[-1])
+    uncertainty.parameter_variances(_writable(fleet.row), rule.kind, known)
+    return known
+
+
+def parameter_variance(state: RlsState, forgetting: Forgetting) -> Floats:
+    """Variance of each parameter (n,), as `variances`; NaN while not determined."""
+    alone = RlsState(*(getattr(state, name)[None] for name in Memory._fields))
+    known = variances(alone, forgetting)
+    return np.diag(parameter_covariance(state, forgetting)) if known is None else known[0]
 
 
 def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta over σ²."""
     P = matrix_P(state)
-    equal_weights = state.noise[recursion.WEIGHT] == state.noise[recursion.SQUARES]
+    equal_weights = state.noise[WEIGHT] == state.noise[SQUARES]
     match forgetting:
         case Directional() | Subspace() | Adaptive() if is_determined(state):
-            return state.spread
+            return np.asarray(P - P @ _symmetric(state.spread) @ P)
         case Exponential() | Variable() | Resetting() if not equal_weights:
-            return np.asarray(P @ state.spread @ P)
+            return np.asarray(P @ _symmetric(state.spread) @ P)
         case _:
             return P
 
@@ -160,28 +200,28 @@ def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
 def matrix_P(state: RlsState) -> Floats:
     """P (n, n) of eqs. (17)-(28), the inverse information; NaN while theta is not determined."""
     if not is_determined(state):
-        return np.full_like(state.factor, np.nan)
-    if state.counters[recursion.FACTORED]:
+        return np.full_like(state.R, np.nan)
+    if state.counters[FACTORED]:
         return np.asarray(covariance(state.factor))
-    inverse = np.linalg.inv(state.factor)  # of a triangle: no row is ever exchanged
+    inverse = np.linalg.inv(state.R)  # of a triangle: no row is ever exchanged
     return np.asarray(inverse @ inverse.T)
 
 
 def information(state: RlsState) -> Floats:
     """P⁻¹ (n, n), the inverse of `matrix_P`; singular while theta is not determined."""
-    if state.counters[recursion.FACTORED]:
+    if state.counters[FACTORED]:
         return np.asarray(np.linalg.inv(covariance(state.factor)))
-    return np.asarray(state.factor.T @ state.factor)
+    return np.asarray(state.R.T @ state.R)
 
 
 def is_determined(state: RlsState) -> bool:
     """Whether the samples determine theta."""
-    return bool(state.counters[recursion.FACTORED]) or bool(np.diag(state.factor).all())
+    return bool(state.counters[FACTORED]) or bool(np.diag(state.R).all())
 
 
 def _noise_variance(state: RlsState) -> float:
     """σ² (NaN before the first innovation)."""
-    return float(state.noise[recursion.VARIANCE]) if state.noise[recursion.WEIGHT] else np.nan
+    return float(state.noise[VARIANCE]) if state.noise[WEIGHT] else np.nan
 
 
 def learn(
@@ -207,14 +247,24 @@ def learn(
     changes : (C, 3), optional
         Written: the first C detected changes, see `RlsResult`.
     """
-    memory, batch = memory_of(state), batch_of(X, y, t, usable, thetas, changes)
+    after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
+    batch = batch_of(X, y, t, usable, thetas, changes)
+    learn_segments(after, forgetting, batch, Segments.one(len(y)))
+    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
+    return RlsState(*(getattr(after, name)[0] for name in Memory._fields)), trace
+
+
+def learn_segments(
+    states: RlsState, forgetting: Forgetting, batch: Batch, segments: Segments
+) -> None:
+    """Take in the samples of many models, written in place; ``states`` have a leading axis."""
+    n = states.rhs.shape[-1]
+    size, rule = size_of(n), rule_of(forgetting, n)
     match forgetting:
         case Resetting() | SlidingWindow():
-            run_stepwise(memory, rule_of(forgetting), batch)
+            run_stepwise(size, memory_of(states), rule, batch, segments)
         case _:
-            recursion.run(memory, rule_of(forgetting), batch)
-    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
-    return RlsState(**memory._asdict()), trace
+            run(size, memory_of(states), rule, batch, segments)
 
 
 def batch_of(
@@ -246,27 +296,40 @@ def _writable(array: A) -> A:
 
 
 def memory_of(state: RlsState) -> Memory:
-    """Copies that a kernel may write into."""
-    return Memory(*(np.array(getattr(state, name)) for name in Memory._fields))
+    """The state's arrays, for a kernel."""
+    return Memory(*(getattr(state, name) for name in Memory._fields))
 
 
-def rule_of(forgetting: Forgetting) -> Rule:
-    """The rule in numbers, for a kernel."""
+def _square(triangle: Floats, n: int) -> Floats:
+    """Lower triangle (n, n) from its rows, one after another."""
+    square = np.zeros((n, n))
+    square[np.tril_indices(n)] = triangle
+    return square
+
+
+def _symmetric(lower: Floats) -> Floats:
+    return np.asarray(lower + np.tril(lower, -1).T)
+
+
+def rule_of(forgetting: Forgetting, n: int) -> Rule:
+    """The rule in numbers, for n parameters."""
     match forgetting:
         case Exponential(lam):
-            rule = Rule(recursion.EXPONENTIAL, lam)
+            rule = Rule(rules.EXPONENTIAL, lam)
         case Variable(lam, least):
-            rule = Rule(recursion.VARIABLE, lam, least)
+            rule = Rule(rules.VARIABLE, lam, least)
         case Resetting(lam, information):
-            rule = Rule(recursion.RESETTING, lam, information)
+            rule = Rule(rules.RESETTING, lam, information)
         case Directional(lam):
-            rule = Rule(recursion.DIRECTIONAL, lam)
+            rule = Rule(rules.DIRECTIONAL, lam)
         case Subspace(lam):
-            rule = Rule(recursion.SUBSPACE, lam)
+            rule = Rule(rules.SUBSPACE, lam)
         case SlidingWindow():
-            rule = Rule(recursion.WINDOW, forgetting.lam)
+            rule = Rule(rules.WINDOW, forgetting.lam)
         case Adaptive(lam, least, threshold):
-            rule = Rule(recursion.SUBSPACE, lam, least, threshold)
+            most = np.log(max(1.0, (1.0 - least) / (1.0 - lam))) if lam < 1.0 else 0.0
+            limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
+            rule = Rule(rules.SUBSPACE, lam, least, *limits, TURNS, float(most))
         case _:
             assert_never(forgetting)
     return rule

@@ -8,7 +8,9 @@ from numpy.typing import ArrayLike
 
 from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
-from service.identification.kernels import change_detection, recursion
+from service.identification.kernels.change_detection import EVERY
+from service.identification.kernels.places import CHANGES, SAMPLE, SIZE, TIME
+from service.identification.kernels.rules import LARGEST
 from service.identification.least_squares_state import (
     RlsState,
     information,
@@ -16,6 +18,7 @@ from service.identification.least_squares_state import (
     is_determined,
     learn,
     parameter_covariance,
+    parameter_variance,
     predict,
     variances,
 )
@@ -134,7 +137,7 @@ class RecursiveLeastSquares:
         X = self.structure.regressors(samples.U, samples.dp, samples.T)
         usable = samples.quality != Quality.BAD
         for signal in (samples.U, samples.dp):  # a structure may clip what it is given
-            usable &= np.abs(signal) <= recursion.LARGEST
+            usable &= np.abs(signal) <= LARGEST
         codes = usable.astype(np.uint8)
         return learn_many(states, self.forgetting, X, samples.Q, samples.t, codes, segments)
 
@@ -148,9 +151,7 @@ class RecursiveLeastSquares:
         if not is_determined(state):
             values, _ = predict(state, np.eye(len(theta)), self.forgetting)
             theta[np.isnan(values)] = np.nan
-        return theta, np.sqrt(
-            np.maximum(np.diag(parameter_covariance(state, self.forgetting)), 0.0)
-        )
+        return theta, np.sqrt(np.maximum(parameter_variance(state, self.forgetting), 0.0))
 
     def parameters_many(self, states: RlsState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
@@ -169,14 +170,14 @@ class RecursiveLeastSquares:
 
     def last_change(self, state: RlsState) -> Change | None:
         """Return the last change of the plant that was found, None if there was none."""
-        history = state.history.tolist()
-        if not history[change_detection.CHANGES]:
+        counters = state.counters.tolist()
+        if not counters[CHANGES]:
             return None
         return Change(
-            count=history[change_detection.CHANGES],
-            sample=history[change_detection.SAMPLE] - 1,
-            t=history[change_detection.TIME],
-            size=float(state.detector[change_detection.SIZE]),
+            count=counters[CHANGES],
+            sample=counters[SAMPLE] - 1,
+            t=counters[TIME],
+            size=float(state.detector[SIZE]),
         )
 
 
@@ -246,7 +247,7 @@ def recursive_least_squares(
         raise ValueError(f"p0 = {p0!r} is not positive")
     N, n = regressors.shape
     state = initial_state(n, rule, p0)
-    thetas, changes = np.empty((N, n)), np.empty((N // change_detection.EVERY + 1, 3))
+    thetas, changes = np.empty((N, n)), np.empty((N // EVERY + 1, 3))
     state, trace = learn(
         state, rule, regressors, output, np.arange(N), np.ones(N, np.uint8), thetas, changes
     )
@@ -256,5 +257,5 @@ def recursive_least_squares(
         innovations=trace.residual,
         covariance=parameter_covariance(state, rule),
         status=trace.status,
-        changes=changes[: state.history[change_detection.CHANGES]],
+        changes=changes[: state.counters[CHANGES]],
     )

@@ -16,7 +16,7 @@ from service.identification.auto import Auto
 from service.identification.estimator import State
 from service.identification.fleet import ManyModels, copied, member, members, repeated
 from service.identification.kernels import scatter as scatter_kernel
-from service.identification.kernels.change_detection import CHANGES
+from service.identification.kernels.places import CHANGES
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
 from service.identification.scatter import Scatter, noise_std
@@ -221,7 +221,7 @@ class _Stacked:
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         found: list[Change | None] = [None] * len(chosen)
         if isinstance(self._estimator, RecursiveLeastSquares):
-            for k in np.flatnonzero(self._all.history[chosen, CHANGES]):
+            for k in np.flatnonzero(self._all.counters[chosen, CHANGES]):
                 found[k] = self._estimator.last_change(member(self._all, chosen[k]))
         return found
 

@@ -60,22 +60,6 @@ def test_a_negative_weight_puts_back_what_a_positive_one_took(seed, x):
     np.testing.assert_allclose(covariance(ut), P, rtol=1e-5, atol=1e-6)
 
 
-@given(st.integers(0, 1000), vectors, weights)
-def test_add_rank_one_adds_what_it_says(seed, x, weight):
-    ut = random_factor(seed)
-    P = covariance(ut)
-    by_python(factors.add_rank_one)(ut, x.copy(), weight)
-    np.testing.assert_allclose(covariance(ut), P + weight * np.outer(x, x), rtol=1e-7, atol=1e-8)
-
-
-@given(st.integers(0, 1000), vectors)
-def test_information_along_is_that_of_the_inverse(seed, x):
-    ut = random_factor(seed)
-    expected = x @ np.linalg.solve(covariance(ut), x)
-    information = by_python(factors.information_along)(ut, x, np.empty(4))
-    np.testing.assert_allclose(information, expected, rtol=1e-6, atol=1e-9)
-
-
 @given(st.integers(0, 1000), st.integers(4, 30), st.floats(0.5, 1.0))
 def test_rows_rotated_in_leave_the_triangle_of_their_weighted_sum(seed, N, lam):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.identification.forgetting import Adaptive, Directional, Exponential, Resetting
-from service.identification.kernels import recursion
+from service.identification.kernels.places import FACTORED
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -32,7 +32,7 @@ def scattered(N, seed, noise=2.0):
 
 
 def d_of(state):
-    assert state.counters[recursion.FACTORED]
+    assert state.counters[FACTORED]
     return np.diag(state.factor)
 
 

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from service.identification import recursive_least_squares
-from service.identification.forgetting import Directional, Exponential
+from service.identification.fleet import stack
+from service.identification.forgetting import (
+    Adaptive,
+    Directional,
+    Exponential,
+    Subspace,
+    Variable,
+)
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -215,3 +222,23 @@ def test_another_forgetting_factor_goes_on_from_the_same_state():
     assert (trace.status == Status.OK).all()
     with pytest.raises(ValueError, match="lam = 0"):
         rls.with_forgetting(0.0)
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [Exponential(1.0), Exponential(0.99), Variable(), Directional(), Subspace(), Adaptive()],
+    ids=repr,
+)
+def test_many_models_are_as_sure_as_the_covariance_of_each_says(rule):
+    rng = np.random.default_rng(4)
+    rls = RecursiveLeastSquares(forgetting=rule)
+    states = []
+    for N in (40, 700):
+        U, dp = rng.uniform(0, 100, N), rng.uniform(1, 200, N)
+        Q = 0.1 * U * np.sqrt(dp) + rng.normal(size=N)
+        samples = Samples.of(np.arange(N), U, dp, np.zeros(N), Q)
+        states.append(rls.update(rls.initial_state(), samples)[0])
+    _, std = rls.parameters_many(stack(states))
+    for state, own in zip(states, std, strict=True):
+        np.testing.assert_array_equal(rls.parameters(state)[1], own)
+        np.testing.assert_allclose(own, np.sqrt(np.diag(rls.covariance(state))), rtol=1e-6)

@@ -23,20 +23,34 @@ z(t)·z(t-1) exceeds what coloured noise may show, and falls back where it does 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import inner
-from service.identification.samples import Floats, Times
-
-Counts = NDArray[np.int64]
-
-# Places in `detector`.
-EVIDENCE, SQUARES, LONG_SQUARES, MEAN, SCALE_WEIGHT, SCALE, STATISTIC, SUM, SIZE = range(9)
-LAST, POWER, HASTE, FACTOR = range(9, 13)
-PLACES_OF_DETECTOR = 13
-# Places in `history`: number of changes, sample and time of the last and of the suspected one.
-CHANGES, SAMPLE, TIME, SUSPECT_SAMPLE, SUSPECT_TIME = range(5)
-PLACES_OF_HISTORY = 5
+from service.identification.kernels.compiled import inlined
+from service.identification.kernels.places import (
+    CHANGES,
+    COUNT,
+    EVIDENCE,
+    FACTOR,
+    HASTE,
+    LAST,
+    LATELY,
+    MEAN,
+    POWER,
+    RECENT,
+    SAMPLE,
+    SCALE,
+    SCALE_WEIGHT,
+    SIZE,
+    SUM,
+    SUSPECT_SAMPLE,
+    SUSPECT_TIME,
+    TIME,
+    Counts,
+    Places,
+    Size,
+)
+from service.identification.kernels.rules import Rule
+from service.identification.kernels.triangles import add_square, squared_length
+from service.identification.samples import Floats
 
 EVERY = 8
 WINDOW = 1.0 / 100.0
@@ -47,127 +61,103 @@ CLIP = 4.0
 FAMILIAR = 2.0
 ENOUGH = 20.0
 FAR = 0.1  # squared, in units of the columns' scales
-RIDGE = 1e-9
 POWER_WINDOW = 1.0 / 200.0
 LEAST_POWER = 0.1
 TOLERATED = 0.4
 HASTE_STEP = 0.005
-SUSPICIOUS = 3.0
+SUSPICIOUS = 3.0  # standard deviations
+
+_KEEP, _KEEP_LONG = 1.0 - WINDOW, 1.0 - SCALE_WINDOW
 
 
-@inner
-def has_changed(
-    detector: Floats,
-    history: Counts,
-    score: Floats,
-    variance: Floats,
-    X: Floats,
-    residual: Floats,
-    evidence: Floats,
-    t: Times,
-    lam: float,
-    least: float,
-    threshold: float,
-    count: int,
-    start: int,
-    stop: int,
-) -> bool:
-    """Weigh samples start … stop - 1; True if the plant has changed, and evidence is dropped.
+def value_of(deviations: float, n: int) -> float:
+    """T of so many standard deviations: Wilson and Hilferty, its cube root is nearly normal."""
+    spread = 2.0 / (9.0 * n)
+    return float(n * max(0.0, 1.0 - spread + deviations * np.sqrt(spread)) ** 3)
+
+
+@inlined
+def weigh(size: Size, s: Floats, at: Places, e: float, square: float, r: float, rule: Rule) -> None:
+    """Take a sample into the score.
 
     Parameters
     ----------
-    detector, history, score, variance : (13,), (5,), (n,), (n, n)
-        State, written in place; of ``variance`` the lower triangle.
-    X, residual, t
-        Samples; NaN residual: not used.
-    evidence : (N, 3)
-        xᵀPx, |Δx|², and the variance of the innovation over σ² less 1.
-    lam, least, threshold
-        Forgetting factor and its lower bound; standard deviations that mean a change.
-    count
-        Number of samples used so far.
+    size, s, at
+        The row: regressor in ``x``; of the state, ``previous``,
+        ``score``, ``variance`` and ``detector`` are written.
+    e, square
+        Innovation, and its square over what its variance is in units of σ².
+    r
+        xᵀPx.
     """
-    n = len(score)
-    keep, keep_long = 1.0 - WINDOW, 1.0 - SCALE_WINDOW
-    stationary = FAMILIAR * max(1.0 - lam, SCALE_WINDOW)
-    for i in range(start, stop):
-        e, r, moved, q = residual[i], evidence[i, 0], evidence[i, 1], evidence[i, 2]
-        if np.isnan(e):
-            continue
-        z = 0.0
-        if detector[SCALE] > 0.0:
-            z = min(max(e / np.sqrt((1.0 + q) * detector[SCALE]), -CLIP), CLIP)
-        square = e * e / (1.0 + q)
-        if detector[SCALE_WEIGHT] > SETTLED:
-            square = min(square, 9.0 * detector[SCALE])
-        detector[SCALE_WEIGHT] += 1.0 - SCALE_WINDOW * detector[SCALE_WEIGHT]
-        detector[SCALE] += (square - detector[SCALE]) / detector[SCALE_WEIGHT]
-
-        independence = min(1.0, moved / FAR)
-        detector[SUM] += e
-        if detector[SCALE_WEIGHT] <= SETTLED:
-            continue
-        detector[POWER] += POWER_WINDOW * (z * z - detector[POWER])
-        colour = z * detector[LAST] / max(detector[POWER], LEAST_POWER)
-        most = np.log(max(1.0, (1.0 - least) / (1.0 - lam))) if lam < 1.0 else 0.0
-        haste = detector[HASTE] + HASTE_STEP * (colour - TOLERATED)
-        detector[HASTE] = min(max(haste, 0.0), most)
-        detector[LAST] = z
-        weight = independence * min(1.0, stationary / r) if r > 0.0 else 0.0
-        step = weight * (z - detector[MEAN])
-        detector[MEAN] += MEAN_WINDOW * independence * (z - detector[MEAN])
-        detector[EVIDENCE] = keep * detector[EVIDENCE] + weight
-        detector[SQUARES] = keep * keep * detector[SQUARES] + weight * weight
-        detector[LONG_SQUARES] = keep_long * detector[LONG_SQUARES] + weight * weight
-        for j in range(n):
-            score[j] = keep * score[j] + step * X[i, j]
-            share = step * step * X[i, j]
-            for k in range(j + 1):
-                variance[j, k] = keep_long * variance[j, k] + share * X[i, k]
-    if count % EVERY != 0:
-        return False
-    detector[FACTOR] = np.exp(detector[HASTE])
-    if detector[EVIDENCE] < ENOUGH:
-        return False
-
-    T = _squared_length(score, variance) * detector[LONG_SQUARES] / detector[SQUARES]
-    spread = 2.0 / (9.0 * n)  # Wilson and Hilferty: of T's cube root, nearly normal
-    deviation = (np.cbrt(T / n) - 1.0 + spread) / np.sqrt(spread)
-    detector[STATISTIC] = deviation
-    if deviation < SUSPICIOUS:
-        history[SUSPECT_SAMPLE] = count + 1
-        history[SUSPECT_TIME] = t[stop - 1]
-        detector[SUM] = 0.0
-    if deviation <= threshold:
-        return False
-    history[CHANGES] += 1
-    history[SAMPLE] = history[SUSPECT_SAMPLE]
-    history[TIME] = history[SUSPECT_TIME]
-    detector[SIZE] = detector[SUM] / max(1, count + 1 - history[SUSPECT_SAMPLE])
-    for place in (EVIDENCE, SQUARES, MEAN, SUM):
-        detector[place] = 0.0
+    n = len(size)
+    d = at.detector
+    moved = 0.0
     for j in range(n):
-        score[j] = 0.0
+        step = (s[at.x + j] - s[at.previous + j]) * s[at.unit + j]
+        moved += step * step
+        s[at.previous + j] = s[at.x + j]
+    z = 0.0
+    if s[d + SCALE] > 0.0:
+        z = np.copysign(min(np.sqrt(square / s[d + SCALE]), CLIP), e)
+    settled = s[d + SCALE_WEIGHT] > SETTLED
+    if settled:
+        square = min(square, 9.0 * s[d + SCALE])
+    s[d + SCALE_WEIGHT] += 1.0 - SCALE_WINDOW * s[d + SCALE_WEIGHT]
+    s[d + SCALE] += (square - s[d + SCALE]) / s[d + SCALE_WEIGHT]
+    s[d + SUM] += e
+    if s[d + SCALE_WEIGHT] <= SETTLED:
+        return
+    s[d + POWER] += POWER_WINDOW * (z * z - s[d + POWER])
+    colour = z * s[d + LAST] / max(s[d + POWER], LEAST_POWER)
+    haste = s[d + HASTE] + HASTE_STEP * (colour - TOLERATED)
+    s[d + HASTE] = min(max(haste, 0.0), rule.most)
+    s[d + LAST] = z
+    independence = min(1.0, moved * (1.0 / FAR))
+    stationary = FAMILIAR * max(1.0 - rule.lam, SCALE_WINDOW)
+    weight = independence * min(1.0, stationary / r) if r > 0.0 else 0.0
+    step = weight * (z - s[d + MEAN])
+    s[d + MEAN] += MEAN_WINDOW * independence * (z - s[d + MEAN])
+    s[d + EVIDENCE] = _KEEP * s[d + EVIDENCE] + weight
+    s[d + RECENT] = _KEEP * _KEEP * s[d + RECENT] + weight * weight
+    s[d + LATELY] = _KEEP_LONG * s[d + LATELY] + weight * weight
+    for j in range(n):
+        s[at.g + j] = step * s[at.x + j]
+        s[at.score + j] = _KEEP * s[at.score + j] + s[at.g + j]
+    add_square(size, s, at.variance, at.g, _KEEP_LONG)
+
+
+@inlined
+def has_changed(size: Size, s: Floats, at: Places, counters: Counts, t: int, rule: Rule) -> bool:
+    """Whether the plant has changed, and then the evidence is dropped; asked after EVERY samples.
+
+    Parameters
+    ----------
+    size, s, at, counters
+        State, written in place.
+    t
+        Time of the last sample.
+    """
+    n = len(size)
+    d = at.detector
+    s[d + FACTOR] = np.exp(s[d + HASTE])
+    if s[d + EVIDENCE] < ENOUGH:
+        return False
+
+    T = squared_length(size, s, at.score, at.variance, at.f, at.Px, at.L)
+    T *= s[d + LATELY] / s[d + RECENT]
+    if rule.suspicious > T:
+        counters[SUSPECT_SAMPLE] = counters[COUNT] + 1
+        counters[SUSPECT_TIME] = t
+        s[d + SUM] = 0.0
+    if rule.threshold >= T:
+        return False
+    counters[CHANGES] += 1
+    counters[SAMPLE] = counters[SUSPECT_SAMPLE]
+    counters[TIME] = counters[SUSPECT_TIME]
+    s[d + SIZE] = s[d + SUM] / max(1, counters[COUNT] + 1 - counters[SUSPECT_SAMPLE])
+    for place in (EVIDENCE, RECENT, MEAN, SUM):
+        s[d + place] = 0.0
+    for j in range(n):
+        s[at.score + j] = 0.0
     return True
-
-
-@inner
-def _squared_length(b: Floats, V: Floats) -> float:
-    """BᵀV⁻¹b by the factors L·D·Lᵀ of V, given as its lower triangle."""
-    n = len(b)
-    L, d, w = np.empty((n, n)), np.empty(n), np.empty(n)
-    total = 0.0
-    for j in range(n):
-        d[j] = V[j, j] * (1.0 + RIDGE)
-        w[j] = b[j]
-        for k in range(j):
-            L[j, k] = V[j, k]
-            for i in range(k):
-                L[j, k] -= L[j, i] * L[k, i] * d[i]
-            if d[k] > 0.0:
-                L[j, k] /= d[k]
-            d[j] -= L[j, k] * L[j, k] * d[k]
-            w[j] -= L[j, k] * w[k]
-        if d[j] > RIDGE * V[j, j]:
-            total += w[j] * w[j] / d[j]
-    return total

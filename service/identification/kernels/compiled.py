@@ -28,6 +28,14 @@ def inner(function: F) -> F:
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def inlined(function: F) -> F:
+    """Compile a function into every kernel that calls it: what is constant there is constant here.
+
+    Only for what few kernels call: each gets a copy.
+    """
+    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+
+
 def _compile(function: F, **options: bool) -> F:
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
     compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]

@@ -146,48 +146,6 @@ def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, grow
         k[j] = v
 
 
-@inner
-def add_rank_one(ut: Floats, x: Floats, weight: float) -> None:
-    """P ← P + weight·x·xᵀ for weight ≥ 0, Agee and Turner's recursion; x is destroyed."""
-    for j in range(len(x) - 1, -1, -1):
-        d = ut[j, j]
-        d_next = d + weight * x[j] * x[j]
-        ut[j, j] = d_next
-        step = weight * x[j] / d_next
-        for i in range(j):
-            x[i] -= x[j] * ut[j, i]
-            ut[j, i] += step * x[i]
-        weight *= d / d_next
-
-
-@inner
-def information_along(ut: Floats, x: Floats, w: Floats) -> float:
-    """Xᵀ·P⁻¹·x; ``w`` is scratch."""
-    n = len(x)
-    for i in range(n):
-        w[i] = x[i]
-    total = 0.0
-    for j in range(n - 1, -1, -1):
-        for i in range(j):
-            w[i] -= ut[j, i] * w[j]
-        total += w[j] * w[j] / ut[j, j]
-    return total
-
-
-@inner
-def scaled_trace(ut: Floats, scale: Floats) -> float:
-    """Trace of P in units of the columns' scales."""
-    n = len(scale)
-    total = 0.0
-    for j in range(n):
-        squares = scale[j] * scale[j]
-        for i in range(j):
-            u = ut[j, i] * scale[i]
-            squares += u * u
-        total += ut[j, j] * squares
-    return total
-
-
 @kernel
 def covariance(ut: Floats) -> Floats:
     """P itself, one triangle computed and mirrored."""

@@ -2,33 +2,25 @@
 
 import numpy as np
 
-from service.identification.kernels.change_detection import Counts
 from service.identification.kernels.compiled import inner, kernel
-from service.identification.kernels.factors import (
-    back_substitute,
-    independence,
-    invert_triangle,
-    project,
-    rank_one,
-    rotate_in,
-)
-from service.identification.kernels.recursion import (
+from service.identification.kernels.covariance_form import note
+from service.identification.kernels.factors import back_substitute, independence, rotate_in
+from service.identification.kernels.information_form import settle
+from service.identification.kernels.places import (
     COUNT,
     FACTORED,
     FILLED,
     HEAD,
-    RESETTING,
     STALE,
-    WINDOW,
-    Batch,
-    Memory,
-    Rule,
-    advance,
-    rejection,
-    turn_score,
-    warm_up,
+    Counts,
+    Places,
+    Size,
+    places_of,
 )
-from service.identification.samples import Floats, Status
+from service.identification.kernels.recursion import Batch, Memory, run
+from service.identification.kernels.rules import RESETTING, WINDOW, Rule, rejection
+from service.identification.kernels.triangles import take_in, turn, whiten
+from service.identification.samples import Floats, Segments, Status
 
 SINGULAR = 1e-9  # share of the information along X that must be left when a sample is taken out
 
@@ -37,68 +29,65 @@ _UNEXCITED = int(Status.UNEXCITED)
 
 
 @kernel
-def run_stepwise(memory: Memory, rule: Rule, batch: Batch) -> None:
+def run_stepwise(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments) -> None:
     """As :func:`service.identification.kernels.recursion.run`, for RESETTING and WINDOW."""
-    theta, factor, rhs, spread, scale, noise, counters, window, _, _, _, _, previous = memory
-    _, X, y, usable, predicted, residual, status, thetas, _ = batch
-    n = len(theta)
-    evidence, work = np.empty((0, 3)), np.empty((5, n))
-    for i in range(len(y)):
-        good = rejection(X, y, usable, i) == _OK
-        warm = counters[FACTORED] == 0
-        if warm:
-            warm_up(
-                theta, factor, rhs, spread, scale, noise, counters, rule.kind, rule.lam,
-                X, y, usable, predicted, residual, status, thetas, i,
-            )  # fmt: skip
-        else:
-            advance(
-                theta, factor, spread, scale, noise, counters, previous, rule.kind, rule.lam,
-                rule.least, X, y, usable, predicted, residual, status, thetas, evidence, work, i,
-                i + 1,
-            )  # fmt: skip
-        if good and rule.kind == RESETTING and not warm:
-            share = n * (1.0 - rule.lam) * rule.least
-            _put_back(factor, spread, scale, counters[COUNT] % n, share)
-        if good and rule.kind == WINDOW:
-            if not warm and counters[FILLED] == len(window):
-                _take_out(theta, factor, window, counters)
-            if _push(window, counters, X, y, i):
-                _factor_anew(theta, factor, rhs, scale, window, counters)
-            if counters[STALE] == 1:
-                status[i] = max(status[i], _UNEXCITED)
-            if i < len(thetas):
-                for j in range(n):
-                    thetas[i, j] = theta[j]
+    X, y, usable, status, thetas = batch.X, batch.y, batch.usable, batch.status, batch.thetas
+    n = len(size)
+    at = places_of(n)
+    s = np.empty(at.end)
+    one = Segments(np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1, np.int64))
+    for k in range(len(segments.members)):
+        m = segments.members[k]
+        row, R, rhs = memory.row[m], memory.R[m], memory.rhs[m]
+        counters, window = memory.counters[m], memory.window[m]
+        for i in range(segments.starts[k], segments.stops[k]):
+            good = rejection(X, y, usable, i) == _OK
+            warm = counters[FACTORED] == 0
+            one.members[0], one.starts[0], one.stops[0] = m, i, i + 1
+            run(size, memory, rule, batch, one)
+            for p in range(at.x):
+                s[p] = row[p]
+            if good and rule.kind == RESETTING and not warm:
+                share = n * (1.0 - rule.lam) * rule.least
+                _put_back(size, s, at, counters[COUNT] % n, share)
+            if good and rule.kind == WINDOW:
+                if not warm and counters[FILLED] == len(window):
+                    _take_out(size, s, at, window, counters)
+                if _push(window, counters, X, y, i):
+                    _factor_anew(s, R, rhs, window, counters)
+                if counters[STALE] == 1:
+                    status[i] = max(status[i], _UNEXCITED)
+                note(s, at, thetas, i, n)
+            for p in range(at.x):
+                row[p] = s[p]
 
 
 @inner
-def _put_back(ut: Floats, Z: Floats, scale: Floats, j: int, share: float) -> None:
+def _put_back(size: Size, s: Floats, at: Places, j: int, share: float) -> None:
     """Add information about parameter j, a share of a sample's; theta stays."""
-    n = len(scale)
-    f, Px, work, axis = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
-    axis[j] = 1.0
-    information = share * scale[j] ** 2
-    project(ut, axis, f, Px)
-    rank_one(ut, f, work, 1.0, information, 1.0)
-    turn_score(Z, axis, Px, -information, 0.0)
+    for k in range(len(size)):
+        s[at.x + k] = 0.0
+    s[at.x + j] = 1.0
+    information = share * s[at.scale + j] ** 2
+    whiten(size, s, at.factor, at.x, at.f)
+    take_in(size, s, at.factor, at.f, at.Px, 1.0, information, 1.0)
+    turn(size, s, at.spread, at.x, at.Px, at.g, -information, 0.0)
 
 
 @inner
-def _take_out(theta: Floats, ut: Floats, window: Floats, counters: Counts) -> None:
+def _take_out(size: Size, s: Floats, at: Places, window: Floats, counters: Counts) -> None:
     """Remove the window's oldest sample from P and theta, unless theta is open without it."""
-    n = len(theta)
-    x, f, Px, work = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    n = len(size)
     oldest = counters[HEAD]
     e = window[oldest, n]
     for j in range(n):
-        x[j] = window[oldest, j]
-        e -= x[j] * theta[j]
-    r = project(ut, x, f, Px)
+        s[at.x + j] = window[oldest, j]
+        e -= s[at.x + j] * s[at.theta + j]
+    r = whiten(size, s, at.factor, at.x, at.f)
     if r < 1.0 - SINGULAR:
-        rank_one(ut, f, work, 1.0, -1.0, 1.0)
+        take_in(size, s, at.factor, at.f, at.Px, 1.0, -1.0, 1.0)
         for j in range(n):
-            theta[j] -= e / (1.0 - r) * Px[j]
+            s[at.theta + j] -= e / (1.0 - r) * s[at.Px + j]
     else:
         counters[STALE] = 1
 
@@ -116,24 +105,24 @@ def _push(window: Floats, counters: Counts, X: Floats, y: Floats, i: int) -> boo
 
 
 @inner
-def _factor_anew(
-    theta: Floats, factor: Floats, rhs: Floats, scale: Floats, window: Floats, counters: Counts
-) -> None:
+def _factor_anew(s: Floats, R: Floats, rhs: Floats, window: Floats, counters: Counts) -> None:
     """Factor the full window, once per turn: rounding cannot add up."""
-    n = len(theta)
-    R, z, row = np.zeros((n, n)), np.zeros(n), np.empty(n)
+    n = len(rhs)
+    at = places_of(n)
+    scale, theta = s[at.scale : at.scale + n], s[at.theta : at.theta + n]
+    fresh, z, row = np.zeros((n, n)), np.zeros(n), np.empty(n)
     for i in range(len(window)):
         for j in range(n):
             row[j] = window[i, j]
-        rotate_in(R, z, row, window[i, n], 1.0, scale, i)
-    regular = independence(R) > 0.0
+        rotate_in(fresh, z, row, window[i, n], 1.0, scale, i)
+    regular = independence(fresh) > 0.0
     counters[STALE] = int(not regular)
     if counters[FACTORED] == 0:
         for j in range(n):
             rhs[j] = z[j]
             for k in range(n):
-                factor[j, k] = R[j, k]
+                R[j, k] = fresh[j, k]
     elif regular:
-        invert_triangle(R, factor)
+        settle(s, fresh)
     if regular or counters[FACTORED] == 0:
-        back_substitute(R, z, theta)
+        back_substitute(fresh, z, theta)

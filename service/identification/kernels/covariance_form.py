@@ -1,0 +1,127 @@
+"""What happens to P = U·D·Uᵀ beside the step itself: forgetting, and opening after a change."""
+
+import numpy as np
+
+from service.identification.kernels.compiled import inlined
+from service.identification.kernels.places import (
+    COUNT,
+    FACTOR,
+    OPENED,
+    SQUARES,
+    TRACE,
+    VARIANCE,
+    WEIGHT,
+    Counts,
+    Places,
+    Size,
+)
+from service.identification.kernels.rules import TRACE_LIMIT, VARIABLE, Rule
+from service.identification.kernels.triangles import add_rank_one, inform, scaled_trace, turn
+from service.identification.samples import Floats
+
+SETTLED = 20.0
+GOLDEN = 40503  # golden section of 65536
+FLOOR = 1e-4  # information along X, in squared scaled units, that forgetting leaves there
+OPENING = 10.0  # a changed plant: what was learnt before weighs a tenth of a sample
+
+
+@inlined
+def pace(s: Floats, at: Places, rule: Rule) -> float:
+    """λ as it is now: it falls while the innovations stay coloured."""
+    if rule.threshold == np.inf:
+        return rule.lam
+    return float(1.0 - (1.0 - rule.lam) * max(1.0, s[at.detector + FACTOR]))
+
+
+@inlined
+def note(s: Floats, at: Places, thetas: Floats, i: int, n: int) -> None:
+    """Write theta after sample i where it is asked for."""
+    if i < len(thetas):
+        for j in range(n):
+            thetas[i, j] = s[at.theta + j]
+
+
+@inlined
+def learn_noise(s: Floats, at: Places, kind: int, lam: float, square: float) -> None:
+    """σ² from another innovation, its square over what its variance is in units of σ²."""
+    weight = lam * s[at.noise + WEIGHT] + 1.0
+    variance = s[at.noise + VARIANCE]
+    s[at.noise + WEIGHT] = weight
+    s[at.noise + SQUARES] = lam * lam * s[at.noise + SQUARES] + 1.0
+    if kind == VARIABLE and weight > SETTLED:  # its own jumps must not raise σ²
+        square = min(square, 9.0 * variance)
+    s[at.noise + VARIANCE] = variance + (square - variance) / weight
+
+
+@inlined
+def variable_lam(s: Floats, at: Places, rule: Rule, e: float, r: float) -> float:
+    """λ of `Variable`: low where the innovation is large."""
+    variance = s[at.noise + VARIANCE]
+    if s[at.noise + WEIGHT] <= SETTLED or variance <= 0.0:
+        return rule.lam
+    return float(max(rule.least, 1.0 - (1.0 - rule.lam) * e * e / ((1.0 + r) * variance)))
+
+
+@inlined
+def weight_along(size: Size, s: Floats, at: Places, lam: float, r: float) -> float:
+    """Weight of a sample that takes the share 1 - λ of what is known along X, if that is enough."""
+    length = 0.0
+    for j in range(len(size)):
+        length += (s[at.x + j] * s[at.unit + j]) ** 2
+    return 1.0 - (1.0 - lam) / r if length > FLOOR * r else 1.0
+
+
+@inlined
+def has_turn(count: int, turns: int) -> bool:
+    """Whether this sample is the one of ``turns``: evenly, and in step with nothing periodic."""
+    return (count * GOLDEN & 0xFFFF) * turns <= 0xFFFF
+
+
+@inlined
+def grows_beyond_limit(size: Size, s: Floats, at: Places, lam: float, r: float) -> bool:
+    """Whether division by λ would add to a P that is beyond its limit already."""
+    n = len(size)
+    trace = scaled_trace(size, s, at.factor, at.scale)
+    s[at.noise + TRACE] = trace
+    if trace <= TRACE_LIMIT:
+        return False
+    p = at.factor
+    for j in range(n):
+        v = s[p + j] * s[at.f + j]
+        s[at.Px + j] = v
+        for k in range(j):
+            s[at.Px + k] += s[p + k] * v
+        p += j + 1
+    lost = 0.0
+    for j in range(n):
+        lost += (s[at.Px + j] * s[at.scale + j]) ** 2
+    return bool((trace - lost / (lam + r)) / lam > trace)
+
+
+@inlined
+def forget_subspace(size: Size, s: Floats, at: Places, lam: float) -> None:
+    """P ← P + (1 - λ)/λ·vvᵀ/(vᵀP⁻¹v), v = X in the units of theta."""
+    length = 0.0
+    for j in range(len(size)):
+        s[at.Px + j] = s[at.x + j] * s[at.unit + j] * s[at.unit + j]
+        length += s[at.Px + j] * s[at.x + j]
+    information = inform(size, s, at.factor, at.Px, at.g)
+    if length > FLOOR and information > FLOOR * length:
+        taken = (1.0 - lam) / information
+        turn(size, s, at.spread, at.g, at.Px, at.f, taken, taken * lam)
+        add_rank_one(size, s, at.factor, at.Px, taken / lam)
+
+
+@inlined
+def let_go(size: Size, s: Floats, at: Places, counters: Counts, lam: float) -> None:
+    """Let theta go: what was learnt before the change weighs next to nothing from now on."""
+    n = len(size)
+    samples = float(counters[COUNT] - counters[OPENED])
+    growth = OPENING * (min(1.0 / (1.0 - lam), samples) if lam < 1.0 else samples)
+    counters[OPENED] = counters[COUNT]
+    p = at.factor
+    for j in range(n):
+        s[p + j] *= growth
+        p += j + 1
+    for p in range(n * (n + 1) // 2):
+        s[at.spread + p] /= growth

@@ -1,0 +1,88 @@
+"""Where things are in the row of floats that holds what a model knows, and in the room behind it.
+
+All that a step reads and writes lies in one array at distances that follow from n alone. Where n is
+known to the compiler, every place is a constant: loops unroll, rows become vectors, and nothing has
+to be read again because something else was written. Symmetric and triangular matrices are kept as
+lower triangles, row by row.
+
+A kernel learns n as the length of ``size``: a tuple's is known to the compiler, an array's is not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.kernels.compiled import inlined
+from service.identification.samples import Floats
+
+Counts = NDArray[np.int64]
+Size = tuple[int, ...] | Floats
+
+# Places in `counters`: of the recursion, then of change detection (number of changes; sample and
+# time of the last and of the suspected one).
+COUNT, FACTORED, HEAD, FILLED, STALE, OPENED = range(6)
+CHANGES, SAMPLE, TIME, SUSPECT_SAMPLE, SUSPECT_TIME = range(6, 11)
+PLACES_OF_COUNTERS = 11
+
+# Places in `noise`.
+WEIGHT, SQUARES, VARIANCE, TRACE = range(4)
+PLACES_OF_NOISE = 4
+
+# Places in `detector`.
+EVIDENCE, RECENT, LATELY, MEAN, SCALE_WEIGHT, SCALE, SUM, SIZE = range(8)
+LAST, POWER, HASTE, FACTOR = range(8, 12)
+PLACES_OF_DETECTOR = 12
+
+_KNOWN = 5  # the number of terms of eq. (7): for them alone there is a kernel of its own
+
+
+class Places(NamedTuple):
+    """The first place of each vector, triangle and group; see `RlsState` for what they are.
+
+    The row ends at ``x``; from there to ``end`` is room for a step to work in.
+    """
+
+    theta: int
+    scale: int
+    previous: int
+    score: int
+    factor: int
+    spread: int
+    variance: int
+    noise: int
+    detector: int
+    x: int
+    f: int
+    Px: int
+    unit: int
+    g: int
+    L: int
+    end: int
+
+
+def places(n: int) -> Places:
+    """Places for n parameters."""
+    triangle = n * (n + 1) // 2
+    factor = 4 * n
+    noise = factor + 3 * triangle
+    x = noise + 16
+    L = x + 5 * n
+    return Places(
+        0, n, 2 * n, 3 * n, factor, factor + triangle, factor + 2 * triangle, noise, noise + 4,
+        x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
+    )  # fmt: skip
+
+
+places_of = inlined(places)
+
+
+def size_of(n: int) -> Size:
+    """Tell a kernel n; for five terms in a way that its compiler understands.
+
+    Examples
+    --------
+    >>> len(size_of(5)), len(size_of(7))
+    (5, 7)
+    """
+    return (0,) * n if n == _KNOWN else np.empty(n)
