@@ -7,11 +7,11 @@ import socket
 import sys
 
 import pytest
-from asyncua import ua
+from asyncua import Client, ua
 from asyncua.server.address_space import AddressSpace, NodeManagementService
 
 from service.errors import ConfigurationError, ServerError
-from service.opcua.hardened import HardenedServer, Pki, ServerSettings, Unit, add_object
+from service.opcua.hardened import HardenedServer, Limits, Pki, ServerSettings, Unit, add_object
 from service.opcua.hardened import add_variable as add
 from service.opcua.hardened import address_space as module
 from service.opcua.hardened.address_space import load_standard_address_space
@@ -64,6 +64,22 @@ async def test_a_port_in_use_is_told_with_the_endpoint_and_the_server_starts_lat
         await add(server, folder, "Late.p", 1.0, unit=Unit.BAR)
     await server.stop()
     await server.stop()
+
+
+async def test_answers_do_not_wait_to_be_sent_with_the_next_one():
+    server = await HardenedServer.create(settings())
+    await server.start()
+    async with Client(server.url):
+        (connection,) = server._listener._connections
+        sock = connection._transport.get_extra_info("socket")
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    await server.stop()
+
+
+@pytest.mark.parametrize(("interval_ms", "allowed"), [(50.0, 500.0), (1.0, 4_000.0)])
+def test_who_may_be_told_often_may_ask_as_often(interval_ms, allowed):
+    limits = Limits(publishing_interval_ms=interval_ms)
+    assert limits.allowed_requests_per_second == allowed
 
 
 async def test_an_address_that_is_not_ours_is_told(monkeypatch):

@@ -245,7 +245,7 @@ class Connection(asyncio.BufferedProtocol):
             while not self.writable:
                 await self._writable_again.wait()
             if not self._has_allowance(len(self._frames[0])):
-                await asyncio.sleep(1.0 / self._limits.requests_per_second)
+                await asyncio.sleep(1.0 / self._limits.allowed_requests_per_second)
                 continue
             await self.listener.turns.take(self.account)
             try:
@@ -407,7 +407,7 @@ class Connection(asyncio.BufferedProtocol):
     def _has_allowance(self, size: int) -> bool:
         cost = 1.0 + size / _BYTES_PER_REQUEST
         limits, now = self._limits, self.listener.clock.monotonic()
-        earned = (now - self._refilled) * limits.requests_per_second
+        earned = (now - self._refilled) * limits.allowed_requests_per_second
         self._allowance = min(limits.request_burst, self._allowance + earned)
         self._refilled = now
         if self._allowance < cost:

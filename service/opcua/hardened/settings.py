@@ -31,7 +31,8 @@ class Limits:
         or more in all, and it is disconnected.
     requests_per_second, request_burst
         Steady rate and burst of requests of one connection; faster ones wait. Each 16 KiB of
-        request or response count as one more.
+        request or response count as one more. A rate that could not follow the shortest
+        publishing interval is raised, see ``allowed_requests_per_second``.
     turn_s
         After so long a request lets others go first, s.
     operations, method_calls, history_reads
@@ -111,6 +112,11 @@ class Limits:
     audit_events_per_second: float = 100.0
     session_timeout_ms: float = 600_000.0
     shortest_session_timeout_ms: float = 5_000.0
+
+    @property
+    def allowed_requests_per_second(self) -> float:
+        """Rate at which a client can ask for every publishing of some subscriptions."""
+        return max(self.requests_per_second, 4_000.0 / self.publishing_interval_ms)
 
 
 @dataclass(frozen=True)
