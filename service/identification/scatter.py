@@ -28,11 +28,13 @@ class Scatter:
     with m the root mean square around the point, std the map's own standard deviation, and k the
     multiple that 5 % of the residuals exceed: 1.96 where they are Gaussian, otherwise what they
     are seen to be. k climbs a little with each measurement outside and falls with each inside, so
-    that 95 % of them are covered in the long run, whatever the structure and the noise.
+    that 95 % of them are covered in the long run, whatever the structure and the noise. There are
+    four k, by how long ago the cell was visited: what a map says of a place that it just left is
+    better than what it says of one where it comes back to.
 
     Attributes
     ----------
-    cells : (120, 3), overall : (3,)
+    cells : (120, 4), overall : (11,)
         See :mod:`service.identification.kernels.scatter`.
 
     References
@@ -57,7 +59,9 @@ class Scatter:
     def none(cls) -> "Scatter":
         """Nothing measured yet."""
         cells = np.zeros((kernel.CELLS_U * kernel.CELLS_S, kernel.PLACES_OF_CELL))
-        return cls(cells, np.array([0.0, 0.0, TWO_SIDED_95]))
+        overall = np.zeros(kernel.PLACES_OVERALL)
+        overall[kernel.QUANTILE : kernel.TIMES] = TWO_SIDED_95
+        return cls(cells, overall)
 
     def add(self, samples: Samples, trace: Trace) -> "Scatter":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
@@ -75,8 +79,14 @@ class Scatter:
 
     @property
     def multiple(self) -> float:
-        """Root mean squares that hold 95 % of the measurements; 1.96 for Gaussian noise."""
+        """Root mean squares that hold 95 % where it was measured just now; 1.96 if Gaussian."""
         return float(self.overall[kernel.QUANTILE])
+
+    @property
+    def fits(self) -> bool:
+        """Whether the arrays have the shapes that the kernels expect."""
+        none = Scatter.none()
+        return self.cells.shape == none.cells.shape and self.overall.shape == none.overall.shape
 
     def around(self, U: Floats, dp: Floats) -> Floats:
         """Root mean square of the residuals around N points (N,), l/min."""
@@ -87,7 +97,10 @@ class Scatter:
 
     def half_width(self, U: Floats, dp: Floats, std: Floats) -> Floats:
         """Half the 95 % interval of a new measurement (N,), l/min; ``std`` is that of Q̂."""
-        return np.hypot(self.multiple * self.around(U, dp), TWO_SIDED_95 * std)
+        out = np.empty(len(U))
+        U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
+        kernel.reach(self.cells, self.overall, U, dp, out)
+        return np.hypot(out, TWO_SIDED_95 * std)
 
     def density(self, U: Floats, dp: Floats) -> Floats:
         """How many samples of late lie around N points (N,), near ones counting more."""
@@ -112,6 +125,6 @@ class Scatter:
 
 
 def noise_std(overall: Floats) -> Floats:
-    """`Scatter.noise_std` of any number of them, (…, 3) → (…)."""
+    """`Scatter.noise_std` of any number of them, (…, 11) → (…)."""
     known = overall[..., kernel.WEIGHT] > 0.0
     return np.asarray(np.where(known, np.sqrt(overall[..., kernel.SQUARES]), np.nan))

@@ -6,7 +6,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from service.identification.estimator import Estimator, State, key_of
+from service.identification.estimator import Estimator, State, StateMismatchError, key_of
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
@@ -213,6 +213,8 @@ def lane_from_bytes(
     kept = _Kept.from_bytes(data, key)
     state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
     score, scatter = Score(kept.score), Scatter(kept.cells, kept.overall)
+    if not scatter.fits:
+        raise StateMismatchError("residuals by region are kept in another way today")
     lane = Lane(configured, state, score, scatter, frozen, count=int(kept.count), t=t)
     return lane if lam is None else with_forgetting(lane, lam)
 

@@ -9,15 +9,19 @@ CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
 
 # Places in a cell, and in `overall`.
-WEIGHT, SQUARES, LAST = range(3)
-QUANTILE = 2
-PLACES_OF_CELL, PLACES_OVERALL = 3, 3
+WEIGHT, SQUARES, LAST, NUMBER = range(4)
+PLACES_OF_CELL = 4
+AGES = 4  # of a cell: just now, of late, long ago, longer ago or never
+COUNT, QUANTILE = 2, 3
+TIMES = QUANTILE + AGES
+PLACES_OVERALL = TIMES + AGES
 
 CELL_MEMORY, MEMORY = 100.0, 400.0  # samples
 BORROWED = 8.0  # samples' worth of the whole map in each cell's mean square
 BEYOND = 0.05  # share of measurements that the interval leaves out
-PACE = 0.02
+PACE, FIRST_PACE = 0.02, 1.0
 GAUSSIAN = 1.959963984540054
+JUST_NOW, OF_LATE, LONG_AGO = 4.0, 64.0, 2000.0  # samples
 SETTLED, LARGEST = 20.0, 16.0
 
 
@@ -35,11 +39,12 @@ def learn(
 
     Parameters
     ----------
-    every_cells : (M, 120, 3)
-        Weight, mean square of the residuals and time of the last one of each cell.
-    every_overall : (M, 3)
-        The same weight and mean square over all cells; how many times its cell's root mean square
-        a residual must be to belong to the outer 5 %.
+    every_cells : (M, 120, 4)
+        Weight, mean square of the residuals, time and number of the last one of each cell.
+    every_overall : (M, 11)
+        The same weight and mean square over all cells; residuals counted; by the cell's age, how
+        many times its root mean square a residual must be to belong to the outer 5 %, and from
+        how many that was learnt.
     """
     members, starts, stops = segments
     for s in range(len(members)):
@@ -51,14 +56,19 @@ def learn(
             c = cell_of(U[i], dp[i])
             square, expected = e * e, mean_square(cells, overall, c)
             if overall[WEIGHT] > SETTLED and expected > 0.0:
-                missed = 1.0 if square > overall[QUANTILE] ** 2 * expected else 0.0
-                overall[QUANTILE] *= np.exp(PACE * (missed - BEYOND))
+                a = age_of(cells, overall, c)
+                missed = 1.0 if square > overall[QUANTILE + a] ** 2 * expected else 0.0
+                overall[TIMES + a] += 1.0
+                pace = max(PACE, min(FIRST_PACE, 2.0 / overall[TIMES + a]))
+                overall[QUANTILE + a] *= np.exp(pace * (missed - BEYOND))
                 square = min(square, LARGEST * expected)
             overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
             overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
             cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
             cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
             cells[c, LAST] = t[i]
+            overall[COUNT] += 1.0
+            cells[c, NUMBER] = overall[COUNT]
 
 
 @inner
@@ -67,6 +77,15 @@ def cell_of(U: float, dp: float) -> int:
     row = min(max(U / WIDTH_U, 0.0), CELLS_U - 1.0)
     column = min(np.sqrt(abs(dp)) / WIDTH_S, CELLS_S - 1.0)
     return int(row) * CELLS_S + int(column)
+
+
+@inner
+def age_of(cells: Floats, overall: Floats, c: int) -> int:
+    """How long ago, in four steps, a cell was visited: the map may have moved meanwhile."""
+    if cells[c, WEIGHT] == 0.0:
+        return AGES - 1
+    samples = overall[COUNT] - cells[c, NUMBER]
+    return 0 if samples < JUST_NOW else 1 if samples < OF_LATE else 2 if samples < LONG_AGO else 3
 
 
 @inner
@@ -84,3 +103,14 @@ def spread(cells: Floats, overall: Floats, U: Floats, dp: Floats, out: Floats) -
         out[i] = np.nan
         if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):
             out[i] = np.sqrt(mean_square(cells, overall, cell_of(U[i], dp[i])))
+
+
+@kernel
+def reach(cells: Floats, overall: Floats, U: Floats, dp: Floats, out: Floats) -> None:
+    """Write within what 95 % of the residuals around N points lie; NaN before the first."""
+    for i in range(len(U)):
+        out[i] = np.nan
+        if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):
+            c = cell_of(U[i], dp[i])
+            multiple = overall[QUANTILE + age_of(cells, overall, c)]
+            out[i] = multiple * np.sqrt(mean_square(cells, overall, c))

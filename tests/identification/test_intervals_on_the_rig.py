@@ -1,0 +1,40 @@
+"""95 % intervals of a new measurement on the virtual rig, whose map no structure fits."""
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.intervals import coverage
+from service.identification.estimator import StateMismatchError, key_of
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.scatter import Scatter
+from service.streaming.pipeline import fresh_lane, lane_from_bytes, lane_to_bytes
+
+
+@pytest.mark.parametrize(
+    ("name", "excitation"),
+    [
+        ("RLS, λ = 1", "scattered"),
+        ("RLS, λ = 1", "structured"),
+        ("RLS, λ = 1", "cycle"),
+        ("RLS, λ = .99", "scattered"),
+        ("RLS, λ = .99", "structured"),
+        ("spline, λ = 1", "scattered"),
+        ("spline, λ = 1", "structured"),
+        ("spline, λ = 1", "cycle"),
+        ("RBF", "scattered"),
+    ],
+)
+def test_on_the_rig_a_new_measurement_is_covered_half_a_second_ahead(name, excitation):
+    within, width = coverage(name, excitation, seeds=1)
+    assert 0.93 <= within <= 0.97
+    assert width < 1.5
+
+
+def test_a_lane_whose_residuals_were_kept_in_another_way_is_not_taken():
+    lane = fresh_lane(RecursiveLeastSquares())
+    old = replace(lane, scatter=Scatter(lane.scatter.cells[:, :3], lane.scatter.overall[:3]))
+    with pytest.raises(StateMismatchError, match="another way"):
+        lane_from_bytes(
+            lane_to_bytes(old, key_of(lane.estimator)), lane.estimator, None, frozen=False, t=0
+        )
