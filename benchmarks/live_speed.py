@@ -49,7 +49,7 @@ def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = F
             names = _names(valves)
             if secured:
                 loaded = load_config(folder / "data" / "service.toml")
-                config = _with_valves(loaded, names, folder, {})
+                config = _with_valves(loaded, names, folder, {"url": url})
             else:
                 config = open_config(names, folder, url)
             figures = asyncio.run(_live(config, hz, seconds, secured=secured))
@@ -123,25 +123,24 @@ def _rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Itera
 @contextmanager
 def running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
     """Run a server in a process of its own, from when it says where it listens."""
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", *module],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
         env=os.environ | environment,
-    )
-    assert process.stdin is not None and process.stdout is not None  # noqa: PT018, S101 - pipes
-    try:
-        process.stdin.write("password\n")
-        process.stdin.flush()
-        while "opc.tcp" not in (line := process.stdout.readline()):
-            if not line:
-                raise RuntimeError(f"{module[0]} did not start")
-        yield
-    finally:
-        process.kill()
-        process.wait()
+    ) as process:
+        assert process.stdin is not None and process.stdout is not None  # noqa: PT018, S101 - pipes
+        try:
+            process.stdin.write("password\n")
+            process.stdin.flush()
+            while "opc.tcp" not in (line := process.stdout.readline()):
+                if not line:
+                    raise RuntimeError(f"{module[0]} did not start")
+            yield
+        finally:
+            process.kill()
 
 
 def _init(folder: Path, url: str) -> dict[str, str]:

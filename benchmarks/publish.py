@@ -46,10 +46,10 @@ async def fleet(
             source = OpcUaSource(_settings(url, Path(folder), secured=secured), _nodes(valves))
             await source.connect()
             try:
-                await _count(source, warm_s)
+                await count_changes(source, warm_s)
                 before, heard = await ask(), source.counters
                 cpu, start = time.process_time(), time.perf_counter()
-                found = await _count(source, seconds)
+                found = await count_changes(source, seconds)
                 elapsed = time.perf_counter() - start
                 own = time.process_time() - cpu
                 after = await ask()
@@ -70,7 +70,7 @@ async def fleet(
     }
 
 
-async def _count(source: OpcUaSource, seconds: float) -> dict[str, int]:
+async def count_changes(source: OpcUaSource, seconds: float) -> dict[str, int]:
     """Take what comes; every valve's Sequence must grow by one."""
     end = time.perf_counter() + seconds
     notifications = gaps = 0

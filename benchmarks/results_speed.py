@@ -1,0 +1,118 @@
+"""Results of many valves to our client: ``python -m benchmarks.results_speed [VALVES] [HZ] [S]``.
+
+A results server (a process of its own) learns one sample of each valve and publishes all results,
+HZ times a second; the client subscribes to five numbers of every valve. ``SampleCount`` grows by
+one with each result: a jump is a loss.
+"""
+
+import asyncio
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import live_speed
+from benchmarks.publish import count_changes
+from service.app.build import APPLICATION_URI, build_identification
+from service.app.warm_up import warm_up
+from service.cli.logs import set_up_logs
+from service.config.models import LogConfig
+from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
+from service.opcua.hardened import Limits
+from service.opcua.results_server import ResultsServer
+from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
+
+NUMBERS = "PredictedFlow", "Residual", "ResidualRmse", "NoiseStd"
+WARM_S = 5.0
+LIMITS = Limits(
+    monitored_items=100_000,
+    monitored_items_per_subscription=100_000,
+    queued_notifications=2_000_000,
+)
+
+
+def measured(valves: int = 1_000, hz: float = 70.0, seconds: float = 15.0) -> dict[str, float]:
+    """Notifications per second at the client, and what was lost."""
+    set_up_logs(LogConfig(level="error"))
+    url = live_speed.free_url("service")
+    with live_speed.running(["benchmarks.results_speed", "serve", url, str(valves), str(hz)], {}):
+        return {"valves": valves, **asyncio.run(_read(url, valves, seconds))}
+
+
+async def _read(url: str, valves: int, seconds: float) -> dict[str, float]:
+    prefix = f"nsu={APPLICATION_URI};s="
+    nodes = [
+        ValveNodes(
+            name,
+            *(f"{prefix}{name}.RLS.{number}" for number in NUMBERS),
+            sequence=f"{prefix}{name}.RLS.SampleCount",
+        )
+        for name in _names(valves)
+    ]
+    source = OpcUaSource(SourceSettings(url, publishing_interval_ms=50.0, timeout_s=60.0), nodes)
+    await source.connect()
+    try:
+        await count_changes(source, WARM_S)
+        cpu, began = time.process_time(), time.perf_counter()
+        found = await count_changes(source, seconds)
+        took, cpu = time.perf_counter() - began, time.process_time() - cpu
+    finally:
+        await source.close()
+    return {
+        "notifications/s": found["notifications"] / took,
+        "lost": found["gaps"] + source.counters.missing_messages + source.counters.overflows,
+        "cores of the client": cpu / took,
+    }
+
+
+async def _serve(url: str, valves: int, hz: float) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        config = live_speed.open_config(_names(valves), Path(name), url)
+        warm_up(config)
+        identification = build_identification(config)
+        settings = replace(live_speed.open_settings(config, LIMITS), url=url)
+        server = ResultsServer(settings, identification.descriptions(), identification)
+        async with server:
+            print(url, flush=True)
+            began, k = time.perf_counter(), 0
+            while True:
+                identification.take(_sample(valves, k))
+                for results in identification.results(range(valves)):
+                    await server.publish(results)
+                k += 1
+                await asyncio.sleep(max(0.0, began + k / hz - time.perf_counter()))
+
+
+def _sample(valves: int, k: int) -> DataChanges:
+    """One sample of every valve, all of the same time."""
+    U, dp = 37.0 * k % 100.0, 1.0 + 61.0 * k % 200.0
+    one = np.array([U, 200.0, 200.0 - dp, U * np.sqrt(dp) / 10.0, 40.0, float(k)])
+    return DataChanges(
+        item=np.arange(valves * SIGNALS_PER_VALVE, dtype=np.int32),
+        value=np.tile(one, valves),
+        status=np.zeros(valves * SIGNALS_PER_VALVE, np.uint32),
+        source_time=np.full(valves * SIGNALS_PER_VALVE, time.time_ns() // 100 * 100),
+    )
+
+
+def _names(valves: int) -> list[str]:
+    return [f"V{k}" for k in range(valves)]
+
+
+def main(arguments: list[str]) -> int:
+    """Measure and print, or serve what is measured."""
+    if arguments[:1] == ["serve"]:
+        asyncio.run(_serve(arguments[1], int(arguments[2]), float(arguments[3])))
+        return 0
+    given = [float(x) for x in arguments]
+    valves, hz, seconds = given + [1_000.0, 70.0, 15.0][len(given) :]
+    for name, value in measured(int(valves), hz, seconds).items():
+        print(f"{name:20} {value:12,.1f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
