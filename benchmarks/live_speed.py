@@ -44,7 +44,7 @@ def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = F
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
         folder, url = Path(name), free_url("rig")
-        environment = _init(folder, url) if secured else {}
+        environment = init(folder, url) if secured else {}
         with _rig(valves, hz, url, environment):
             names = _names(valves)
             if secured:
@@ -143,7 +143,7 @@ def running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
             process.kill()
 
 
-def _init(folder: Path, url: str) -> dict[str, str]:
+def init(folder: Path, url: str) -> dict[str, str]:
     """Certificates, users and configurations as a user makes them."""
     environment = {
         "VALVEMAP_OPERATOR_PASSWORD": "a password for a benchmark",

@@ -65,6 +65,19 @@ def padasip_follows(X: Floats, y: Floats, lam: float) -> Floats:
     return innovations
 
 
+def river_follows(X: Floats, y: Floats, lam: float) -> Floats:
+    """Innovations (N,) of BayesianLinearRegression, whose smoothing is λ."""
+    from river.linear_model import BayesianLinearRegression  # noqa: PLC0415 - optional
+
+    model = BayesianLinearRegression(alpha=1e-8, beta=1.0, smoothing=lam)
+    innovations = np.empty(len(y))
+    for t, (row, value) in enumerate(zip(X, y, strict=True)):
+        x = dict(enumerate(row))
+        innovations[t] = value - model.predict_one(x)
+        model.learn_one(x, value)
+    return innovations
+
+
 def filterpy_follows(X: Floats, y: Floats, lam: float) -> Floats:
     """Innovations (N,) of KalmanFilter with a fading memory, alpha² = 1/λ, no process noise."""
     filter_ = _kalman_filter(X.shape[1], lam, 1e8)
@@ -76,7 +89,11 @@ def filterpy_follows(X: Floats, y: Floats, lam: float) -> Floats:
     return innovations
 
 
-FOLLOWERS: dict[str, Follower] = {"padasip": padasip_follows, "filterpy": filterpy_follows}
+FOLLOWERS: dict[str, Follower] = {
+    "padasip": padasip_follows,
+    "river": river_follows,
+    "filterpy": filterpy_follows,
+}
 
 
 def installed() -> dict[str, str]:

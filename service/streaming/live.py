@@ -74,6 +74,7 @@ class LiveService:
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
+        self._under_way = False
         self._written = np.full(len(identification.plans), np.nan)
 
     async def start(self) -> None:
@@ -96,6 +97,9 @@ class LiveService:
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._news.update(dict.fromkeys(samples))
         await self._publish_in_turn()
+        if not self._under_way and len(samples):
+            self._under_way = True
+            log.info("first results published")
         await self._feed_forward(samples)
 
     async def tick(self) -> None:
