@@ -32,6 +32,7 @@ from service.identification.samples import Floats, Samples, Segments
 
 N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7
 LAM = 0.998
+SIZES = 5, 2, 9, 20, 63
 SOURCE = Path(__file__).with_name("rls.c")
 
 Figures = dict[str, float]
@@ -51,6 +52,20 @@ def one_model() -> Figures:
     for name in peers.installed():
         if name in peers.FOLLOWERS:
             jobs[name] = (lambda f=peers.FOLLOWERS[name]: f(*few, LAM), PEER_N)
+    return _nanoseconds(jobs)
+
+
+def model_sizes() -> Figures:
+    """Time per update, ns, of default forgetting, by the number of parameters."""
+    rng = np.random.default_rng(0)
+    jobs: dict[str, tuple[Callable[[], object], int]] = {}
+    for n in SIZES:
+        X = rng.normal(size=(N // 4, n))
+        y = X.sum(axis=1) + rng.normal(size=len(X))
+        jobs[f"n = {n}"] = (
+            lambda X=X, y=y: recursive_least_squares(X, y, Adaptive(LAM)),
+            len(X),
+        )
     return _nanoseconds(jobs)
 
 

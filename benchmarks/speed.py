@@ -11,7 +11,15 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from benchmarks import kernel_speed, live_speed, peers, pipeline_speed
+from benchmarks import (
+    kernel_speed,
+    latency,
+    live_speed,
+    peers,
+    pipeline_speed,
+    results_speed,
+    start_up,
+)
 from service.identification.forgetting import Adaptive, Exponential
 
 ROOT = Path(__file__).parent.parent
@@ -32,10 +40,18 @@ def main() -> int:
     compared = {
         "One model, n = 5, ns per update": kernel_speed.one_model(),
         "Estimators as the service runs them, ns per sample": kernel_speed.whole_estimators(),
+        "By the number of parameters, default forgetting, ns": kernel_speed.model_sizes(),
         "10,000 models, default forgetting, ns": kernel_speed.many_models(Adaptive(lam)),
         "10,000 models, exponential, ns": kernel_speed.many_models(Exponential(lam)),
     }
-    figures = pipeline_speed.all_figures() | {"Live over TCP, no encryption": live_speed.measured()}
+    figures = pipeline_speed.all_figures() | {
+        "Live over TCP, no encryption": live_speed.measured(1_000, 170.0),
+        "Live over TCP, SignAndEncrypt": live_speed.measured(400, 170.0, secured=True),
+        "Plain scripts, notifications/s": live_speed.scripted(),
+        "Results to our client": results_speed.measured(),
+        "One valve at 1,000 Hz": latency.measured(),
+        "Start, s": start_up.measured(),
+    }
     versions = {name: version(name) for name in ("numpy", "numba", "asyncua")} | peers.installed()
     record = {
         "machine": _machine(),
@@ -67,7 +83,10 @@ def _page(compared: Sections, figures: Sections, versions: dict[str, str]) -> st
         lines += [f"| {n} | {ratios[n]:.2f} | {v:,.0f} |" for n, v in values.items()] + [""]
     for title, values in figures.items():
         lines += [f"## {title}", "", "| what | figure |", "|---|---|"]
-        lines += [f"| {n} | {v:,.1f} |" for n, v in values.items()] + [""]
+        lines += [
+            f"| {n} | {v:,.4g} |" if v < 100 else f"| {n} | {v:,.0f} |" for n, v in values.items()
+        ]
+        lines += [""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

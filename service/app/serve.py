@@ -67,7 +67,13 @@ async def serve(
     with CheckpointFile(config.state.file) as store:
         if store.set_aside is not None:
             log.warning("damaged state file set aside", file=str(store.set_aside))
-        server = ResultsServer(settings, identification.descriptions(), identification)
+        server = ResultsServer(
+            settings,
+            identification.descriptions(),
+            identification,
+            clock,
+            config.server.results_interval_ms * 1e-3,
+        )
         live = LiveService(
             identification, source, server, store, clock, build_live_settings(config), on_samples
         )

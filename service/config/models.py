@@ -61,6 +61,13 @@ class ServerConfig(_Section):
         default=False, description="let anonymous users read on the secured endpoints"
     )
     min_publishing_interval_ms: float = Field(50.0, ge=1.0, le=60_000.0)
+    results_interval_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=60_000.0,
+        description="shortest time between two results of a valve in its single variables; Frame "
+        "has them all",
+    )
 
 
 class SecurityConfig(_Section):

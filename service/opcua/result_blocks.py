@@ -44,6 +44,8 @@ class ResultBlocks:
 
     def write(self, valves: Times, columns: Iterable[Column]) -> None:
         """Publish variables of valves that are treated alike; what is not there is passed over."""
+        if not len(valves):
+            return
         rows: dict[int, _Row] = {}
         for column in columns:
             where = self._where.get(column.name)

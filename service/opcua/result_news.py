@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
 from service.identification.samples import Times
 from service.opcua.information_model import INVERSE, counter_name
@@ -35,17 +36,16 @@ class ResultNews:
         self._counted = np.zeros((valves, counters), np.int64)  # when it last grew, UTC ns
         self._told: dict[tuple[int, str], tuple[Any, ...]] = {}
 
-    def counts(self, results: Results, now: int) -> Iterator[Column]:
-        """Counters of M valves, each with the time at which it was first seen as it is."""
-        M, k = results.counters.shape
-        where = results.valves[:, None], np.arange(k)
-        grown = results.counters != self._counts[where]
+    def counts(self, results: Results, due: NDArray[np.bool_], now: int) -> Iterator[Column]:
+        """Counters of those valves that are due, with the time when they were first seen so."""
+        counters = results.counters[due]
+        where = results.valves[due, None], np.arange(counters.shape[1])
+        grown = counters != self._counts[where]
         t = np.where(grown, now, self._counted[where])
-        self._counts[where], self._counted[where] = results.counters, t
-        good = np.full(M, ua.StatusCodes.Good, np.uint32)
+        self._counts[where], self._counted[where] = counters, t
+        good = np.full(len(counters), ua.StatusCodes.Good, np.uint32)
         for k in np.flatnonzero(grown.any(axis=0)):
-            name = counter_name(results.counter_names[k])
-            yield Column(name, results.counters[:, k], good, t[:, k])
+            yield Column(counter_name(results.counter_names[k]), counters[:, k], good, t[:, k])
 
     def values(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
         """Maps, surveys, changes and structures that are new, each with its valve's number."""

@@ -18,7 +18,7 @@ UncertainLastUsableValue, while the rest is Bad.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from asyncua import ua
@@ -45,6 +45,9 @@ class Column:
     values: NDArray[Any]
     codes: StatusCodes
     t: Times
+
+    def __getitem__(self, valves: NDArray[np.bool_]) -> Self:
+        return type(self)(self.name, self.values[valves], self.codes[valves], self.t[valves])
 
 
 @dataclass(frozen=True)

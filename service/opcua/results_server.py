@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from asyncua import ua
 from asyncua.common.node import Node
+from numpy.typing import NDArray
 
 from service.clock import Clock, SystemClock
 from service.identification.inversion import InverseStatus
-from service.identification.samples import Floats, Status
+from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
 from service.opcua.hardened import (
     Argument,
@@ -80,6 +81,9 @@ class ResultsServer(Startable):
         Who carries out commands and answers questions.
     clock
         Stamps what no sample is behind.
+    scalars_interval_s
+        Shortest time between two results of a valve in its single variables; its Frame has them
+        all. Bad news never waits.
     """
 
     def __init__(
@@ -88,6 +92,7 @@ class ResultsServer(Startable):
         valves: Sequence[ValveDescription],
         operator: Operator,
         clock: Clock | None = None,
+        scalars_interval_s: float = 0.0,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -99,6 +104,8 @@ class ResultsServer(Startable):
         self._places: list[Place] = []
         self._demands: dict[str, tuple[float, float]] = {}
         self._sequences = np.zeros(len(self._valves), np.int64)
+        self._scalars_interval_s = scalars_interval_s
+        self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._news = ResultNews(len(self._valves), counters)
         self._blocks: ResultBlocks
@@ -142,18 +149,24 @@ class ResultsServer(Startable):
         now, valves = self._clock.now(), results.valves
         self._sequences[valves] += 1
         described = self._valves[int(valves[0])]
-        self._blocks.write(
-            valves,
-            (
-                *columns_of(results, now),
-                *self._news.counts(results, now),
-                frames(described, results, self._sequences[valves], now),
-            ),
-        )
+        whole = frames(described, results, self._sequences[valves], now)
+        self._blocks.write(valves, [whole])
+        due = self._due(results)
+        columns = (column[due] for column in columns_of(results, now))
+        self._blocks.write(valves[due], (*columns, *self._news.counts(results, due, now)))
         for valve, new in self._news.values(results, now):
             variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")
             if variable is not None:
                 self._server.write([(variable, new.value, new.code, new.t)])
+
+    def _due(self, results: Results) -> NDArray[np.bool_]:
+        """Whose single variables are told of now, (M,)."""
+        now, valves = self._clock.monotonic(), results.valves
+        due = now >= self._scalars_due[valves]
+        for estimator in results.estimators.values():
+            due |= estimator.quality == Quality.BAD
+        self._scalars_due[valves[due]] = now + self._scalars_interval_s
+        return due
 
     async def _add_valve(
         self, server: HardenedServer, root: ua.NodeId, number: int, valve: ValveDescription

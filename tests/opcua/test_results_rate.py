@@ -1,0 +1,82 @@
+"""Single variables at a rate of their own, the frame with every result."""
+
+from dataclasses import replace
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from asyncua import Client, ua
+from support.results import results_of
+
+from service.clock import ManualClock
+from service.identification.samples import Quality, Status
+from service.opcua.hardened import ServerSettings
+from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.ports import (
+    EstimatorDescription,
+    EstimatorResult,
+    InverseResult,
+    ValveDescription,
+)
+
+T = 1_800_000_000_000_000_000
+VALVE = ValveDescription(
+    "V1", (EstimatorDescription("RLS", "", ("a",), has_forgetting_factor=True),), counters=("late",)
+)
+RESULT = EstimatorResult(
+    t=T,
+    quality=Quality.GOOD,
+    theta=np.array([1.0]),
+    std=np.array([0.1]),
+    predicted=50.0,
+    residual=0.5,
+    residual_rmse=0.4,
+    sample_count=1,
+    status=Status.OK,
+    noise_std=0.3,
+)
+INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, np.zeros((0, 0)))
+
+
+@pytest.fixture
+def clock():
+    return ManualClock(T)
+
+
+@pytest.fixture
+async def server(clock, tmp_path):
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/service/",
+        application_uri="urn:test:service",
+        application_name="service",
+        namespace_uri=NAMESPACE,
+        none_on_loopback=True,
+        cache=tmp_path,
+    )
+    async with ResultsServer(settings, [VALVE], Mock(), clock, scalars_interval_s=1.0) as server:
+        yield server
+
+
+async def test_scalars_wait_for_their_time_and_the_frame_never_does(server, clock):
+    async with Client(server.url) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+
+        async def shown(name):
+            node = client.get_node(ua.NodeId(f"V1.{name}", index))
+            return (await node.read_data_value(raise_on_bad_status=False)).Value.Value
+
+        async def publish(k, quality=Quality.GOOD):
+            result = replace(RESULT, sample_count=k, quality=quality)
+            await server.publish(results_of(0, {"RLS": result}, INVERSE, late=k))
+            return [await shown(name) for name in ("RLS.SampleCount", "Diagnostics.Late", "Frame")]
+
+        *scalars, frame = await publish(1)
+        assert scalars == [1, 1]
+        clock.advance(0.5)
+        *scalars, frame = await publish(2)
+        assert scalars == [1, 1]
+        assert (frame[0], frame[5]) == (2, 2)
+        clock.advance(0.5)
+        assert (await publish(2))[:2] == [2, 2]
+        *scalars, _ = await publish(3, Quality.BAD)
+        assert scalars == [3, 3]
