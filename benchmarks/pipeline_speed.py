@@ -167,6 +167,7 @@ def all_figures(replayed_samples: int = 10_000_000) -> dict[str, Figures]:
         return {
             "Bytes to parameters, notifications/s": bytes_to_parameters(),
             "Where the time goes, %": profile(),
+            "Time per sample, ns, 100,000 samples in a message": scaling(lambda v: 100_000 // v),
             "Time per sample, ns, 10,000 samples in a message": scaling(lambda v: 10_000 // v),
             "Time per sample, ns, ten samples of each valve": scaling(lambda _: 10),
             "Memory": memory(),

@@ -294,6 +294,11 @@ def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.flo
     return values
 
 
+def was_compiled_before() -> bool:
+    """Whether the loop over records, once it has run, came from the cache on disk."""
+    return not _scan.stats.cache_misses
+
+
 @njit(cache=True, inline="always")
 def _u4(raw: NDArray[np.uint8], at: int) -> np.uint64:
     return (

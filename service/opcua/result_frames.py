@@ -22,6 +22,7 @@ _NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCoun
 def frame_names(valve: ValveDescription) -> tuple[str, ...]:
     """Names of the columns.
 
+    >>> from service.streaming.ports import EstimatorDescription
     >>> rls = EstimatorDescription("RLS", "", ("a",), has_forgetting_factor=True)
     >>> frame_names(ValveDescription("V1", (rls,)))[:3]
     ('Sequence', 'RLS.PredictedFlow', 'RLS.Residual')
