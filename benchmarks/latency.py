@@ -41,30 +41,33 @@ async def _measured(folder: Path, url: str, hz: float, seconds: float) -> dict[s
     try:
         while live_speed.counts(identification, "aligned").min() < hz and not serving.done():  # noqa: ASYNC110 - counts
             await asyncio.sleep(0.1)
-        client = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "benchmarks.latency_client"),
-            *(config.server.url, str(PUBLISHING_MS), str(seconds)),
-            stdout=subprocess.PIPE,
-        )
-        out, _ = await client.communicate()
-        p50, p99, worst, count = (float(x) for x in out.split())
+        figures = {}
+        for whose in ("ours", "asyncua"):
+            arguments = (whose, config.server.url, str(PUBLISHING_MS), str(seconds))
+            client = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "benchmarks.latency_client"),
+                *arguments,
+                stdout=subprocess.PIPE,
+            )
+            out, _ = await client.communicate()
+            p50, p99, worst, count = (float(x) for x in out.split())
+            figures |= {
+                f"{whose}: results/s": count / seconds,
+                f"{whose}: p50, ms": p50,
+                f"{whose}: p99, ms": p99,
+                f"{whose}: worst, ms": worst,
+            }
         lost = sum(int(live_speed.counts(identification, n).sum()) for n in live_speed.LOSSES)
     finally:
         stop.set()
         await serving
-    return {
-        "results/s": count / seconds,
-        "p50, ms": p50,
-        "p99, ms": p99,
-        "worst, ms": worst,
-        "lost": lost,
-    }
+    return {**figures, "lost": lost}
 
 
 def main(arguments: list[str]) -> int:
     """Measure and print."""
     for name, value in measured(*(float(x) for x in arguments)).items():
-        print(f"{name:12} {value:10.2f}")
+        print(f"{name:20} {value:10.2f}")
     return 0
 
 

@@ -1,7 +1,8 @@
-"""A client that looks at the clock: ``python -m benchmarks.latency_client URL INTERVAL SECONDS``.
+"""A client that looks at the clock.
 
-Prints the median, the 99th percentile and the largest of the times from SourceTimestamp to here,
-ms, and how many results came.
+``python -m benchmarks.latency_client WHOSE URL INTERVAL SECONDS``, WHOSE being ``ours`` or
+``asyncua``. Prints the median, the 99th percentile and the largest of the times from
+SourceTimestamp to here, ms, and how many results came.
 """
 
 import asyncio
@@ -12,6 +13,8 @@ from datetime import UTC
 
 import numpy as np
 from asyncua import Client, Node, ua
+
+from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 
 SETTLING_S = 2.0
 
@@ -28,8 +31,28 @@ class Handler:
         self.ages.append(1e3 * (time.time() - then.timestamp()))
 
 
-async def run(url: str, interval_ms: float, seconds: float) -> list[float]:
-    """Ages of all results, ms."""
+async def ours(url: str, interval_ms: float, seconds: float) -> list[float]:
+    """Ages of all results, ms, at our own client."""
+    names = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd")
+    nodes = (f"nsu=urn:valvemap:service;s=Valvistor.RLS.{name}" for name in names)
+    settings = SourceSettings(url, publishing_interval_ms=interval_ms)
+    source = OpcUaSource(settings, [ValveNodes("Valvistor", *nodes)])
+    ages: list[float] = []
+    await source.connect()
+    try:
+        begin = time.perf_counter() + SETTLING_S
+        while time.perf_counter() < begin + seconds:
+            changes = await source.receive()
+            if time.perf_counter() >= begin:
+                first = changes.item == changes.item[0]
+                ages += (1e-6 * (time.time_ns() - changes.source_time[first])).tolist()
+    finally:
+        await source.close()
+    return ages
+
+
+async def plain(url: str, interval_ms: float, seconds: float) -> list[float]:
+    """Ages of all results, ms, at asyncua's client."""
     handler = Handler()
     async with Client(url) as client:
         index = await client.get_namespace_index("urn:valvemap:service")
@@ -45,5 +68,6 @@ async def run(url: str, interval_ms: float, seconds: float) -> list[float]:
 
 
 if __name__ == "__main__":
-    ages = asyncio.run(run(sys.argv[1], *(float(x) for x in sys.argv[2:])))
+    whose, url, *numbers = sys.argv[1:]
+    ages = asyncio.run({"ours": ours, "asyncua": plain}[whose](url, *map(float, numbers)))
     print(*np.percentile(ages, [50, 99, 100]), len(ages))

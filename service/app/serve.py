@@ -80,6 +80,9 @@ async def serve(
         async with server:
             await live.start()
             log.info("results served", url=server.url)
+            await asyncio.wait({compiled}, timeout=2.0)
+            if not compiled.done():
+                log.info("compiling: half a minute at the first start")
             await compiled  # no sample waits for a compiler
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))

@@ -207,6 +207,8 @@ class _Stacked:
     def __init__(self, estimator: ManyModels[Any], M: int) -> None:
         self._estimator = estimator
         self._all = repeated(estimator.initial_state(), M)
+        self._changes: list[Change | None] = [None] * M
+        self._changed = np.zeros(M, np.int64)  # how often, when `_changes` was made; -1: unknown
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
         return self._estimator.update_many(self._all, samples, segments)
@@ -219,16 +221,18 @@ class _Stacked:
         return self._estimator.parameters_many(members(self._all, chosen))
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        found: list[Change | None] = [None] * len(chosen)
         if isinstance(self._estimator, RecursiveLeastSquares):
-            for k in np.flatnonzero(self._all.counters[chosen, CHANGES]):
-                found[k] = self._estimator.last_change(member(self._all, chosen[k]))
-        return found
+            counts = self._all.counters[chosen, CHANGES]
+            for m in chosen[counts != self._changed[chosen]]:
+                self._changes[m] = self._estimator.last_change(member(self._all, m))
+            self._changed[chosen] = counts
+        return [self._changes[m] for m in chosen]
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
         return [None] * len(chosen)
 
     def put(self, m: int, state: State) -> None:
+        self._changed[m] = -1
         for f in fields(state):
             getattr(self._all, f.name)[m] = getattr(state, f.name)
 

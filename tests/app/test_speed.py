@@ -21,6 +21,6 @@ def test_results_of_a_fleet_reach_a_client_without_a_loss():
 
 
 def test_a_thousand_samples_a_second_of_one_valve_reach_a_client_without_a_loss():
-    figures = latency.measured(hz=1_000.0, seconds=2.0)
+    figures = latency.measured(hz=1_000.0, seconds=1.0)
     assert figures["lost"] == 0
-    assert figures["p50, ms"] < 250.0
+    assert figures["ours: p50, ms"] < 250.0
