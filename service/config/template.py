@@ -25,6 +25,7 @@ publishing_interval_ms = 100
 [server] # our own, with the results
 url = "opc.tcp://127.0.0.1:4841/valvemap/service/"
 host_names = {quoted(list(host_names))} # further names in its certificate
+results_interval_ms = 0 # single variables at most as often, e.g. 1000 for SCADA; Frame has all
 
 [security]
 pki = {quoted(data / "pki" / "service")}
