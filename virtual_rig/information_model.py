@@ -122,22 +122,50 @@ async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[
     return FleetNodes(status, *_blocks(server, valves))
 
 
-def publish(server: HardenedServer, nodes: RigNodes, block: RigBlock, sequence_offset: int) -> None:
-    """Publish a block; one sample's signals share their time.
+@dataclass(frozen=True)
+class Columns:
+    """A block of n samples as the server takes it in.
+
+    ``values``, ``times``, ``codes`` and ``present`` have a column for each signal of each valve,
+    ``sequences`` and ``t`` one for each valve. One sample's signals share their time.
+    """
+
+    values: Floats
+    times: NDArray[np.int64]
+    codes: NDArray[np.uint32]
+    present: NDArray[np.bool_]
+    sequences: NDArray[np.int64]
+    t: NDArray[np.int64]
+
+
+def columns_of(block: RigBlock, sequence_offset: int) -> Columns:
+    """Lay a block out for publishing, all of it at once: samples may go out one by one."""
+    valves = list(block.valves.values())
+    t = np.stack([valve.t for valve in valves], axis=1)
+    sequence = (block.sequence.astype(np.int64) + sequence_offset) % 2**32
+    return Columns(
+        values=_columns([getattr(valve, signal) for valve in valves for signal in SIGNALS]),
+        times=np.repeat(t, len(SIGNALS), axis=1),
+        codes=_columns([valve.status[signal] for valve in valves for signal in SIGNALS]),
+        present=_columns([valve.present[signal] for valve in valves for signal in SIGNALS]),
+        sequences=np.repeat(sequence[:, None], len(valves), axis=1),
+        t=t,
+    )
+
+
+def publish(server: HardenedServer, nodes: RigNodes, columns: Columns, rows: slice) -> None:
+    """Publish some samples of a block.
 
     A signal that is not present is left out; ``Sequence`` never is.
     """
-    valves = list(block.valves.values())
-    t = np.stack([valve.t for valve in valves], axis=1)
     server.write_block(
         nodes.signals,
-        _columns([getattr(valve, signal) for valve in valves for signal in SIGNALS]),
-        np.repeat(t, len(SIGNALS), axis=1),
-        _columns([valve.status[signal] for valve in valves for signal in SIGNALS]),
-        _columns([valve.present[signal] for valve in valves for signal in SIGNALS]),
+        columns.values[rows],
+        columns.times[rows],
+        columns.codes[rows],
+        columns.present[rows],
     )
-    sequence = (block.sequence.astype(np.int64) + sequence_offset) % 2**32
-    server.write_block(nodes.sequences, np.repeat(sequence[:, None], len(valves), axis=1), t)
+    server.write_block(nodes.sequences, columns.sequences[rows], columns.t[rows])
 
 
 def publish_fleet(

@@ -15,7 +15,17 @@ from service.opcua.hardened import (
     SystemClock,
 )
 from virtual_rig.faults import Fault, FaultError, commanded_fault
-from virtual_rig.information_model import GOOD, NOTHING, Actions, RigNodes, add_rig, part, publish
+from virtual_rig.information_model import (
+    GOOD,
+    NOTHING,
+    Actions,
+    Columns,
+    RigNodes,
+    add_rig,
+    columns_of,
+    part,
+    publish,
+)
 from virtual_rig.scenario import BUILTIN, Scenario
 from virtual_rig.simulation import (
     MOST_FAULTS,
@@ -58,6 +68,7 @@ class RigServer(Startable):
         self._state: RigState
         self._started_at = 0.0
         self._block = NOTHING
+        self._columns: Columns
         self._taken = 0  # samples of the block that are published
         self._played = 0  # samples of the scenario that are published
         self._sequence_offset = 0
@@ -240,19 +251,19 @@ class RigServer(Startable):
         self._faults.clear()
         n = min(max(round(rate * _AHEAD_S), 1), _SAMPLES_PER_TURN)
         self._state, self._block = advance(scenario, self._state, n, commands)
+        self._columns = columns_of(self._block, self._sequence_offset)
         self._taken = 0
 
     def _publish(self, n: int, lag_s: float) -> None:
-        samples = part(self._block, self._taken, self._taken + n)
-        publish(self._server, self._nodes, samples, self._sequence_offset)
-        self._taken += n
+        first, self._taken = self._taken, self._taken + n
+        publish(self._server, self._nodes, self._columns, slice(first, self._taken))
         self._played += n
         self._samples += n
         self._late_ticks += lag_s > _LATE_S
         if self._clock.monotonic() >= self._report_due:
             self._report(lag_s)
         if self._on_block is not None:
-            self._on_block(samples)
+            self._on_block(part(self._block, first, self._taken))
 
     def _report(self, lag_s: float) -> None:
         self._report_due = self._clock.monotonic() + _REPORT_S

@@ -54,7 +54,10 @@ class ResultBlocks:
                 continue
             if number not in rows:
                 rows[number] = _Row(self._blocks[number])
-            rows[number].put(where[valves, 1], column)
+            places = where[valves, 1]
+            if len(places) == 1:  # writing to a slice is much the faster
+                places = slice(places[0], places[0] + 1)
+            rows[number].put(places, column)
         for row in rows.values():
             self._server.write_block(row.block, row.values, row.t, row.codes, row.present)
 
@@ -71,7 +74,7 @@ class _Row:
         self.t = np.zeros((1, n), np.int64)
         self.present = np.zeros((1, n), np.bool_)
 
-    def put(self, places: NDArray[np.intp], column: Column) -> None:
+    def put(self, places: NDArray[np.intp] | slice, column: Column) -> None:
         self.values[0, places] = column.values
         self.codes[0, places] = column.codes
         self.t[0, places] = column.t

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.identification.samples import Times
 from service.opcua.information_model import FRAME, FRAME_NAMES, INVERSE, VariableNode
-from service.opcua.result_values import Column, estimator_codes, own_words, worse
+from service.opcua.result_values import Column, estimator_own_words, worse
 from service.streaming.ports import Results, ValveDescription
 
 _NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCount", "Status")
@@ -68,7 +68,7 @@ def frames(valve: ValveDescription, results: Results, sequence: Times, now: int)
         if found is None:
             columns.append(np.full((M, len(_NUMBERS) + n), np.nan))
             continue
-        codes = worse(codes, own_words(estimator_codes(found)))
+        codes = worse(codes, estimator_own_words(found))
         t = np.maximum(t, found.t)
         columns += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
         columns += [found.sample_count, found.status, found.theta]

@@ -13,10 +13,9 @@ from service.opcua.result_values import (
     Column,
     Shown,
     discovery_values,
-    estimator_codes,
+    estimator_own_words,
     inverse_codes,
     map_value,
-    own_words,
     survey_values,
 )
 from service.streaming.ports import Results
@@ -56,7 +55,7 @@ class ResultNews:
             if self._is_new(valves[m], INVERSE, table, codes[m]):
                 yield valves[m], map_value(table, codes[m], t[m])
         for name, found in results.estimators.items():
-            codes = own_words(estimator_codes(found)).tolist()
+            codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
             discoveries = zip(found.change, found.structure, strict=True)
             for m, discovery in enumerate(discoveries):

@@ -106,20 +106,17 @@ def map_value(table: Floats, code: int, t: int) -> Shown:
 
 def estimator_codes(results: EstimatorResults) -> StatusCodes:
     """StatusCodes (M,) of what an estimator knows."""
-    waiting = (results.t == 0).astype(np.uint8)
-    return np.asarray(_ESTIMATOR[waiting, results.quality, results.status])
+    return _of_estimators(_ESTIMATOR, results)
+
+
+def estimator_own_words(results: EstimatorResults) -> StatusCodes:
+    """StatusCodes (M,) of what the service knows for certain, whatever its sensors do."""
+    return _of_estimators(_ESTIMATOR_ITSELF, results)
 
 
 def inverse_codes(results: InverseResults) -> StatusCodes:
     """StatusCodes (M,) of what is known of the inverse maps."""
-    return np.asarray(_INVERSE[(results.t == 0).astype(np.uint8), results.quality])
-
-
-def own_words(codes: StatusCodes) -> StatusCodes:
-    """StatusCodes of what the service itself knows for certain, whatever its sensors do."""
-    words = np.where(codes >= _BAD, _code(_Codes.UncertainLastUsableValue), _code(_Codes.Good))
-    waiting = codes == _Codes.BadWaitingForInitialData
-    return np.where(waiting, _code(_Codes.UncertainInitialValue), words)
+    return _of_inverses(_INVERSE, results)
 
 
 def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
@@ -129,9 +126,9 @@ def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
 
 
 def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterator[Column]:
-    codes = estimator_codes(results)
+    codes, own = estimator_codes(results), estimator_own_words(results)
     doubtful = worse(codes, _Codes.UncertainInitialValue)
-    own, t = own_words(codes), np.where(results.t, results.t, now)
+    t = np.where(results.t, results.t, now)
     numbers: tuple[tuple[str, Floats], ...] = (
         ("PredictedFlow", results.predicted),
         ("Residual", results.residual),
@@ -152,11 +149,26 @@ def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
     codes, t = inverse_codes(results), np.where(results.t, results.t, now)
     answers = worse(codes, _ANSWERS[results.status])
     yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
-    yield Column(f"{INVERSE}.RequiredUStatus", results.status, own_words(codes), t)
+    own = _of_inverses(_INVERSE_ITSELF, results)
+    yield Column(f"{INVERSE}.RequiredUStatus", results.status, own, t)
 
 
-def _code(code: int) -> np.uint32:
-    return np.uint32(code)
+def _of_estimators(table: StatusCodes, results: EstimatorResults) -> StatusCodes:
+    return np.asarray(table[_waiting(results.t), results.quality, results.status])
+
+
+def _of_inverses(table: StatusCodes, results: InverseResults) -> StatusCodes:
+    return np.asarray(table[_waiting(results.t), results.quality])
+
+
+def _waiting(t: Times) -> NDArray[np.uint8]:
+    return (t == 0).view(np.uint8)
+
+
+def _own_words(codes: StatusCodes) -> StatusCodes:
+    words = np.where(codes >= _BAD, _Codes.UncertainLastUsableValue, _Codes.Good)
+    waiting = codes == _Codes.BadWaitingForInitialData
+    return np.where(waiting, _Codes.UncertainInitialValue, words).astype(np.uint32)
 
 
 def _of_estimator(t: int, quality: Quality, status: Status) -> int:
@@ -196,4 +208,5 @@ _INVERSE = np.array(
     [[_OF_INVERSE[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
     np.uint32,
 )
+_ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)
 _ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)

@@ -152,7 +152,9 @@ class ResultsServer(Startable):
         whole = frames(described, results, self._sequences[valves], now)
         self._blocks.write(valves, [whole])
         due = self._due(results)
-        columns = (column[due] for column in columns_of(results, now))
+        columns = columns_of(results, now)
+        if not due.all():
+            columns = (column[due] for column in columns)
         self._blocks.write(valves[due], (*columns, *self._news.counts(results, due, now)))
         for valve, new in self._news.values(results, now):
             variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -110,11 +111,9 @@ class Alignment:
 
     def update(self, state: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
         """Take changes in; hand out the samples that are complete, by valve, in order of time."""
-        hold = self._hold()
-        required = self._required(hold)
         waiting = Waiting._make(array.copy() for array in state)
         columns = Changes(changes.item, changes.value, changes.status, changes.source_time)
-        parts = [_room(0)]
+        parts: list[Aligned] = []
         done = 0
         while done < len(changes):
             pending = waiting.times.shape[1]
@@ -122,8 +121,8 @@ class Alignment:
             done, n = kernel.align_changes(
                 columns,
                 done,
-                required,
-                hold,
+                self._required,
+                self._hold,
                 self.settings.tolerance_ns,
                 self.settings.max_wait_ns,
                 pending < self.settings.max_pending,
@@ -133,21 +132,22 @@ class Alignment:
             parts.append(Aligned._make(array[:n] for array in out))
             if done < len(changes):
                 waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
-        out = Aligned._make(map(np.concatenate, zip(*parts, strict=True)))
-        return waiting, _by_valve(out, len(self.has_T))
+        return waiting, _by_valve(_joined(parts), len(self.has_T))
 
     def counters(self, state: Waiting, valve: int) -> Mapping[str, int]:
         """Counts of one valve since the start."""
         return dict(zip(COUNTER_NAMES, state.counters[valve].tolist(), strict=True))
 
+    @cached_property
     def _hold(self) -> NDArray[np.int64]:
         one = [self.settings.hold_ns.get(Signal(j), 0) for j in range(kernel.SIGNALS)]
         hold = np.tile(np.array(one, np.int64), (len(self.has_T), 1))
         hold[~np.array(self.has_T, bool), Signal.T] = 0
         return hold
 
-    def _required(self, hold: NDArray[np.int64]) -> NDArray[np.uint8]:
-        needed = hold == 0
+    @cached_property
+    def _required(self) -> NDArray[np.uint8]:
+        needed = self._hold == 0
         needed[~np.array(self.has_T, bool), Signal.T] = False
         bits = np.uint8(1) << np.arange(kernel.SIGNALS, dtype=np.uint8)
         required: NDArray[np.uint8] = (needed * bits).sum(axis=1).astype(np.uint8)
@@ -161,6 +161,12 @@ def _room(n: int) -> Aligned:
         values=np.empty((n, kernel.SIGNALS)),
         quality=np.empty(n, np.uint8),
     )
+
+
+def _joined(parts: list[Aligned]) -> Aligned:
+    if len(parts) == 1:
+        return parts[0]
+    return Aligned._make(map(np.concatenate, zip(_room(0), *parts, strict=True)))
 
 
 def _grown(waiting: Waiting, pending: int) -> Waiting:

@@ -2,7 +2,6 @@
 
 import math
 import random
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from service.opcua.hardened.encoding import encode_data_value, encode_publish_re
 from service.opcua.hardened.publish_queue import PublishRequest
 from service.opcua.hardened.session import Session
 from service.opcua.hardened.users import Role
+from tests.support.loop import Loop
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -35,33 +35,6 @@ Mode = ua.MonitoringMode
 CODES = (0, 0, 0, 0x40900000, 0x80000000, 0x808C0000)
 VALUES = (0.0, -0.0, 1.0, 1.25, 3.0, math.nan, math.inf, -7.5)
 BLOCKS = {"a": (DOUBLE, None), "b": (UINT32, None), "c": (DOUBLE, 3)}
-
-
-class Loop:
-    """An event loop's time, turned by hand."""
-
-    def __init__(self):
-        self.now = 0.0
-        self.timers = []
-
-    def time(self):
-        return self.now
-
-    def call_at(self, when, callback):
-        timer = SimpleNamespace(when=when, callback=callback, dead=False)
-        timer.cancel = lambda: setattr(timer, "dead", True)
-        self.timers.append(timer)
-        return timer
-
-    def advance(self, seconds):
-        end = self.now + seconds
-        while due := [t for t in self.timers if not t.dead and t.when <= end]:
-            timer = min(due, key=lambda t: t.when)
-            self.timers.remove(timer)
-            self.now = timer.when
-            timer.callback()
-        self.timers = [t for t in self.timers if not t.dead]
-        self.now = end
 
 
 class Line:

@@ -239,6 +239,7 @@ class BlockItems:
             return
         rows = np.arange(len(batch))[:, None]
         self._push(batch, slots, changed, moment + rows * len(self.block) + columns)
+        self._subscription.hurry()
 
     def _changes(self, batch: Batch, slots: Slots) -> Bools:
         """Tell what is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""

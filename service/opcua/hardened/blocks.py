@@ -7,6 +7,7 @@ client sees no difference.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -144,15 +145,16 @@ class Block:
         source = np.asarray(source_times, np.int64)
         if source.ndim == 1:
             source = source[:, None]
-        codes = np.broadcast_to(np.asarray(codes, np.uint32), (k, n))
-        everywhere = present is None or bool(np.all(present))
+        codes = _spread(np.asarray(codes, np.uint32), (k, n))
+        there = None if present is None else np.asarray(present, np.bool_)
+        everywhere = there is None or bool(there.all())
         return Batch(
             values=found.reshape(k, n, -1),
             codes=codes,
             has=codes < _BAD,
-            source=np.broadcast_to(source // 100 + TICKS_1970, (k, n)),
+            source=_spread(source // 100 + TICKS_1970, (k, n)),
             server=ticks_of_ns(now),
-            present=None if everywhere else np.broadcast_to(np.asarray(present, np.bool_), (k, n)),
+            present=None if there is None or everywhere else _spread(there, (k, n)),
         )
 
     def batch_of(self, column: int, data: ua.DataValue) -> Batch:
@@ -250,8 +252,11 @@ class Block:
             self._source[:] = batch.source[-1]
             self._server[:] = batch.server
             return
-        there = np.flatnonzero(batch.present.any(axis=0))
-        row = len(batch) - 1 - np.argmax(batch.present[::-1, there], axis=0)
+        if len(batch) == 1:
+            row, there = np.nonzero(batch.present)
+        else:
+            there = np.flatnonzero(batch.present.any(axis=0))
+            row = len(batch) - 1 - np.argmax(batch.present[::-1, there], axis=0)
         self._values[there] = batch.values[row, there]
         self._codes[there] = batch.codes[row, there]
         self._has[there] = batch.has[row, there]
@@ -299,5 +304,10 @@ class _Callbacks(dict[int, Callable[..., Any]]):
         return callback
 
 
+def _spread(array: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+    return array if array.shape == shape else np.broadcast_to(array, shape)
+
+
+@lru_cache(maxsize=64)  # the signals of a sample share their times
 def _instant(ticks_: int) -> Any:  # noqa: ANN401 - a datetime of asyncua's
     return instant((ticks_ - TICKS_1970) * 100)
