@@ -1,5 +1,6 @@
 """From the configuration's words to the objects that do the work."""
 
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from service.config.estimators import build_estimator
@@ -50,8 +51,8 @@ def build_plans(config: Config) -> list[ValvePlan]:
     return [_plan(valve) for valve in config.valves]
 
 
-def build_source(config: Config) -> OpcUaSource:
-    """The client of the source server."""
+def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
+    """The client of the source server; it takes samples once it is ``ready``."""
     own = None if config.source.security == "None" else own_certificate(config)
     settings = SourceSettings(
         url=config.source.url,
@@ -66,7 +67,7 @@ def build_source(config: Config) -> OpcUaSource:
         timeout_s=config.source.timeout_s,
     )
     nodes = [ValveNodes(valve=valve.name, **valve.nodes.model_dump()) for valve in config.valves]
-    return OpcUaSource(settings, nodes)
+    return OpcUaSource(settings, nodes, ready=ready)
 
 
 def build_server_settings(config: Config) -> ServerSettings:

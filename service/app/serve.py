@@ -19,6 +19,7 @@ from service.app.warm_up import warm_up
 from service.clock import SystemClock
 from service.config.models import Config
 from service.identification.samples import Samples
+from service.opcua.decoding import was_compiled_before
 from service.opcua.hardened import ServerSettings
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
@@ -60,10 +61,14 @@ async def serve(
         if the states cannot be kept.
     """
     compiled = asyncio.create_task(asyncio.to_thread(warm_up, config))
+
+    async def ready() -> None:  # no sample waits for a compiler
+        await asyncio.shield(compiled)
+
     clock = SystemClock()
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
-    source = build_source(config)
+    source = build_source(config, ready)
     with CheckpointFile(config.state.file) as store:
         if store.set_aside is not None:
             log.warning("damaged state file set aside", file=str(store.set_aside))
@@ -80,10 +85,9 @@ async def serve(
         async with server:
             await live.start()
             log.info("results served", url=server.url)
-            await asyncio.wait({compiled}, timeout=2.0)
-            if not compiled.done():
+            if not was_compiled_before():
                 log.info("compiling: half a minute at the first start")
-            await compiled  # no sample waits for a compiler
+                await compiled
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:

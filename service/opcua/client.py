@@ -1,6 +1,6 @@
 """The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
 
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from asyncua import ua
 
@@ -38,6 +38,8 @@ class OpcUaSource:
         :class:`~service.streaming.data_changes.DataChanges`.
     clock
         For the watchdog.
+    ready
+        Waited for between connecting and subscribing: from then on samples are taken.
     """
 
     def __init__(
@@ -45,10 +47,12 @@ class OpcUaSource:
         settings: SourceSettings,
         valves: Sequence[ValveNodes],
         clock: Clock | None = None,
+        ready: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         self._settings = settings
         self._valves = tuple(valves)
         self._clock = clock or SystemClock()
+        self._ready = ready
         self._tally = Tally()
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
@@ -75,6 +79,8 @@ class OpcUaSource:
         connection = await open_connection(self._settings)
         try:
             nodes = await check_nodes(connection, self._valves)
+            if self._ready is not None:
+                await self._ready()
             subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
         except BaseException:
             await connection.close()

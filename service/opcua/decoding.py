@@ -296,7 +296,7 @@ def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.flo
 
 def was_compiled_before() -> bool:
     """Whether the loop over records, once it has run, came from the cache on disk."""
-    return not _scan.stats.cache_misses
+    return bool(_scan.stats.cache_hits)
 
 
 @njit(cache=True, inline="always")

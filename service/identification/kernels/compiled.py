@@ -6,11 +6,13 @@ compiled here, so that none is ever run with a callee of yesterday.
 """
 
 import hashlib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 from numba import njit
+from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -36,7 +38,27 @@ def inlined(function: F) -> F:
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 
 
+def _load_numba_without_scipy() -> None:
+    """Have numba load its array functions now, without the look for BLAS that they begin with.
+
+    It imports scipy.linalg, a tenth of what a start of the service takes, and no kernel here uses
+    it; one that does imports it then. Private seam of numba: ``numba.np.arraymath._check_blas``.
+    """
+    look_for_blas, linalg.ensure_blas = linalg.ensure_blas, _nothing
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = look_for_blas
+
+
+def _nothing() -> None:
+    pass
+
+
 def _compile(function: F, **options: bool) -> F:
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
     compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]
     return compiled
+
+
+_load_numba_without_scipy()
