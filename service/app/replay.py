@@ -191,7 +191,8 @@ def _check(valve: _Learnt, samples: Samples) -> Mapping[str, _Check]:
 def _check_lane(lane: Lane, samples: Samples) -> _Check:
     estimator, state = lane.estimator, lane.state
     Q_hat = pipeline.predicted_along(lane, samples)
-    trace = Trace(Q_hat, samples.Q - Q_hat, np.zeros(len(samples), np.uint8))
+    residual = samples.Q - Q_hat
+    trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
     inverse = invert(estimator, state, samples.Q, samples.dp, samples.T)
     feasible = inverse.status == InverseStatus.OK
     U, dp, T = (x[feasible] for x in (inverse.U, samples.dp, samples.T))

@@ -159,7 +159,8 @@ class Auto:
     def update(self, state: AutoState, samples: Samples) -> tuple[AutoState, Trace]:
         """Take N samples in, one after another."""
         N = len(samples)
-        trace = Trace(np.empty(N), np.empty(N), np.empty(N, np.uint8))
+        predicted, residual = np.empty((2, N))
+        trace = Trace(predicted, residual, residual, np.empty(N, np.uint8))
         usable = samples.quality != Quality.BAD
         longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
         dp, done = samples.dp, 0

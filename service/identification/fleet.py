@@ -94,7 +94,7 @@ def learn_many(
     """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
     batch = batch_of(X, y, t, usable)
     learn_segments(fleet, forgetting, batch, segments)
-    return Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
+    return Trace(batch.predicted, batch.residual, batch.early, batch.status)
 
 
 def learn_fleet(

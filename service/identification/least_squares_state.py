@@ -53,6 +53,7 @@ class RlsState(State):
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
         - previous, score (n,), variance (triangle), detector (12,): of change detection, see
           :mod:`service.identification.kernels.change_detection`.
+        - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
         - spread (triangle): what the noise has made of theta, over σ². With rules that divide P by
           λ it is the covariance Z of P⁻¹·theta, that of theta is P·Z·P; with the others, where
@@ -132,6 +133,7 @@ def initial_state(
         counters=np.zeros(PLACES_OF_COUNTERS, np.int64),
         window=np.zeros((length, n + 1)),
     )
+    state.row[at.early : at.factor] = np.nan
     Z = np.eye(n) / p0
     if prior is not None:
         rows, values = prior
@@ -250,7 +252,9 @@ def learn(
     after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
     batch = batch_of(X, y, t, usable, thetas, changes)
     learn_segments(after, forgetting, batch, Segments.one(len(y)))
-    trace = Trace(predicted=batch.predicted, residual=batch.residual, status=batch.status)
+    trace = Trace(
+        predicted=batch.predicted, residual=batch.residual, early=batch.early, status=batch.status
+    )
     return RlsState(*(getattr(after, name)[0] for name in Memory._fields)), trace
 
 
@@ -284,6 +288,7 @@ def batch_of(
         usable=_writable(usable),
         predicted=np.empty(N),
         residual=np.empty(N),
+        early=np.empty(N),
         status=np.empty(N, np.uint8),
         thetas=np.empty((0, X.shape[1])) if thetas is None else thetas,
         changes=np.empty((0, 3)) if changes is None else changes,

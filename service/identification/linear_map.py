@@ -49,7 +49,8 @@ class LinearMap:
         usable = (samples.quality != Quality.BAD) & np.isfinite(Q + samples.Q)
         predicted = np.where(usable, Q, np.nan)
         status = np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8)
-        return state, Trace(predicted, samples.Q - predicted, status)
+        residual = samples.Q - predicted
+        return state, Trace(predicted, residual, residual, status)
 
     def predict(
         self, state: LinearMapState, U: Floats, dp: Floats, T: Floats

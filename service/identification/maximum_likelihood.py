@@ -37,6 +37,8 @@ class MaximumLikelihoodState(State):
         The last values of output, inputs and residual; the same through 1/D(q).
     monitor : (10,)
         Ramp, counts, noise variance and powers, see the kernel.
+    early : (s,)
+        The structure's parameters up to 31 samples before; NaN before the first time.
     """
 
     theta: Floats
@@ -48,6 +50,7 @@ class MaximumLikelihoodState(State):
     raw: Floats
     filtered: Floats
     monitor: Floats
+    early: Floats
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,7 @@ class MaximumLikelihood:
         X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
         rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
-        values, posterior, share = np.empty((3, int(good.sum())))
+        values, posterior, early, share = np.empty((4, int(good.sum())))
         codes = np.empty(len(values), np.uint8)
         kernel.run_fleet(
             _memory(states),
@@ -147,6 +150,7 @@ class MaximumLikelihood:
             samples.Q[good],
             values,
             posterior,
+            early,
             share,
             codes,
             segments.among(good),
@@ -154,11 +158,11 @@ class MaximumLikelihood:
         # Where the samples so far tell nothing, nothing can be said.
         with np.errstate(invalid="ignore"):
             known = np.where(share <= kernel.UNDETERMINED, values, np.nan)
-        predicted = np.full(len(samples), np.nan)
-        predicted[good] = known
+        predicted, behind = np.full((2, len(samples)), np.nan)
+        predicted[good], behind[good] = known, early
         status = np.full(len(samples), Status.REJECTED, np.uint8)
         status[good] = codes
-        return Trace(predicted, samples.Q - predicted, status)
+        return Trace(predicted, samples.Q - predicted, behind, status)
 
     def predict(
         self, state: MaximumLikelihoodState, U: Floats, dp: Floats, T: Floats
@@ -365,7 +369,7 @@ def _run(
     """Run the kernel on copies of the state's arrays."""
     memory = kernel.Memory(*(np.array(getattr(state, name)) for name in kernel.Memory._fields))
     N = len(y)
-    predicted, posterior, share = np.empty((3, N))
+    predicted, posterior, early, share = np.empty((4, N))
     status = np.empty(N, np.uint8)
     kernel.run(
         memory,
@@ -376,6 +380,7 @@ def _run(
         np.ones(N, np.uint8) if use is None else use,
         predicted,
         posterior,
+        early,
         share,
         status,
         np.empty((0, len(memory.theta))) if history is None else history,
@@ -406,6 +411,7 @@ def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
         raw=np.zeros(channels),
         filtered=np.zeros(channels),
         monitor=monitor,
+        early=np.full(ns, np.nan),
     )
 
 

@@ -23,6 +23,8 @@ class RbfNetworkState(State):
         Centres and their last changes.
     monitor : (2,)
         Count of samples, mean square of the residual.
+    noted : (m, 4)
+        Weight, centre and 1/width² of each neuron as they were up to 31 samples before.
     """
 
     w: Floats
@@ -32,6 +34,7 @@ class RbfNetworkState(State):
     dc: Floats
     dlog_b: Floats
     monitor: Floats
+    noted: Floats
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,7 @@ class RbfNetwork:
             dc=np.zeros((m, 2)),
             dlog_b=np.zeros(m),
             monitor=np.zeros(kernel.MONITORS),
+            noted=np.zeros((m, 4)),
         )
 
     def update(self, state: RbfNetworkState, samples: Samples) -> tuple[RbfNetworkState, Trace]:
@@ -136,7 +140,7 @@ class RbfNetwork:
         count = len(samples)
         predicted = np.full(count, np.nan)
         status = np.full(count, Status.REJECTED, np.uint8)
-        guess = np.empty(int(good.sum()))
+        guess, behind = np.empty((2, int(good.sum())))
         outcome = np.empty(len(guess), np.uint8)
         kernel.update(
             samples.Q[good] / self.Q_scale,
@@ -150,15 +154,18 @@ class RbfNetwork:
             states.dc,
             states.dlog_b,
             states.monitor,
+            states.noted,
             guess,
+            behind,
             outcome,
             segments.among(good),
         )
         predicted[good] = guess * self.Q_scale
         status[good] = outcome
-        residual = np.full(count, np.nan)
+        residual, early = np.full((2, count), np.nan)
         residual[good] = samples.Q[good] - predicted[good]
-        return Trace(predicted=predicted, residual=residual, status=status)
+        early[good] = behind * self.Q_scale
+        return Trace(predicted, residual, early, status)
 
     def predict(
         self,

@@ -170,12 +170,16 @@ class Trace:
         Q̂ from the parameters *before* the sample, l/min; NaN where nothing can be said.
     residual : float64
         Q - Q̂ before the update (the innovation), l/min; NaN where nothing can be said.
+    early : float64
+        Q - Q̂ of the map as it was up to 31 samples before, l/min: the error of what was told
+        ahead. NaN where it was not looked at; the residual, if the map stands still.
     status : uint8
         :class:`Status`.
     """
 
     predicted: Floats
     residual: Floats
+    early: Floats
     status: Codes
 
     def __len__(self) -> int:

@@ -19,22 +19,23 @@ class Scatter:
     """How far measurements lay off the map of late, by region of (U, dp), for any structure.
 
     The standard deviation of an estimator's Q̂ says how well the *map* is known if its structure
-    is right. A new measurement lies off that map by its noise and by what the structure cannot
-    follow *there*. Both are in the residuals one step ahead, so their mean square is kept in 120
-    cells of 10 % by 1.5 √bar. Its 95 % interval is then::
+    is right. A new measurement lies off that map by its noise, by what the structure cannot follow
+    *there*, and by how far the map moves until then. All are in the errors of what the map said up
+    to 31 samples before, so their mean square is kept in 120 cells of 10 % by 1.5 √bar. The 95 %
+    interval of a measurement within the next 32 samples is then::
 
         Q̂ ± √((k·m(U, dp))² + (1.96·std)²)
 
     with m the root mean square around the point, std the map's own standard deviation, and k the
-    multiple that 5 % of the residuals exceed: 1.96 where they are Gaussian, otherwise what they
-    are seen to be. k climbs a little with each measurement outside and falls with each inside, so
-    that 95 % of them are covered in the long run, whatever the structure and the noise. There are
-    four k, by how long ago the cell was visited: what a map says of a place that it just left is
-    better than what it says of one where it comes back to.
+    multiple that 5 % of those errors exceed: 1.96 where they are Gaussian, otherwise what they are
+    seen to be. k climbs a little with each measurement outside and falls with each inside, so that
+    95 % of them are covered in the long run, whatever the structure and the noise. There are four
+    k, by how long ago the cell was visited: what a map says of a place that it just left is better
+    than what it says of one where it comes back to.
 
     Attributes
     ----------
-    cells : (120, 4), overall : (11,)
+    cells : (120, 6), overall : (11,)
         See :mod:`service.identification.kernels.scatter`.
 
     References
@@ -46,7 +47,7 @@ class Scatter:
     >>> rng = np.random.default_rng(0)
     >>> U, dp, e = rng.uniform(0, 100, 5000), rng.uniform(0, 200, 5000), rng.normal(0, 2, 5000)
     >>> samples = Samples.of(np.arange(5000), U, dp, 0 * dp, e)
-    >>> scatter = Scatter.none().add(samples, Trace(0 * e, e, np.zeros(5000, np.uint8)))
+    >>> scatter = Scatter.none().add(samples, Trace(0 * e, e, e, np.zeros(5000, np.uint8)))
     >>> half = scatter.half_width(U, dp, np.zeros(5000))
     >>> 3.7 < float(half.mean()) < 4.2
     True
@@ -68,7 +69,14 @@ class Scatter:
         cells, overall = self.cells.copy(), self.overall.copy()
         one = Segments.one(len(samples))
         kernel.learn(
-            samples.t, samples.U, samples.dp, trace.residual, cells[None], overall[None], one
+            samples.t,
+            samples.U,
+            samples.dp,
+            trace.residual,
+            trace.early,
+            cells[None],
+            overall[None],
+            one,
         )
         return Scatter(cells, overall)
 
@@ -119,7 +127,7 @@ class Scatter:
     @property
     def last(self) -> NDArray[np.float64]:
         """Time of each cell's last sample, UTC ns, (10, 12); NaN where there was none."""
-        seen = self.cells[:, kernel.WEIGHT] > 0.0
+        seen = self.cells[:, kernel.NUMBER] > 0.0
         last = np.where(seen, self.cells[:, kernel.LAST], np.nan)
         return last.reshape(kernel.CELLS_U, kernel.CELLS_S)
 

@@ -229,7 +229,9 @@ def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
             )
             w, c, log_b = (np.array(x, np.float64) for x in (section.w, section.c, section.log_b))
             still = np.zeros_like(w), np.zeros_like(c), np.zeros_like(log_b)
-            return network, RbfNetworkState(w, c, log_b, *still, np.array(section.monitor))
+            noted = np.column_stack((w, c, np.exp(-2.0 * log_b)))
+            monitor = np.array(section.monitor)
+            return network, RbfNetworkState(w, c, log_b, *still, monitor, noted)
         case AutoSection():
             return Auto(), _auto_state(section)
 

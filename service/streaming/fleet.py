@@ -133,6 +133,7 @@ class _Lanes:
             samples.U,
             samples.dp,
             trace.residual,
+            trace.early,
             self._cells,
             self._overall,
             segments,
@@ -246,7 +247,8 @@ class _Listed:
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
         N = len(samples)
-        trace = Trace(np.empty(N), np.empty(N), np.empty(N, np.uint8))
+        predicted, residual, early = np.empty((3, N))
+        trace = Trace(predicted, residual, early, np.empty(N, np.uint8))
         for m, start, stop in zip(*segments, strict=True):
             rows = slice(start, stop)
             self._all[m], said = self._estimator.update(self._all[m], samples[rows])
@@ -290,8 +292,10 @@ def _prediction_only(lane: Lane, samples: Samples) -> Trace:
     Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
     usable = samples.quality != Quality.BAD
     Q_hat = np.where(usable, Q_hat, np.nan)
+    residual = samples.Q - Q_hat
     return Trace(
         predicted=Q_hat,
-        residual=samples.Q - Q_hat,
+        residual=residual,
+        early=residual,
         status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
     )

@@ -16,7 +16,7 @@ class Score:
     Examples
     --------
     >>> samples = Samples.of(t=[0, 1], U=[1, 1], p1=[1, 1], p2=[0, 0], Q=[10, 20])
-    >>> trace = Trace(np.array([9.0, 19.0]), np.array([1.0, 1.0]), np.zeros(2, np.uint8))
+    >>> trace = Trace(np.array([9.0, 19.0]), np.ones(2), np.ones(2), np.zeros(2, np.uint8))
     >>> Score.none().add(samples, trace).rmse
     1.0
     """

@@ -1,5 +1,7 @@
 """95 % intervals cover what they say: the true flow, the true opening, the next measurement."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -167,10 +169,35 @@ def test_the_same_stream_in_other_batches_gives_the_same_scatter():
     whole, parts = Scatter.none().add(samples, trace), Scatter.none()
     for start in range(0, N, 7):
         rows = slice(start, start + 7)
-        piece = type(trace)(trace.predicted[rows], trace.residual[rows], trace.status[rows])
+        piece = type(trace)(*(getattr(trace, f.name)[rows] for f in fields(trace)))
         parts = parts.add(samples[rows], piece)
     assert whole.cells.tobytes() == parts.cells.tobytes()
     assert whole.overall.tobytes() == parts.overall.tobytes()
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        rls(FiveTerms(), Adaptive()),
+        rls(TensorSpline.uniform(4, 3), Exponential(0.99)),
+        MaximumLikelihood(lam=0.99),
+        RbfNetwork(),
+    ],
+)
+def test_samples_are_held_against_the_map_of_up_to_31_samples_before(estimator):
+    samples = recording(dead_band_and_saturation, 4)
+    state, _ = estimator.update(estimator.initial_state(), samples[slice(0, 320)])
+    ahead = samples[slice(320, 352)]
+    Q, _ = estimator.predict(state, ahead.U, ahead.dp, ahead.T)
+    for size in (32, 5):
+        later, early = state, []
+        for start in range(0, 32, size):
+            later, trace = estimator.update(later, ahead[slice(start, start + size)])
+            early.append(trace.early)
+        found = np.concatenate(early)
+        looked = np.isfinite(found)
+        assert looked.sum() >= 16
+        np.testing.assert_allclose(found[looked], (ahead.Q - Q)[looked], atol=1e-9)
 
 
 def test_nothing_measured_is_nothing_known_and_nonsense_is_passed_over():
@@ -180,7 +207,7 @@ def test_nothing_measured_is_nothing_known_and_nonsense_is_passed_over():
     wild = np.array([np.nan, np.inf, 1e308, -1e308, 50.0])
     samples = Samples.of(range(5), wild, wild, np.zeros(5), wild)
     _, trace = RecursiveLeastSquares().update(RecursiveLeastSquares().initial_state(), samples)
-    trace = type(trace)(trace.predicted, wild, trace.status)
+    trace = type(trace)(trace.predicted, wild, wild, trace.status)
     after = scatter.add(samples, trace)
     assert np.isfinite(after.cells).all()
     assert after.weights.sum() == 1.0

@@ -106,7 +106,7 @@ def test_the_age_of_a_region_is_the_time_since_its_last_sample():
     rls = RecursiveLeastSquares()
     samples = Samples.of([0, 10**9], [5.0, 95.0], [100.0, 100.0], [0.0, 0.0], [1.0, 90.0])
     scatter = Scatter.none().add(
-        samples, type(rls.update(rls.initial_state(), samples)[1])(*np.ones((2, 2)), np.zeros(2))
+        samples, type(rls.update(rls.initial_state(), samples)[1])(*np.ones((3, 2)), np.zeros(2))
     )
     found = survey(rls, rls.initial_state(), scatter, 4 * 10**9)
     assert found.age_s[0, 6] == 4.0

@@ -42,6 +42,7 @@ def warm_up(
     usable: Codes,
     predicted: Floats,
     residual: Floats,
+    early: Floats,
     status: Codes,
     thetas: Floats,
     i: int,
@@ -82,6 +83,7 @@ def warm_up(
             s[noise + VARIANCE] += (rest * rest - s[noise + VARIANCE]) / s[noise + WEIGHT]
         counters[COUNT] += 1
         code = _OK if determine(s, R, rhs, counters, kind) else _WARMING_UP
+    early[i] = residual[i]
     status[i] = code
     if i < len(thetas):
         for j in range(n):

@@ -23,6 +23,7 @@ DIRECTIONAL = 1
 RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
 POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
 PLACES = 10
+EARLIER = 32  # samples after which the map is noted again
 
 RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
 RAMP_RATE = 0.99
@@ -61,6 +62,7 @@ class Memory(NamedTuple):
     raw: Floats
     filtered: Floats
     monitor: Floats
+    early: Floats
 
 
 class Rule(NamedTuple):
@@ -92,6 +94,7 @@ def run(
     use: Codes,
     predicted: Floats,
     posterior: Floats,
+    early: Floats,
     share: Floats,
     status: Codes,
     history: Floats,
@@ -108,16 +111,17 @@ def run(
         Row t is what the inputs were *before* y(t): u(t-1) of an ARMAX model, X(t) of a static map.
     y, use : (N,)
         Output; where ``use`` is 0 theta is held and a y that is missing becomes its prediction.
-    predicted, posterior, share, status : (N,)
-        Written: hᵀ·theta before, y - hᵀ·theta after the update, variance of the prediction over
+    predicted, posterior, early, share, status : (N,)
+        Written: hᵀ·theta before, y - hᵀ·theta after the update, y minus the map (hᵀ·theta without
+        the noise) of some samples before, variance of the prediction over
         that before any sample, status.
     history : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
     """
     scratch = _scratch(len(memory.theta))
     _span(
-        memory, rule, orders, scratch, X, y, use, predicted, posterior, share, status, history,
-        0, len(y),
+        memory, rule, orders, scratch, X, y, use, predicted, posterior, early, share, status,
+        history, 0, len(y),
     )  # fmt: skip
 
 
@@ -130,6 +134,7 @@ def run_fleet(
     y: Floats,
     predicted: Floats,
     posterior: Floats,
+    early: Floats,
     share: Floats,
     status: Codes,
     segments: Segments,
@@ -140,12 +145,12 @@ def run_fleet(
     ----------
     fleet
         The states' arrays, each with a leading axis M; written in place.
-    rule, orders, X, y, predicted, posterior, share, status
+    rule, orders, X, y, predicted, posterior, early, share, status
         As for one model; the samples of all models one after another, all of them to be used.
     segments
         Which samples are whose.
     """
-    theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor = fleet
+    theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor, before = fleet
     members, starts, stops = segments
     scratch, history = _scratch(theta.shape[1]), np.empty((0, theta.shape[1]))
     use = np.ones(len(y), np.uint8)
@@ -153,11 +158,11 @@ def run_fleet(
         m = members[s]
         memory = Memory(
             theta[m], factor[m], spread[m], prior[m], rls_theta[m], rls_factor[m], raw[m],
-            filtered[m], monitor[m],
+            filtered[m], monitor[m], before[m],
         )  # fmt: skip
         _span(
-            memory, rule, orders, scratch, X, y, use, predicted, posterior, share, status, history,
-            starts[s], stops[s],
+            memory, rule, orders, scratch, X, y, use, predicted, posterior, early, share, status,
+            history, starts[s], stops[s],
         )  # fmt: skip
 
 
@@ -172,6 +177,7 @@ def _span(
     use: Codes,
     predicted: Floats,
     posterior: Floats,
+    early: Floats,
     share: Floats,
     status: Codes,
     history: Floats,
@@ -188,6 +194,7 @@ def _span(
         y_in_range = abs(y[t]) < LARGEST
         predicted[t] = np.nan
         posterior[t] = np.nan
+        early[t] = np.nan
         share[t] = np.nan
         if use[t] and not (in_range and y_in_range):
             status[t] = _HELD
@@ -197,6 +204,7 @@ def _span(
             _regressors(memory, orders, scratch)
             predicted[t] = _dot(scratch.h, memory.theta, n)
             if use[t]:
+                early[t] = _look_back(memory, scratch.h, y[t], y[t] - predicted[t])
                 status[t] = _step(memory, rule, scratch, y[t], d, share, t)
                 posterior[t] = _rest(scratch.h, memory.theta, n, y[t])
                 _push(memory, d, 0, y[t])
@@ -282,6 +290,18 @@ def _rest(h: Floats, theta: Floats, n: int, y: float) -> float:
         total -= part
         magnitude += abs(part)
     return total if abs(total) > ROUNDING * magnitude else 0.0
+
+
+@inner
+def _look_back(memory: Memory, h: Floats, y: float, residual: float) -> float:
+    """Y minus what the map of some samples before says; the residual before the first time."""
+    early, monitor = memory.early, memory.monitor
+    ns = len(early)
+    if monitor[DETERMINED] > 0.0 and monitor[COUNT] % EARLIER == 0.0:
+        for j in range(ns):
+            early[j] = memory.theta[j]
+    told = _dot(h, early, ns)
+    return residual if np.isnan(told) else y - told
 
 
 @inner

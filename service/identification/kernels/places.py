@@ -34,6 +34,9 @@ EVIDENCE, RECENT, LATELY, MEAN, SCALE_WEIGHT, SCALE, SUM, SIZE = range(8)
 LAST, POWER, HASTE, FACTOR = range(8, 12)
 PLACES_OF_DETECTOR = 12
 
+# Samples after which the parameters are noted, and are asked, again: powers of two.
+EARLIER, LOOKS = 32, 2
+
 _KNOWN = 5  # the number of terms of eq. (7): for them alone there is a kernel of its own
 
 
@@ -47,6 +50,7 @@ class Places(NamedTuple):
     scale: int
     previous: int
     score: int
+    early: int
     factor: int
     spread: int
     variance: int
@@ -64,13 +68,13 @@ class Places(NamedTuple):
 def places(n: int) -> Places:
     """Places for n parameters."""
     triangle = n * (n + 1) // 2
-    factor = 4 * n
+    factor = 5 * n
     noise = factor + 3 * triangle
     x = noise + 16
     L = x + 5 * n
     return Places(
-        0, n, 2 * n, 3 * n, factor, factor + triangle, factor + 2 * triangle, noise, noise + 4,
-        x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
+        0, n, 2 * n, 3 * n, 4 * n, factor, factor + triangle, factor + 2 * triangle, noise,
+        noise + 4, x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
     )  # fmt: skip
 
 

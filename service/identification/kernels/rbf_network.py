@@ -19,6 +19,7 @@ WEIGHT_BOUND = 1e3
 CENTRE_BOUND = 1.0  # how far outside the ranges a centre may wander, in ranges
 LOG_WIDTH_BOUNDS = (-3.9, 1.1)  # b from 0.02 to 3 ranges
 FADING = 1e-3
+EARLIER = 32  # samples after which the network is noted again
 
 
 @kernel
@@ -34,18 +35,21 @@ def update(
     dc: Floats,
     dlog_b: Floats,
     monitor: Floats,
+    noted: Floats,
     predicted: Floats,
+    early: Floats,
     status: Codes,
     segments: Segments,
 ) -> None:
     """Take the samples of many networks in; the states' arrays have a leading axis M."""
     members, starts, stops = segments
-    H, distance = np.empty(w.shape[1]), np.empty(w.shape[1])
+    neurons = w.shape[1]
+    H, distance, narrow = np.empty(neurons), np.empty(neurons), np.empty(neurons)
     for s in range(len(members)):
         m = members[s]
         _train(
             y, x, eta, alpha, w[m], c[m], log_b[m], dw[m], dc[m], dlog_b[m], monitor[m],
-            predicted, status, H, distance, starts[s], stops[s],
+            noted[m], predicted, early, status, H, distance, narrow, starts[s], stops[s],
         )  # fmt: skip
 
 
@@ -62,10 +66,13 @@ def _train(
     dc: Floats,
     dlog_b: Floats,
     monitor: Floats,
+    noted: Floats,
     predicted: Floats,
+    early: Floats,
     status: Codes,
     H: Floats,
     distance: Floats,
+    narrow: Floats,
     start: int,
     stop: int,
 ) -> None:
@@ -77,6 +84,7 @@ def _train(
     m = len(w)
     low, high = LOG_WIDTH_BOUNDS
     for t in range(start, stop):
+        early[t] = np.nan
         if not (abs(y[t]) < LARGEST and abs(x[t, 0]) < LARGEST and abs(x[t, 1]) < LARGEST):
             predicted[t] = np.nan
             status[t] = HELD
@@ -86,21 +94,26 @@ def _train(
         for j in range(m):
             r0 = x[t, 0] - c[j, 0]
             r1 = x[t, 1] - c[j, 1]
-            z = (r0 * r0 + r1 * r1) * math.exp(-2.0 * log_b[j])  # ‖x - c‖²/b²
+            narrow[j] = math.exp(-2.0 * log_b[j])
+            z = (r0 * r0 + r1 * r1) * narrow[j]  # ‖x - c‖²/b²
             H[j] = math.exp(-0.5 * z)  # eq. (30)
             distance[j] = z
             guess += w[j] * H[j]  # eq. (31)
             g = w[j] * H[j]
-            S += H[j] * H[j] + g * g * z * (z + math.exp(-2.0 * log_b[j]))
+            S += H[j] * H[j] + g * g * z * (z + narrow[j])
         error = y[t] - guess
+        if monitor[COUNT] % EARLIER == 0.0:
+            for j in range(m):
+                noted[j, 0], noted[j, 1], noted[j, 2] = w[j], c[j, 0], c[j, 1]
+                noted[j, 3] = narrow[j]
+        early[t] = y[t] - _told(noted, x[t, 0], x[t, 1])
         predicted[t] = guess if monitor[COUNT] > 0.0 else np.nan
         step = eta * error / (1.0 + eta * S / (1.0 - alpha))
         for j in range(m):
             g = w[j] * H[j]  # before the update, as is every gradient here
-            narrow = math.exp(-2.0 * log_b[j])
             for i in range(2):  # eqs. (37) with H_j, (38) with eta once
                 old = c[j, i]
-                new = old + step * g * (x[t, i] - old) * narrow + alpha * dc[j, i]
+                new = old + step * g * (x[t, i] - old) * narrow[j] + alpha * dc[j, i]
                 c[j, i] = min(max(new, -CENTRE_BOUND), 1.0 + CENTRE_BOUND)
                 dc[j, i] = c[j, i] - old
             old = log_b[j]  # eqs. (35), (36) for log b: b stays positive
@@ -114,6 +127,16 @@ def _train(
         monitor[COUNT] += 1.0
         monitor[POWER] += max(FADING, 1.0 / monitor[COUNT]) * (error * error - monitor[POWER])
         status[t] = WARMING_UP if monitor[COUNT] < 4 * m else OK
+
+
+@inner
+def _told(noted: Floats, x0: float, x1: float) -> float:
+    """Output of the network as it was noted."""
+    total = 0.0
+    for j in range(len(noted)):
+        r0, r1 = x0 - noted[j, 1], x1 - noted[j, 2]
+        total += noted[j, 0] * math.exp(-0.5 * (r0 * r0 + r1 * r1) * noted[j, 3])
+    return total
 
 
 @kernel

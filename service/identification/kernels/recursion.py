@@ -26,7 +26,9 @@ from service.identification.kernels.factors import is_estimable
 from service.identification.kernels.information_form import warm_up
 from service.identification.kernels.places import (
     COUNT,
+    EARLIER,
     FACTORED,
+    LOOKS,
     PLACES_OF_COUNTERS,
     SAMPLE,
     SIZE,
@@ -75,7 +77,7 @@ class Batch(NamedTuple):
 
     t, X, y, usable : (N,), (N, n), (N,), (N,)
         Samples; where ``usable`` is 0 the state is not touched.
-    predicted, residual, status : (N,)
+    predicted, residual, early, status : (N,)
         Written: the trace.
     thetas : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
@@ -90,6 +92,7 @@ class Batch(NamedTuple):
     usable: Codes
     predicted: Floats
     residual: Floats
+    early: Floats
     status: Codes
     thetas: Floats
     changes: Floats
@@ -113,7 +116,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
         Which samples are whose.
     """
     row, R, rhs, counters, _ = memory
-    t, X, y, usable, predicted, residual, status, thetas, changes = batch
+    t, X, y, usable, predicted, residual, early, status, thetas, changes = batch
     n = len(size)
     at = places_of(n)
     kind, found = rule.kind, 0
@@ -128,7 +131,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
         while first < stop and own[FACTORED] == 0:
             warm_up(
                 s, R[m], rhs[m], own, kind, rule.lam,
-                X, y, usable, predicted, residual, status, thetas, first,
+                X, y, usable, predicted, residual, early, status, thetas, first,
             )  # fmt: skip
             first += 1
         lam = pace(s, at, rule)
@@ -150,10 +153,20 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 code = rejection(X, y, usable, i)
                 status[i] = _HELD if code == _OK else code
                 residual[i] = np.nan
+                early[i] = np.nan
                 if not np.isfinite(total):
                     predicted[i] = np.nan
                 note(s, at, thetas, i, n)
                 continue
+            early[i] = np.nan
+            if own[COUNT] & (LOOKS - 1) == 0:  # faster than %
+                if own[COUNT] & (EARLIER - 1) == 0:
+                    for j in range(n):
+                        s[at.early + j] = s[at.theta + j]
+                total = 0.0
+                for j in range(n):
+                    total += s[at.x + j] * s[at.early + j]
+                early[i] = e if np.isnan(total) else y[i] - total  # NaN before the first time
             own[COUNT] += 1
             for j in range(n):
                 if abs(s[at.x + j]) > s[at.scale + j]:

@@ -9,8 +9,8 @@ CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
 
 # Places in a cell, and in `overall`.
-WEIGHT, SQUARES, LAST, NUMBER = range(4)
-PLACES_OF_CELL = 4
+WEIGHT, SQUARES, LAST, NUMBER, BEFORE, TOLD = range(6)
+PLACES_OF_CELL = 6
 AGES = 4  # of a cell: just now, of late, long ago, longer ago or never
 COUNT, QUANTILE = 2, 3
 TIMES = QUANTILE + AGES
@@ -23,6 +23,8 @@ PACE, FIRST_PACE = 0.02, 1.0
 GAUSSIAN = 1.959963984540054
 JUST_NOW, OF_LATE, LONG_AGO = 4.0, 64.0, 2000.0  # samples
 SETTLED, LARGEST = 20.0, 16.0
+NEVER = -1e18
+EARLIER = 32.0  # samples that are told of together
 
 
 @kernel
@@ -31,6 +33,7 @@ def learn(
     U: Floats,
     dp: Floats,
     residual: Floats,
+    early: Floats,
     every_cells: Floats,
     every_overall: Floats,
     segments: Segments,
@@ -39,11 +42,14 @@ def learn(
 
     Parameters
     ----------
-    every_cells : (M, 120, 4)
-        Weight, mean square of the residuals, time and number of the last one of each cell.
+    residual, early : (N,)
+        Against the map just before each sample, and against that of some samples before.
+    every_cells : (M, 120, 6)
+        Weight, mean square of the errors, time and number of the last sample of each cell; as the
+        present 32 samples began, number of the last one and what was told of the mean square.
     every_overall : (M, 11)
-        The same weight and mean square over all cells; residuals counted; by the cell's age, how
-        many times its root mean square a residual must be to belong to the outer 5 %, and from
+        The same weight and mean square over all cells; samples counted; by the cell's age, how
+        many times its root mean square an error must be to belong to the outer 5 %, and from
         how many that was learnt.
     """
     members, starts, stops = segments
@@ -54,21 +60,34 @@ def learn(
             if not (abs(e) < 1e100 and np.isfinite(U[i]) and np.isfinite(dp[i])):
                 continue
             c = cell_of(U[i], dp[i])
-            square, expected = e * e, mean_square(cells, overall, c)
-            if overall[WEIGHT] > SETTLED and expected > 0.0:
-                a = age_of(cells, overall, c)
-                missed = 1.0 if square > overall[QUANTILE + a] ** 2 * expected else 0.0
-                overall[TIMES + a] += 1.0
-                pace = max(PACE, min(FIRST_PACE, 2.0 / overall[TIMES + a]))
-                overall[QUANTILE + a] *= np.exp(pace * (missed - BEYOND))
-                square = min(square, LARGEST * expected)
-            overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
-            overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
-            cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
-            cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
+            told = EARLIER * np.floor(overall[COUNT] / EARLIER)
+            if cells[c, NUMBER] <= told:
+                cells[c, BEFORE] = cells[c, NUMBER] if cells[c, NUMBER] > 0.0 else NEVER
+                cells[c, TOLD] = mean_square(cells, overall, c)
+            if abs(early[i]) < 1e100:
+                _judge(early[i] * early[i], age(told - cells[c, BEFORE]), c, cells, overall)
             cells[c, LAST] = t[i]
             overall[COUNT] += 1.0
             cells[c, NUMBER] = overall[COUNT]
+
+
+@inner
+def _judge(square: float, a: int, c: int, cells: Floats, overall: Floats) -> None:
+    """Take the square of an error in: was it outside, and how far off is the map in its cell.
+
+    ``a`` is the cell's age when it was told.
+    """
+    told = cells[c, TOLD]
+    if overall[WEIGHT] > SETTLED and told > 0.0:
+        missed = 1.0 if square > overall[QUANTILE + a] ** 2 * told else 0.0
+        overall[TIMES + a] += 1.0
+        pace = max(PACE, min(FIRST_PACE, 2.0 / overall[TIMES + a]))
+        overall[QUANTILE + a] *= np.exp(pace * (missed - BEYOND))
+        square = min(square, LARGEST * told)
+    overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
+    overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
+    cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
+    cells[c, SQUARES] += (square - cells[c, SQUARES]) / cells[c, WEIGHT]
 
 
 @inner
@@ -80,11 +99,8 @@ def cell_of(U: float, dp: float) -> int:
 
 
 @inner
-def age_of(cells: Floats, overall: Floats, c: int) -> int:
+def age(samples: float) -> int:
     """How long ago, in four steps, a cell was visited: the map may have moved meanwhile."""
-    if cells[c, WEIGHT] == 0.0:
-        return AGES - 1
-    samples = overall[COUNT] - cells[c, NUMBER]
     return 0 if samples < JUST_NOW else 1 if samples < OF_LATE else 2 if samples < LONG_AGO else 3
 
 
@@ -112,5 +128,7 @@ def reach(cells: Floats, overall: Floats, U: Floats, dp: Floats, out: Floats) ->
         out[i] = np.nan
         if overall[WEIGHT] > 0.0 and np.isfinite(U[i]) and np.isfinite(dp[i]):
             c = cell_of(U[i], dp[i])
-            multiple = overall[QUANTILE + age_of(cells, overall, c)]
+            seen = cells[c, NUMBER] > 0.0
+            a = age(overall[COUNT] - cells[c, NUMBER]) if seen else AGES - 1
+            multiple = overall[QUANTILE + a]
             out[i] = multiple * np.sqrt(mean_square(cells, overall, c))
