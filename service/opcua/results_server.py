@@ -263,8 +263,8 @@ class ResultsServer(Startable):
                 _STATUS,
             ),
             required=Role.OBSERVER,
-            description="Where a new measurement of the flow will lie: noise and what the "
-            f"structure cannot follow included. Status: {_numbered(Status)}.",
+            description="Where a measurement within the next 32 samples will lie: noise and what "
+            f"the structure cannot follow included. Status: {_numbered(Status)}.",
         )
 
     async def _add_inverse(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
