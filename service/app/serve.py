@@ -86,7 +86,9 @@ async def serve(
             await live.start()
             log.info("results served", url=server.url)
             if not was_compiled_before():
-                log.info("compiling: half a minute at the first start")
+                await asyncio.wait({compiled}, timeout=2.0)
+                if not compiled.done():
+                    log.info("compiling: half a minute at the first start")
                 await compiled
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import ua
+from support.loop import Loop
 
 from service.clock import ManualClock
 from service.errors import ServerError
@@ -24,7 +25,6 @@ from service.opcua.hardened.encoding import encode_data_value, encode_publish_re
 from service.opcua.hardened.publish_queue import PublishRequest
 from service.opcua.hardened.session import Session
 from service.opcua.hardened.users import Role
-from tests.support.loop import Loop
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

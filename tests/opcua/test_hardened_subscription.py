@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import pytest
 from asyncua import ua
+from support.loop import Loop
 
 from service.opcua.hardened.data_change import ChangeRule
 from service.opcua.hardened.encoding import instant
 from service.opcua.hardened.monitored_item import DataItem, Holding, Ledger, Monitoring
 from service.opcua.hardened.subscription import RepublishStore, Subscription, Timing
-from tests.support.loop import Loop
 
 
 class Owner:

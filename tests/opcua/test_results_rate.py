@@ -6,11 +6,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from asyncua import Client, ua
-from support.results import results_of
+from support.results import results_of, results_settings
 
 from service.clock import ManualClock
 from service.identification.samples import Quality, Status
-from service.opcua.hardened import ServerSettings
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
     EstimatorDescription,
@@ -45,14 +44,7 @@ def clock():
 
 @pytest.fixture
 async def server(clock, tmp_path):
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/service/",
-        application_uri="urn:test:service",
-        application_name="service",
-        namespace_uri=NAMESPACE,
-        none_on_loopback=True,
-        cache=tmp_path,
-    )
+    settings = results_settings(none_on_loopback=True, cache=tmp_path)
     async with ResultsServer(settings, [VALVE], Mock(), clock, scalars_interval_s=1.0) as server:
         yield server
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from support.results import results_of
+from support.results import results_of, results_settings
 
 from service.clock import ManualClock
 from service.errors import CommandRejected, ServerError
@@ -126,14 +126,8 @@ class Operator:
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served(tmp_path_factory):
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/service/",
-        application_uri="urn:test:service",
-        application_name="service",
-        namespace_uri=NAMESPACE,
-        users=users,
-        none_on_loopback=True,
-        cache=tmp_path_factory.mktemp("cache"),
+    settings = results_settings(
+        users=users, none_on_loopback=True, cache=tmp_path_factory.mktemp("cache")
     )
     operator = Operator()
     async with ResultsServer(settings, VALVES, operator, ManualClock(T)) as server:

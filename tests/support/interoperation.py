@@ -16,6 +16,7 @@ from asyncua import ua
 from support.peer import PeerError
 from support.plant import plant
 from support.proxy import Proxy
+from support.results import results_settings
 
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -23,7 +24,6 @@ from service.opcua.hardened import (
     OwnCertificate,
     Pki,
     Role,
-    ServerSettings,
     UserStore,
     ensure_certificate,
     load_certificate,
@@ -117,15 +117,7 @@ async def raised(folder, **more):
     users = UserStore()
     users.add("operator", Role.OPERATOR, PASSWORD)
     users.add("observer", Role.OBSERVER, PASSWORD)
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/service/",
-        application_uri="urn:test:service",
-        application_name="service",
-        namespace_uri=NAMESPACE,
-        users=users,
-        pki=pki,
-        **more,
-    )
+    settings = results_settings(users=users, pki=pki, **more)
     live = identification()
     async with ResultsServer(settings, live.descriptions(), live) as server:
         task = asyncio.create_task(identify(live, server))

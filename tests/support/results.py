@@ -4,6 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 
+from service.opcua.hardened import ServerSettings
+from service.opcua.results_server import NAMESPACE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 
 
@@ -15,6 +17,17 @@ def results_of(valve, estimators, inverse, **counters):
         inverse=_arrays(InverseResults, inverse),
         counters=np.array([list(counters.values())], np.int64).reshape(1, -1),
         counter_names=tuple(counters),
+    )
+
+
+def results_settings(**more):
+    """Settings of a results server on a free port."""
+    return ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/service/",
+        application_uri="urn:test:service",
+        application_name="service",
+        namespace_uri=NAMESPACE,
+        **more,
     )
 
 

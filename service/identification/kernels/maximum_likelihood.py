@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import covariance, project, rank_one
+from service.identification.kernels.scatter import EARLIER
 from service.identification.kernels.stability import is_stable
 from service.identification.samples import Codes, Floats, Segments, Status
 
@@ -23,7 +24,6 @@ DIRECTIONAL = 1
 RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
 POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
 PLACES = 10
-EARLIER = 32  # samples after which the map is noted again
 
 RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
 RAMP_RATE = 0.99

@@ -34,8 +34,7 @@ EVIDENCE, RECENT, LATELY, MEAN, SCALE_WEIGHT, SCALE, SUM, SIZE = range(8)
 LAST, POWER, HASTE, FACTOR = range(8, 12)
 PLACES_OF_DETECTOR = 12
 
-# Samples after which the parameters are noted, and are asked, again: powers of two.
-EARLIER, LOOKS = 32, 2
+LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
 _KNOWN = 5  # the number of terms of eq. (7): for them alone there is a kernel of its own
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.scatter import EARLIER
 from service.identification.samples import Codes, Floats, Segments
 
 # Elements of ``monitor``.
@@ -19,7 +20,6 @@ WEIGHT_BOUND = 1e3
 CENTRE_BOUND = 1.0  # how far outside the ranges a centre may wander, in ranges
 LOG_WIDTH_BOUNDS = (-3.9, 1.1)  # b from 0.02 to 3 ranges
 FADING = 1e-3
-EARLIER = 32  # samples after which the network is noted again
 
 
 @kernel
@@ -103,9 +103,7 @@ def _train(
             S += H[j] * H[j] + g * g * z * (z + narrow[j])
         error = y[t] - guess
         if monitor[COUNT] % EARLIER == 0.0:
-            for j in range(m):
-                noted[j, 0], noted[j, 1], noted[j, 2] = w[j], c[j, 0], c[j, 1]
-                noted[j, 3] = narrow[j]
+            _note(w, c, log_b, noted)
         early[t] = y[t] - _told(noted, x[t, 0], x[t, 1])
         predicted[t] = guess if monitor[COUNT] > 0.0 else np.nan
         step = eta * error / (1.0 + eta * S / (1.0 - alpha))
@@ -130,8 +128,16 @@ def _train(
 
 
 @inner
+def _note(w: Floats, c: Floats, log_b: Floats, noted: Floats) -> None:
+    """Write weight, centre and 1/width² of each neuron."""
+    for j in range(len(w)):
+        noted[j, 0], noted[j, 1], noted[j, 2] = w[j], c[j, 0], c[j, 1]
+        noted[j, 3] = math.exp(-2.0 * log_b[j])
+
+
+@inner
 def _told(noted: Floats, x0: float, x1: float) -> float:
-    """Output of the network as it was noted."""
+    """Output of the network as it was noted, eqs. (30), (31)."""
     total = 0.0
     for j in range(len(noted)):
         r0, r1 = x0 - noted[j, 1], x1 - noted[j, 2]
@@ -147,10 +153,8 @@ def evaluate(
     log_b: Floats,
 ) -> Floats:
     """Output of the network at N points, eqs. (30), (31)."""
-    mean = np.zeros(len(x))
+    noted, mean = np.empty((len(w), 4)), np.empty(len(x))
+    _note(w, c, log_b, noted)
     for t in range(len(x)):
-        for j in range(len(w)):
-            r0 = x[t, 0] - c[j, 0]
-            r1 = x[t, 1] - c[j, 1]
-            mean[t] += w[j] * math.exp(-0.5 * (r0 * r0 + r1 * r1) * math.exp(-2.0 * log_b[j]))
+        mean[t] = _told(noted, x[t, 0], x[t, 1])
     return mean

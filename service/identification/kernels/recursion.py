@@ -26,7 +26,6 @@ from service.identification.kernels.factors import is_estimable
 from service.identification.kernels.information_form import warm_up
 from service.identification.kernels.places import (
     COUNT,
-    EARLIER,
     FACTORED,
     LOOKS,
     PLACES_OF_COUNTERS,
@@ -49,6 +48,7 @@ from service.identification.kernels.rules import (
     Rule,
     rejection,
 )
+from service.identification.kernels.scatter import EARLIER
 from service.identification.kernels.triangles import add_square, take_in, turn, whiten
 from service.identification.samples import Codes, Floats, Segments, Status, Times
 

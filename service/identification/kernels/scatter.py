@@ -24,7 +24,7 @@ GAUSSIAN = 1.959963984540054
 JUST_NOW, OF_LATE, LONG_AGO = 4.0, 64.0, 2000.0  # samples
 SETTLED, LARGEST = 20.0, 16.0
 NEVER = -1e18
-EARLIER = 32.0  # samples that are told of together
+EARLIER = 32  # samples after which every estimator notes its map again; a power of two
 
 
 @kernel

@@ -147,14 +147,15 @@ class Block:
             source = source[:, None]
         codes = _spread(np.asarray(codes, np.uint32), (k, n))
         there = None if present is None else np.asarray(present, np.bool_)
-        everywhere = there is None or bool(there.all())
+        if there is not None and there.all():
+            there = None
         return Batch(
             values=found.reshape(k, n, -1),
             codes=codes,
             has=codes < _BAD,
             source=_spread(source // 100 + TICKS_1970, (k, n)),
             server=ticks_of_ns(now),
-            present=None if there is None or everywhere else _spread(there, (k, n)),
+            present=None if there is None else _spread(there, (k, n)),
         )
 
     def batch_of(self, column: int, data: ua.DataValue) -> Batch:

@@ -102,8 +102,9 @@ class Subscription:
         self._silent_cycles = timing.keep_alive_count  # the first cycle always sends a message
         self._unheard_cycles = 0
         self._loop = asyncio.get_running_loop()
-        self._last_told = self._next_cycle = self._loop.time()
-        self._hurries = False
+        self._last_told: float
+        self._next_cycle: float
+        self._hurries: bool  # the next cycle is under way before its time
         self._timer: asyncio.Handle
         self._begin_rhythm()
 
