@@ -56,7 +56,7 @@ def open_model(
         noise_std=found.noise_std,
         T=found.T,
         t=found.lane.t,
-        samples=found.lane.scatter.weights,
+        samples=found.lane.spread.weights,
     )
 
 
@@ -90,7 +90,7 @@ def save_models(target: Path, report: Report) -> list[Path]:
 def _save(file: Path, report: Report, valve: str, name: str) -> Path:
     found = report[valve][name]
     lane = found.lane
-    save_model(file, valve, name, lane.estimator, lane.state, lane.scatter, lane.t, found.T)
+    save_model(file, valve, name, lane.estimator, lane.state, lane.spread, lane.t, found.T)
     return file
 
 

@@ -20,7 +20,8 @@ from service.identification.kernels import rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
-from service.identification.kernels.places import (
+from service.identification.kernels.recursion import Batch, Memory, evaluate, run
+from service.identification.kernels.row_layout import (
     FACTORED,
     PLACES_OF_COUNTERS,
     SQUARES,
@@ -31,8 +32,7 @@ from service.identification.kernels.places import (
     places,
     size_of,
 )
-from service.identification.kernels.recursion import Batch, Memory, evaluate, run
-from service.identification.kernels.rules import RESETTING, TURNS, Rule
+from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
 from service.identification.kernels.stepwise import run_stepwise
 from service.identification.samples import Codes, Floats, Segments, Times, Trace
 
@@ -47,7 +47,7 @@ class RlsState(State):
     ----------
     row : (size,)
         What a step reads and writes, in one piece, see
-        :mod:`service.identification.kernels.places`. Triangles are lower ones, row by row.
+        :mod:`service.identification.kernels.row_layout`. Triangles are lower ones, row by row.
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
@@ -334,7 +334,7 @@ def rule_of(forgetting: Forgetting, n: int) -> Rule:
         case Adaptive(lam, least, threshold):
             most = np.log(max(1.0, (1.0 - least) / (1.0 - lam))) if lam < 1.0 else 0.0
             limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
-            rule = Rule(rules.SUBSPACE, lam, least, *limits, TURNS, float(most))
+            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, float(most))
         case _:
             assert_never(forgetting)
     return rule

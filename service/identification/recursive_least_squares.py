@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels.change_detection import EVERY
-from service.identification.kernels.places import CHANGES, SAMPLE, SIZE, TIME
+from service.identification.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from service.identification.kernels.rules import LARGEST
 from service.identification.least_squares_state import (
     RlsState,

@@ -7,8 +7,8 @@ import numpy as np
 
 from service.identification.estimator import Estimator, State
 from service.identification.model_structures import Structure
+from service.identification.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
 from service.identification.samples import Floats
-from service.identification.scatter import EDGES_DP, EDGES_U, Scatter
 
 S = TypeVar("S", bound=State)
 POINTS_U, POINTS_DP = 11, 10
@@ -62,7 +62,7 @@ class Survey:
 def survey(
     estimator: Estimator[S],
     state: S,
-    scatter: Scatter,
+    spread: ResidualSpread,
     t: int,
     T: float = T_DEFAULT,
     *,
@@ -90,7 +90,7 @@ def survey(
     >>> samples = Samples.of(np.arange(500), U, dp, 0 * dp, 0.1 * U * np.sqrt(dp) + e)
     >>> rls = RecursiveLeastSquares()
     >>> state, trace = rls.update(rls.initial_state(), samples)
-    >>> found = survey(rls, state, Scatter.none().add(samples, trace), 500)
+    >>> found = survey(rls, state, ResidualSpread.none().add(samples, trace), 500)
     >>> found.suggested_U, found.share
     (100.0, 0.32)
     """
@@ -99,9 +99,9 @@ def survey(
     cells = slice(len(middles_dp))
     U, dp = (x.ravel() for x in np.meshgrid(middles_U, middles_dp, indexing="ij"))
     _, std = estimator.predict(state, U, dp, np.full_like(U, T))
-    seen = scatter.weights[:, cells] > 0.0
+    seen = spread.weights[:, cells] > 0.0
     U_grid, dp_grid = _grid(dp_max)
-    gain, condition = _gain(estimator, state, scatter, U_grid, dp_grid, T)
+    gain, condition = _gain(estimator, state, spread, U_grid, dp_grid, T)
     Q, _ = estimator.predict(state, U_grid, dp_grid, np.full_like(U_grid, T))
     reachable = (Q_max >= Q) | np.isnan(Q)
     best = int(np.argmax(np.where(reachable, gain, -1.0)))
@@ -109,7 +109,7 @@ def survey(
         U=middles_U,
         dp=middles_dp,
         std=std.reshape(seen.shape),
-        age_s=(t - scatter.last[:, cells]) / 1e9,
+        age_s=(t - spread.last[:, cells]) / 1e9,
         share=float(seen.mean()),
         condition=condition,
         suggested_U=float(U_grid[best]),
@@ -129,7 +129,7 @@ def axes(dp_max: float) -> tuple[Floats, Floats]:
 
 
 def _gain(
-    estimator: Estimator[S], state: S, scatter: Scatter, U: Floats, dp: Floats, T: float
+    estimator: Estimator[S], state: S, spread: ResidualSpread, U: Floats, dp: Floats, T: float
 ) -> tuple[Floats, float]:
     """What a sample at each of N points would tell, in some unit, and the condition of P."""
     if isinstance(estimator, Informed):
@@ -142,7 +142,7 @@ def _gain(
     known = std[np.isfinite(std)]
     if len(known) < len(std) or np.ptp(known) > 0.0:
         return np.where(np.isfinite(std), std, np.inf), np.nan
-    return 1.0 / (1.0 + scatter.density(U, dp)), np.nan
+    return 1.0 / (1.0 + spread.density(U, dp)), np.nan
 
 
 def _condition(P: Floats, X: Floats) -> float:

@@ -17,12 +17,12 @@ from service.identification.map_search import BAND, MOST
 from service.identification.map_shapes import Shape
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import Polynomial, Structure, TensorSpline
+from service.identification.monotone import Monotone
 from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork, RbfNetworkState
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.rising import Rising
+from service.identification.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
 from service.identification.samples import Floats
-from service.identification.scatter import EDGES_DP, EDGES_U, Scatter
 
 VERSION: Final = 1
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
@@ -197,7 +197,7 @@ def map_section(estimator: Estimator[Any], state: Any) -> MapSection:  # noqa: A
                 log_b=_numbers(state.log_b),
                 monitor=_numbers(state.monitor),
             )
-        case RecursiveLeastSquares() | Rising() | MaximumLikelihood() | LinearMap():
+        case RecursiveLeastSquares() | Monotone() | MaximumLikelihood() | LinearMap():
             structure = estimator.structure
             n = len(structure.parameter_names)
             theta, _ = estimator.parameters(state)
@@ -236,10 +236,10 @@ def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
             return Auto(), _auto_state(section)
 
 
-def region_section(scatter: Scatter) -> RegionSection:
+def region_section(spread: ResidualSpread) -> RegionSection:
     """Where there were samples."""
     return RegionSection(
-        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(scatter.weights)
+        U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(spread.weights)
     )
 
 

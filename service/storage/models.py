@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from service.errors import ConfigurationError, StorageError
 from service.identification.estimator import Estimator
+from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Floats
-from service.identification.scatter import Scatter
 from service.storage.model_document import (
     UNITS,
     ModelDocument,
@@ -57,7 +57,7 @@ def save_model(
     name: str,
     estimator: Estimator[Any],
     state: Any,  # noqa: ANN401 - the estimator's own
-    scatter: Scatter,
+    spread: ResidualSpread,
     t: int = 0,
     T: float = np.nan,
 ) -> None:
@@ -82,9 +82,9 @@ def save_model(
         map=section,
         parameters=dict(zip(names, map(_or_none, theta.tolist()), strict=True)),
         std=dict(zip(names, map(_or_none, std.tolist()), strict=True)),
-        noise_std=_or_none(scatter.noise_std),
+        noise_std=_or_none(spread.noise_std),
         temperature=_or_none(T),
-        region=region_section(scatter),
+        region=region_section(spread),
     )
     try:
         text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)

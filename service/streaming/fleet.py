@@ -15,11 +15,11 @@ import numpy as np
 from service.identification.auto import Auto
 from service.identification.estimator import State
 from service.identification.fleet import ManyModels, copied, member, members, repeated
-from service.identification.kernels import scatter as scatter_kernel
-from service.identification.kernels.places import CHANGES
+from service.identification.kernels import residual_spread as spread_kernel
+from service.identification.kernels.row_layout import CHANGES
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
+from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
-from service.identification.scatter import Scatter, noise_std
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
 from service.streaming.kernels.lanes import NO_STATUS, Notes
@@ -106,7 +106,7 @@ class _Lanes:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
-        none = Scatter.none()
+        none = ResidualSpread.none()
         self._cells = np.tile(none.cells, (M, 1, 1))
         self._overall = np.tile(none.overall, (M, 1))
         self._frozen = np.zeros(M, bool)
@@ -128,7 +128,7 @@ class _Lanes:
             for f in fields(Trace):
                 getattr(trace, f.name)[rows] = getattr(said, f.name)
         score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
-        scatter_kernel.learn(
+        spread_kernel.learn(
             samples.t,
             samples.U,
             samples.dp,
@@ -147,7 +147,7 @@ class _Lanes:
             estimator=self._estimator,
             state=self._states.get(m),
             score=Score(self._scores[m].copy()),
-            scatter=Scatter(self._cells[m].copy(), self._overall[m].copy()),
+            spread=ResidualSpread(self._cells[m].copy(), self._overall[m].copy()),
             frozen=bool(self._frozen[m]),
             count=int(count),
             t=int(t),
@@ -181,7 +181,7 @@ class _Lanes:
     def put(self, m: int, lane: Lane) -> None:
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
-        self._cells[m], self._overall[m] = lane.scatter.cells, lane.scatter.overall
+        self._cells[m], self._overall[m] = lane.spread.cells, lane.spread.overall
         self._frozen[m] = lane.frozen
         self._lam[m] = np.nan if lane.lam is None else lane.lam
         status = NO_STATUS if lane.status is None else int(lane.status)

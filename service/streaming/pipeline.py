@@ -12,8 +12,8 @@ from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.residual_spread import TWO_SIDED_95, ResidualSpread
 from service.identification.samples import Floats, Samples, Status
-from service.identification.scatter import TWO_SIDED_95, Scatter
 from service.identification.survey import Survey, survey
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
@@ -77,7 +77,7 @@ class Lane:
     estimator: AnyEstimator
     state: State
     score: Score
-    scatter: Scatter = field(default_factory=Scatter.none)
+    spread: ResidualSpread = field(default_factory=ResidualSpread.none)
     frozen: bool = False
     lam: float | None = None
     count: int = 0
@@ -116,7 +116,7 @@ def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
     lane = state.lanes[name]
     dp_max, Q_max = max(plan.map_dp), max(plan.map_Q)
     return survey(
-        lane.estimator, lane.state, lane.scatter, state.t, state.T, dp_max=dp_max, Q_max=Q_max
+        lane.estimator, lane.state, lane.spread, state.t, state.T, dp_max=dp_max, Q_max=Q_max
     )
 
 
@@ -159,7 +159,7 @@ def predicted_measurement(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
     if isinstance(lane.estimator, RbfNetwork):  # its std is that of its residuals already
         std = np.zeros_like(std)
-    half = lane.scatter.half_width(U, dp, std)
+    half = lane.spread.half_width(U, dp, std)
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
             lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]
@@ -194,8 +194,8 @@ class _Kept(State):
 def lane_to_bytes(lane: Lane, key: str) -> bytes:
     """Pack a lane; ``key`` is that of the estimator as configured, whatever operators changed."""
     packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
-    scatter = lane.scatter
-    kept = _Kept(packed, lane.score.sums, scatter.cells, scatter.overall, np.array(lane.count))
+    spread = lane.spread
+    kept = _Kept(packed, lane.score.sums, spread.cells, spread.overall, np.array(lane.count))
     return kept.to_bytes(key)
 
 
@@ -212,10 +212,10 @@ def lane_from_bytes(
     key = key_of(configured)
     kept = _Kept.from_bytes(data, key)
     state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
-    score, scatter = Score(kept.score), Scatter(kept.cells, kept.overall)
-    if not scatter.fits:
+    score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
+    if not spread.fits:
         raise StateMismatchError("residuals by region are kept in another way today")
-    lane = Lane(configured, state, score, scatter, frozen, count=int(kept.count), t=t)
+    lane = Lane(configured, state, score, spread, frozen, count=int(kept.count), t=t)
     return lane if lam is None else with_forgetting(lane, lam)
 
 

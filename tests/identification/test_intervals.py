@@ -13,12 +13,12 @@ from service.identification.maximum_likelihood import (
     recursive_maximum_likelihood,
 )
 from service.identification.model_structures import FiveTerms, TensorSpline
+from service.identification.monotone import Monotone
 from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.rising import Rising
+from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Samples
-from service.identification.scatter import Scatter
 from service.streaming.pipeline import fresh_lane, predicted_measurement
 
 SIGMA, SEEDS, N = 1.0, 400, 600
@@ -50,7 +50,7 @@ EXACT = {
     "directional .99": (rls(FiveTerms(), Directional(0.99)), eq_7),
     "subspace .99": (rls(FiveTerms(), Subspace(0.99)), eq_7),
     "adaptive": (rls(FiveTerms(), Adaptive()), eq_7),
-    "rising": (Rising(rls(FiveTerms(), Exponential(1.0))), eq_7),
+    "rising": (Monotone(rls(FiveTerms(), Exponential(1.0))), eq_7),
     "maximum likelihood": (MaximumLikelihood(), eq_7),
     "maximum likelihood .99": (MaximumLikelihood(lam=0.99), eq_7),
     "spline": (rls(SPLINE, Exponential(1.0)), spline),
@@ -147,8 +147,8 @@ def test_whatever_the_structure_the_next_measurement_is_covered(name, truth):
                 Q, half = predicted_measurement(lane, batch.U, batch.dp, batch.T)
                 inside.append(np.abs(batch.Q - Q) <= half)
             state, trace = lane.estimator.update(lane.state, batch)
-            scatter = lane.scatter.add(batch, trace)
-            lane = type(lane)(lane.estimator, state, lane.score, scatter)
+            spread = lane.spread.add(batch, trace)
+            lane = type(lane)(lane.estimator, state, lane.score, spread)
     assert 0.93 <= np.mean(inside) <= 0.97
 
 
@@ -156,9 +156,9 @@ def test_where_the_structure_does_not_fit_the_interval_is_wider_than_where_it_do
     samples = recording(dead_band_and_saturation, 1, 6000, sigma=0.2)
     estimator = rls(FiveTerms(), Adaptive())
     state, trace = estimator.update(estimator.initial_state(), samples)
-    scatter = Scatter.none().add(samples, trace)
+    spread = ResidualSpread.none().add(samples, trace)
     U, dp, T = np.array([5.0, 45.0]), np.full(2, 180.0), np.full(2, 40.0)
-    at_the_kink, inside = scatter.half_width(U, dp, estimator.predict(state, U, dp, T)[1])
+    at_the_kink, inside = spread.half_width(U, dp, estimator.predict(state, U, dp, T)[1])
     assert at_the_kink > 1.5 * inside
 
 
@@ -166,7 +166,7 @@ def test_the_same_stream_in_other_batches_gives_the_same_scatter():
     samples = recording(eq_7, 3)
     estimator = rls(FiveTerms(), Adaptive())
     _, trace = estimator.update(estimator.initial_state(), samples)
-    whole, parts = Scatter.none().add(samples, trace), Scatter.none()
+    whole, parts = ResidualSpread.none().add(samples, trace), ResidualSpread.none()
     for start in range(0, N, 7):
         rows = slice(start, start + 7)
         piece = type(trace)(*(getattr(trace, f.name)[rows] for f in fields(trace)))
@@ -201,14 +201,14 @@ def test_samples_are_held_against_the_map_of_up_to_31_samples_before(estimator):
 
 
 def test_nothing_measured_is_nothing_known_and_nonsense_is_passed_over():
-    scatter = Scatter.none()
-    assert np.isnan(scatter.noise_std)
-    assert np.isnan(scatter.around(np.array([50.0]), np.array([100.0]))).all()
+    spread = ResidualSpread.none()
+    assert np.isnan(spread.noise_std)
+    assert np.isnan(spread.around(np.array([50.0]), np.array([100.0]))).all()
     wild = np.array([np.nan, np.inf, 1e308, -1e308, 50.0])
     samples = Samples.of(range(5), wild, wild, np.zeros(5), wild)
     _, trace = RecursiveLeastSquares().update(RecursiveLeastSquares().initial_state(), samples)
     trace = type(trace)(trace.predicted, wild, wild, trace.status)
-    after = scatter.add(samples, trace)
+    after = spread.add(samples, trace)
     assert np.isfinite(after.cells).all()
     assert after.weights.sum() == 1.0
 

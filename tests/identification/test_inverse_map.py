@@ -16,10 +16,10 @@ from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import FiveTerms, Polynomial, TensorSpline
+from service.identification.monotone import Monotone
 from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.rising import Rising
 from service.identification.samples import Floats, Samples, Trace
 
 Q_MAX = 200.0
@@ -338,9 +338,9 @@ LEARNERS = {
     "eq. (7)": RecursiveLeastSquares(),
     "eq. (7), adaptive": RecursiveLeastSquares(forgetting=Adaptive()),
     "maximum likelihood": MaximumLikelihood(),
-    "rising eq. (7)": Rising(RecursiveLeastSquares()),
+    "rising eq. (7)": Monotone(RecursiveLeastSquares()),
     "spline": RecursiveLeastSquares(TensorSpline.uniform(6, 4), Adaptive()),
-    "rising spline": Rising(RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
+    "rising spline": Monotone(RecursiveLeastSquares(TensorSpline.uniform(6, 4))),
     "spline with temperature": RecursiveLeastSquares(TensorSpline.uniform(4, 3, T=(30.0, 50.0))),
     "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
     "network": RbfNetwork(),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.identification.forgetting import Adaptive, Directional, Exponential, Resetting
-from service.identification.kernels.places import FACTORED
+from service.identification.kernels.row_layout import FACTORED
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares

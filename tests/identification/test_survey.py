@@ -7,8 +7,8 @@ from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Samples
-from service.identification.scatter import Scatter
 from service.identification.survey import survey
 
 WHERE = {
@@ -32,7 +32,7 @@ def learnt(estimator, where, n=500, seed=0):
     low_U, high_U, low_dp, high_dp = WHERE[where]
     samples = samples_from(rng.uniform(low_U, high_U, n), rng.uniform(low_dp, high_dp, n), rng)
     state, trace = estimator.update(estimator.initial_state(), samples)
-    return state, Scatter.none().add(samples, trace)
+    return state, ResidualSpread.none().add(samples, trace)
 
 
 def variance_of_map(estimator, state):
@@ -49,10 +49,10 @@ def test_the_variance_falls_three_times_faster_by_suggested_points_than_by_rando
 ):
     """What five suggested samples do, fifteen random ones do not (mean of 20 random runs)."""
     estimator = RecursiveLeastSquares(structure, Exponential(1.0))
-    start, scatter = learnt(estimator, where)
+    start, spread = learnt(estimator, where)
     rng, state = np.random.default_rng(1), start
     for k in range(5):
-        found = survey(estimator, state, scatter, 0)
+        found = survey(estimator, state, spread, 0)
         at = np.array([found.suggested_U]), np.array([found.suggested_dp])
         state, _ = estimator.update(state, samples_from(*at, rng, 1000 + k))
     suggested = variance_of_map(estimator, state)
@@ -71,13 +71,13 @@ def test_the_variance_falls_three_times_faster_by_suggested_points_than_by_rando
     ids=["RLS", "RML", "Auto", "RBF"],
 )
 def test_whoever_saw_a_low_U_alone_is_sent_to_a_high_one(estimator):
-    state, scatter = learnt(estimator, "a low U", 1500)
-    assert survey(estimator, state, scatter, 0).suggested_U > 60.0
+    state, spread = learnt(estimator, "a low U", 1500)
+    assert survey(estimator, state, spread, 0).suggested_U > 60.0
 
 
 def test_before_any_sample_there_is_a_suggestion_and_nothing_is_known():
     for estimator in (RecursiveLeastSquares(), MaximumLikelihood(), Auto(), RbfNetwork()):
-        found = survey(estimator, estimator.initial_state(), Scatter.none(), 0)
+        found = survey(estimator, estimator.initial_state(), ResidualSpread.none(), 0)
         assert 0 <= found.suggested_U <= 100
         assert 0 < found.suggested_dp <= 200
         assert np.isnan(found.std).all()
@@ -91,24 +91,24 @@ def test_one_level_of_U_leaves_a_direction_open_and_the_suggestion_closes_it():
     dp = rng.uniform(10, 200, 200)
     samples = samples_from(np.full(200, 30.0), dp, rng)
     state, trace = rls.update(rls.initial_state(), samples)
-    scatter = Scatter.none().add(samples, trace)
-    found = survey(rls, state, scatter, 0)
+    spread = ResidualSpread.none().add(samples, trace)
+    found = survey(rls, state, spread, 0)
     assert found.condition == np.inf
     assert found.suggested_U in (0.0, 100.0)
     for k in range(2):  # an offset and a slope of U are open
-        found = survey(rls, state, scatter, 0)
+        found = survey(rls, state, spread, 0)
         at = np.array([found.suggested_U]), np.array([found.suggested_dp])
         state, _ = rls.update(state, samples_from(*at, rng, 300 + k))
-    assert np.isfinite(survey(rls, state, scatter, 0).condition)
+    assert np.isfinite(survey(rls, state, spread, 0).condition)
 
 
 def test_the_age_of_a_region_is_the_time_since_its_last_sample():
     rls = RecursiveLeastSquares()
     samples = Samples.of([0, 10**9], [5.0, 95.0], [100.0, 100.0], [0.0, 0.0], [1.0, 90.0])
-    scatter = Scatter.none().add(
+    spread = ResidualSpread.none().add(
         samples, type(rls.update(rls.initial_state(), samples)[1])(*np.ones((3, 2)), np.zeros(2))
     )
-    found = survey(rls, rls.initial_state(), scatter, 4 * 10**9)
+    found = survey(rls, rls.initial_state(), spread, 4 * 10**9)
     assert found.age_s[0, 6] == 4.0
     assert found.age_s[9, 6] == 3.0
     assert np.isfinite(found.age_s).sum() == 2
@@ -117,8 +117,8 @@ def test_the_age_of_a_region_is_the_time_since_its_last_sample():
 
 def test_a_flow_that_the_pump_cannot_deliver_is_not_suggested():
     rls = RecursiveLeastSquares()
-    state, scatter = learnt(rls, "the middle")
-    free = survey(rls, state, scatter, 0)
-    bound = survey(rls, state, scatter, 0, Q_max=60.0)
+    state, spread = learnt(rls, "the middle")
+    free = survey(rls, state, spread, 0)
+    bound = survey(rls, state, spread, 0, Q_max=60.0)
     assert 0.14 * free.suggested_U * np.sqrt(free.suggested_dp) > 100.0
     assert 0.14 * bound.suggested_U * np.sqrt(bound.suggested_dp) < 61.0

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from service.identification.kernels import triangles
-from service.identification.kernels.covariance_form import has_turn
+from service.identification.kernels.covariance_form import is_nth
 from service.identification.kernels.factors import covariance
-from service.identification.kernels.places import places, size_of
+from service.identification.kernels.row_layout import places, size_of
 
 N = 4
 SIZE = size_of(N)
@@ -139,7 +139,7 @@ def test_a_direction_that_others_explain_counts_nothing():
 
 @pytest.mark.parametrize("turns", [1, 8])
 def test_turns_come_as_often_as_they_should_in_step_with_nothing(turns):
-    taken = np.array([has_turn.py_func(count, turns) for count in range(1, 64_001)])
+    taken = np.array([is_nth.py_func(count, turns) for count in range(1, 64_001)])
     assert taken.mean() == pytest.approx(1 / turns, abs=1e-3)
     for period in range(2, 65):
         shares = [taken[phase::period].mean() for phase in range(period)]

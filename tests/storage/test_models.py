@@ -10,12 +10,12 @@ from service.identification.inverse_map import invert
 from service.identification.linear_map import LinearMap
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import Polynomial, TensorSpline
+from service.identification.monotone import Monotone
 from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.rising import Rising
+from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Quality, Samples, Status
-from service.identification.scatter import Scatter
 from service.storage.models import load_model, save_model
 
 ESTIMATORS = {
@@ -27,7 +27,7 @@ ESTIMATORS = {
         TensorSpline((0, 30, 100), (0, 7, 15), (20, 60), 8.0, 91.0, at_rest="zero")
     ),
     "radial basis": RecursiveLeastSquares(RadialBasis.uniform(), Adaptive()),
-    "rising": Rising(RecursiveLeastSquares(TensorSpline.uniform(4, 3))),
+    "rising": Monotone(RecursiveLeastSquares(TensorSpline.uniform(4, 3))),
     "maximum likelihood": MaximumLikelihood(),
     "network": RbfNetwork(),
     "auto": Auto(),
@@ -44,7 +44,7 @@ def recording(n=3000):
 def taught(estimator):
     samples = recording()
     state, trace = estimator.update(estimator.initial_state(), samples)
-    return state, Scatter.none().add(samples, trace)
+    return state, ResidualSpread.none().add(samples, trace)
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -90,7 +90,7 @@ def test_what_is_not_determined_yet_is_not_saved(name, tmp_path):
     estimator = ESTIMATORS[name]
     state = estimator.initial_state()
     with pytest.raises(StorageError, match=r"m\.json: V1\.X is not saved: .* not determined yet"):
-        save_model(tmp_path / "m.json", "V1", "X", estimator, state, Scatter.none())
+        save_model(tmp_path / "m.json", "V1", "X", estimator, state, ResidualSpread.none())
     assert not (tmp_path / "m.json").exists()
 
 

@@ -79,10 +79,10 @@ def test_what_was_handed_out_does_not_change_with_later_samples(plan):
     samples = plant(50)
     fleet.take(samples, Segments.one(50))
     before = fleet.lane(0, "RLS")
-    theta, cells = before.state.theta.copy(), before.scatter.cells.copy()
+    theta, cells = before.state.theta.copy(), before.spread.cells.copy()
     fleet.take(plant(50, seed=2, first=50), Segments.one(50))
     np.testing.assert_array_equal(before.state.theta, theta)
-    np.testing.assert_array_equal(before.scatter.cells, cells)
+    np.testing.assert_array_equal(before.spread.cells, cells)
     assert fleet.lane(0, "RLS").count == 100
     assert fleet.lane(1, "RLS").count == 0
 

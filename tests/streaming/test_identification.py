@@ -140,11 +140,11 @@ def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identif
         assert (Q, status) == (identification.predict("Valvistor", name, 50.0, 100.0, np.nan)[::2])
         assert 1.0 < (upper - lower) / result.noise_std < 8.0
     checkpoints = identification.checkpoints()
-    before = identification.lane("Valvistor", "RLS").scatter
+    before = identification.lane("Valvistor", "RLS").spread
     identification.reset("Valvistor", "RLS")
     assert np.isnan(identification.result(0).estimators["RLS"].noise_std)
     identification.restore(checkpoints)
-    after = identification.lane("Valvistor", "RLS").scatter
+    after = identification.lane("Valvistor", "RLS").spread
     assert after.cells.tobytes() == before.cells.tobytes()
     assert after.multiple == before.multiple
 

@@ -25,7 +25,7 @@ z(t)·z(t-1) exceeds what coloured noise may show, and falls back where it does 
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import (
+from service.identification.kernels.row_layout import (
     CHANGES,
     COUNT,
     EVIDENCE,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import (
+from service.identification.kernels.row_layout import (
     COUNT,
     FACTOR,
     OPENED,
@@ -16,7 +16,7 @@ from service.identification.kernels.places import (
     Size,
 )
 from service.identification.kernels.rules import TRACE_LIMIT, VARIABLE, Rule
-from service.identification.kernels.triangles import add_rank_one, inform, scaled_trace, turn
+from service.identification.kernels.triangles import add_rank_one, inform, rotate, scaled_trace
 from service.identification.samples import Floats
 
 SETTLED = 20.0
@@ -72,9 +72,9 @@ def weight_along(size: Size, s: Floats, at: Places, lam: float, r: float) -> flo
 
 
 @inlined
-def has_turn(count: int, turns: int) -> bool:
-    """Whether this sample is the one of ``turns``: evenly, and in step with nothing periodic."""
-    return (count * GOLDEN & 0xFFFF) * turns <= 0xFFFF
+def is_nth(count: int, n: int) -> bool:
+    """Whether this sample is the one of ``n``: evenly, and in step with nothing periodic."""
+    return (count * GOLDEN & 0xFFFF) * n <= 0xFFFF
 
 
 @inlined
@@ -108,7 +108,7 @@ def forget_subspace(size: Size, s: Floats, at: Places, lam: float) -> None:
     information = inform(size, s, at.factor, at.Px, at.g)
     if length > FLOOR and information > FLOOR * length:
         taken = (1.0 - lam) / information
-        turn(size, s, at.spread, at.g, at.Px, at.f, taken, taken * lam)
+        rotate(size, s, at.spread, at.g, at.Px, at.f, taken, taken * lam)
         add_rank_one(size, s, at.factor, at.Px, taken / lam)
 
 

@@ -10,7 +10,7 @@ from service.identification.kernels.factors import (
     is_estimable,
     rotate_in,
 )
-from service.identification.kernels.places import (
+from service.identification.kernels.row_layout import (
     COUNT,
     FACTORED,
     SQUARES,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import covariance, project, rank_one
-from service.identification.kernels.scatter import EARLIER
+from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.stability import is_stable
 from service.identification.samples import Codes, Floats, Segments, Status
 

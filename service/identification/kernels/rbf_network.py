@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels.compiled import inner, kernel
-from service.identification.kernels.scatter import EARLIER
+from service.identification.kernels.residual_spread import EARLIER
 from service.identification.samples import Codes, Floats, Segments
 
 # Elements of ``monitor``.

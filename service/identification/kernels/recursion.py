@@ -14,7 +14,7 @@ from service.identification.kernels.compiled import kernel
 from service.identification.kernels.covariance_form import (
     forget_subspace,
     grows_beyond_limit,
-    has_turn,
+    is_nth,
     learn_noise,
     let_go,
     note,
@@ -24,7 +24,8 @@ from service.identification.kernels.covariance_form import (
 )
 from service.identification.kernels.factors import is_estimable
 from service.identification.kernels.information_form import warm_up
-from service.identification.kernels.places import (
+from service.identification.kernels.residual_spread import EARLIER
+from service.identification.kernels.row_layout import (
     COUNT,
     FACTORED,
     LOOKS,
@@ -48,8 +49,7 @@ from service.identification.kernels.rules import (
     Rule,
     rejection,
 )
-from service.identification.kernels.scatter import EARLIER
-from service.identification.kernels.triangles import add_square, take_in, turn, whiten
+from service.identification.kernels.triangles import add_square, rotate, take_in, whiten
 from service.identification.samples import Codes, Floats, Segments, Status, Times
 
 TRACE_EVERY = 16
@@ -187,8 +187,8 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                         alpha, code = 1.0, _UNEXCITED
             if lam < 1.0 and r > 0.0 and (kind == DIRECTIONAL or held):  # Kulhavý: along X alone
                 weight = weight_along(size, s, at, lam, r)
-            elif lam < 1.0 and kind == SUBSPACE and has_turn(own[COUNT], rule.turns):
-                forget_subspace(size, s, at, lam**rule.turns)
+            elif lam < 1.0 and kind == SUBSPACE and is_nth(own[COUNT], rule.every_nth):
+                forget_subspace(size, s, at, lam**rule.every_nth)
                 r = whiten(size, s, at.factor, at.x, at.f)
             growth = 1.0 if alpha == 1.0 else 1.0 / alpha
             gain = take_in(size, s, at.factor, at.f, at.Px, alpha, weight, growth)
@@ -199,7 +199,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 q = r * s[at.noise + SQUARES] / s[at.noise + WEIGHT]
             if weight != 1.0:
                 added = 1.0 if divides else (1.0 - weight) * lam
-                turn(size, s, at.spread, at.x, at.Px, at.g, 1.0 - weight, added)
+                rotate(size, s, at.spread, at.x, at.Px, at.g, 1.0 - weight, added)
             elif divides:
                 add_square(size, s, at.spread, at.x, alpha * alpha)
             square = e * e / (1.0 + q)

@@ -11,7 +11,7 @@ from service.identification.samples import Codes, Floats, Status
 EXPONENTIAL, VARIABLE, RESETTING, DIRECTIONAL, SUBSPACE, WINDOW = range(6)
 
 LARGEST = 1e100  # a value beyond it cannot be squared and summed safely
-TURNS = 8  # `Adaptive` forgets on one of so many samples
+EVERY_NTH = 8  # `Adaptive` forgets on one of so many samples
 TRACE_LIMIT = 1e10  # of P in units of the columns' scales: beyond it λ forgets along X alone
 
 _OK = int(Status.OK)
@@ -27,7 +27,7 @@ class Rule(NamedTuple):
     least: float = 1.0  # smallest λ; for RESETTING the information that is put back
     suspicious: float = np.inf  # statistic of a change that may have begun
     threshold: float = np.inf  # and of one that has happened; infinite: none is looked for
-    turns: int = 1  # SUBSPACE forgets on one of so many samples, as much as all of them would
+    every_nth: int = 1  # SUBSPACE forgets on one of so many samples, as much as all of them would
     most: float = 0.0  # logarithm of how many times faster it may forget
 
 

@@ -6,7 +6,8 @@ from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.covariance_form import note
 from service.identification.kernels.factors import back_substitute, independence, rotate_in
 from service.identification.kernels.information_form import settle
-from service.identification.kernels.places import (
+from service.identification.kernels.recursion import Batch, Memory, run
+from service.identification.kernels.row_layout import (
     COUNT,
     FACTORED,
     FILLED,
@@ -17,9 +18,8 @@ from service.identification.kernels.places import (
     Size,
     places_of,
 )
-from service.identification.kernels.recursion import Batch, Memory, run
 from service.identification.kernels.rules import RESETTING, WINDOW, Rule, rejection
-from service.identification.kernels.triangles import take_in, turn, whiten
+from service.identification.kernels.triangles import rotate, take_in, whiten
 from service.identification.samples import Floats, Segments, Status
 
 SINGULAR = 1e-9  # share of the information along X that must be left when a sample is taken out
@@ -71,7 +71,7 @@ def _put_back(size: Size, s: Floats, at: Places, j: int, share: float) -> None:
     information = share * s[at.scale + j] ** 2
     whiten(size, s, at.factor, at.x, at.f)
     take_in(size, s, at.factor, at.f, at.Px, 1.0, information, 1.0)
-    turn(size, s, at.spread, at.x, at.Px, at.g, -information, 0.0)
+    rotate(size, s, at.spread, at.x, at.Px, at.g, -information, 0.0)
 
 
 @inner

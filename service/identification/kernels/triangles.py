@@ -1,12 +1,12 @@
 """Rank-one steps on the covariance P = U·D·Uᵀ, kept as a triangle in a model's row.
 
 The triangle's row j holds U[0…j-1, j], then D[j]. P cannot become asymmetric or indefinite. All
-vectors are places in the same array ``s``, see :mod:`service.identification.kernels.places`; all
-loops run in a fixed order: the same samples give the same bits.
+vectors are places in the same array ``s``, see :mod:`service.identification.kernels.row_layout`;
+all loops run in a fixed order: the same samples give the same bits.
 """
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import Size
+from service.identification.kernels.row_layout import Size
 from service.identification.samples import Floats
 
 RIDGE = 1e-9
@@ -122,7 +122,9 @@ def add_square(size: Size, s: Floats, A: int, v: int, decay: float) -> None:
 
 
 @inlined
-def turn(size: Size, s: Floats, A: int, x: int, v: int, g: int, taken: float, added: float) -> None:
+def rotate(
+    size: Size, s: Floats, A: int, x: int, v: int, g: int, taken: float, added: float
+) -> None:
     """A ← B·A·Bᵀ + added·xxᵀ with B = I - taken·x·vᵀ of a symmetric A; ``g`` is scratch."""
     n = len(size)
     for j in range(n):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.identification.kernels.compiled import kernel
-from service.identification.kernels.places import SQUARES, VARIANCE, WEIGHT, places_of
+from service.identification.kernels.row_layout import SQUARES, VARIANCE, WEIGHT, places_of
 from service.identification.kernels.rules import RESETTING, WINDOW
 from service.identification.samples import Floats
 

@@ -7,11 +7,11 @@ from typing import Final
 from service.report.paper import claims_convergence as convergence
 from service.report.paper import claims_map as of_the_map
 from service.report.paper import claims_use as use
-from service.report.paper.asides import (
+from service.report.paper.evidence import Evidence
+from service.report.paper.notes import (
     passes_until_the_network_wins,
     what_closes_the_open_points,
 )
-from service.report.paper.evidence import Evidence
 from service.report.paper.verdict import Claim
 
 CLAIMS: Final[tuple[Callable[[Evidence], Claim], ...]] = (

@@ -20,7 +20,7 @@ GRID_DP: Final = np.array([0.5, 2.0, 8.0, 25.0, 60.0, 110.0, 200.0])
 
 
 @dataclass(frozen=True)
-class Rising:
+class Monotone:
     """Recursive least squares whose map never falls with U.
 
     The recursion runs free; what it says is drawn to the nearest theta that rises, in the metric
@@ -49,7 +49,7 @@ class Rising:
     >>> at = np.linspace(0, 100, 41), np.full(41, 150.0), np.full(41, 40.0)
     >>> float(np.diff(free.predict(state, *at)[0]).min().round(1))
     -0.5
-    >>> bool(np.diff(Rising(free).predict(state, *at)[0]).min() > -1e-9)
+    >>> bool(np.diff(Monotone(free).predict(state, *at)[0]).min() > -1e-9)
     True
     """
 
@@ -105,10 +105,10 @@ class Rising:
     def _theta(self, state: RlsState) -> Floats:
         theta, _ = self.estimator.parameters(state)
         covariance = parameter_covariance(state, self.estimator.forgetting)
-        return nearest(theta, covariance, rising_rows(self.structure))
+        return nearest(theta, covariance, monotone_rows(self.structure))
 
 
-def rising_rows(structure: Structure) -> Floats:
+def monotone_rows(structure: Structure) -> Floats:
     """Rows D (m, n) with D·theta >= 0 where the map rises with U."""
     match structure:
         case TensorSpline():

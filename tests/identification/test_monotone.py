@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.model_structures import FiveTerms, Polynomial, TensorSpline
+from service.identification.monotone import Monotone, monotone_rows, nearest
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.rising import Rising, nearest, rising_rows
 from service.identification.samples import Samples
 
 
@@ -22,7 +22,7 @@ def learnt(structure, valve=dead_band, N=1500, sigma=0.4):
     rng = np.random.default_rng(0)
     U, dp = rng.uniform(0, 100, N), rng.uniform(0, 200, N)
     Q = valve(U, dp) + sigma * rng.normal(size=N)
-    rising = Rising(RecursiveLeastSquares(structure=structure))
+    rising = Monotone(RecursiveLeastSquares(structure=structure))
     state, _ = rising.update(rising.initial_state(), Samples.of(np.arange(N), U, dp, 0 * dp, Q))
     return rising, state
 
@@ -70,7 +70,7 @@ def test_its_inverse_finds_an_answer_where_the_free_map_falls():
 
 
 def test_before_the_parameters_are_known_nothing_is_said():
-    rising = Rising(RecursiveLeastSquares())
+    rising = Monotone(RecursiveLeastSquares())
     Q, _ = rising.predict(rising.initial_state(), np.zeros(1), np.ones(1), np.ones(1))
     assert np.isnan(Q).all()
 
@@ -94,7 +94,7 @@ def test_the_nearest_point_obeys_and_no_other_that_obeys_is_nearer(theta, seed):
 
 def test_the_rows_of_a_spline_with_temperature_step_along_U_alone():
     structure = TensorSpline((0, 50, 100), (0, 14), (20, 60), at_rest="zero")
-    D = rising_rows(structure)
+    D = monotone_rows(structure)
     sites_U, sites_s = structure.sites
     plane = np.kron(np.outer(sites_U, np.ones(len(sites_s))).ravel(), np.ones(2))
     assert (D @ plane > 0).all()

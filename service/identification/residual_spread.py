@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels import scatter as kernel
+from service.identification.kernels import residual_spread as kernel
 from service.identification.samples import Floats, Samples, Segments, Trace
 
 TWO_SIDED_95: Final = kernel.GAUSSIAN
@@ -15,7 +15,7 @@ EDGES_DP: Final = (kernel.WIDTH_S * np.arange(kernel.CELLS_S + 1)) ** 2
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ResidualSpread:
     """How far measurements lay off the map of late, by region of (U, dp), for any structure.
 
     The standard deviation of an estimator's Q̂ says how well the *map* is known if its structure
@@ -36,7 +36,7 @@ class Scatter:
     Attributes
     ----------
     cells : (120, 6), overall : (11,)
-        See :mod:`service.identification.kernels.scatter`.
+        See :mod:`service.identification.kernels.residual_spread`.
 
     References
     ----------
@@ -47,8 +47,8 @@ class Scatter:
     >>> rng = np.random.default_rng(0)
     >>> U, dp, e = rng.uniform(0, 100, 5000), rng.uniform(0, 200, 5000), rng.normal(0, 2, 5000)
     >>> samples = Samples.of(np.arange(5000), U, dp, 0 * dp, e)
-    >>> scatter = Scatter.none().add(samples, Trace(0 * e, e, e, np.zeros(5000, np.uint8)))
-    >>> half = scatter.half_width(U, dp, np.zeros(5000))
+    >>> spread = ResidualSpread.none().add(samples, Trace(0 * e, e, e, np.zeros(5000, np.uint8)))
+    >>> half = spread.half_width(U, dp, np.zeros(5000))
     >>> 3.7 < float(half.mean()) < 4.2
     True
     """
@@ -57,14 +57,14 @@ class Scatter:
     overall: Floats
 
     @classmethod
-    def none(cls) -> "Scatter":
+    def none(cls) -> "ResidualSpread":
         """Nothing measured yet."""
         cells = np.zeros((kernel.CELLS_U * kernel.CELLS_S, kernel.PLACES_OF_CELL))
         overall = np.zeros(kernel.PLACES_OVERALL)
         overall[kernel.QUANTILE : kernel.TIMES] = TWO_SIDED_95
         return cls(cells, overall)
 
-    def add(self, samples: Samples, trace: Trace) -> "Scatter":
+    def add(self, samples: Samples, trace: Trace) -> "ResidualSpread":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
         cells, overall = self.cells.copy(), self.overall.copy()
         one = Segments.one(len(samples))
@@ -78,7 +78,7 @@ class Scatter:
             overall[None],
             one,
         )
-        return Scatter(cells, overall)
+        return ResidualSpread(cells, overall)
 
     @property
     def noise_std(self) -> float:
@@ -93,7 +93,7 @@ class Scatter:
     @property
     def fits(self) -> bool:
         """Whether the arrays have the shapes that the kernels expect."""
-        none = Scatter.none()
+        none = ResidualSpread.none()
         return self.cells.shape == none.cells.shape and self.overall.shape == none.overall.shape
 
     def around(self, U: Floats, dp: Floats) -> Floats:
@@ -133,6 +133,6 @@ class Scatter:
 
 
 def noise_std(overall: Floats) -> Floats:
-    """`Scatter.noise_std` of any number of them, (…, 11) → (…)."""
+    """`ResidualSpread.noise_std` of any number of them, (…, 11) → (…)."""
     known = overall[..., kernel.WEIGHT] > 0.0
     return np.asarray(np.where(known, np.sqrt(overall[..., kernel.SQUARES]), np.nan))
