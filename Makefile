@@ -6,7 +6,7 @@ RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
-.PHONY: install demo test lint format soak bench report lock clean
+.PHONY: install demo test hardened lint format soak bench report lock clean
 
 install: $(RUNTIME)
 
@@ -15,6 +15,16 @@ demo: $(RUNTIME)
 
 test: lint
 	$(BIN)/python -m pytest -m "not soak"
+
+# The guarded server alone: copied out of the tree with its tests, it must import and pass.
+hardened: $(DEV)
+	@folder=$$(mktemp -d) && trap 'rm -rf $$folder' EXIT && python=$$PWD/$(BIN)/python && \
+	    mkdir -p $$folder/service $$folder/tests/opcua && touch $$folder/service/__init__.py && \
+	    cp -r service/hardened $$folder/service && cp pyproject.toml $$folder && \
+	    cp -r tests/hardened tests/support tests/conftest.py $$folder/tests && \
+	    cp -r tests/opcua/node_peer $$folder/tests/opcua && \
+	    cd $$folder && $$python -m pytest -q -m "not soak" tests/hardened service/hardened && \
+	    $$python -c "import service.hardened as alone; print(alone.__file__)"
 
 lint: $(DEV)
 	$(BIN)/ruff check .

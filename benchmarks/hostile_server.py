@@ -10,7 +10,7 @@ import sys
 
 from asyncua import Server, ua
 
-from service.opcua.hardened import (
+from service.hardened import (
     HardenedServer,
     Role,
     ServerSettings,

@@ -15,8 +15,8 @@ from service.app.build import build_identification
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
 from service.config.models import LogConfig
+from service.hardened import Limits
 from service.identification.samples import Quality
-from service.opcua.hardened import Limits
 from service.streaming.identification import Identification
 
 PUBLISHING_MS = 1.0

@@ -26,7 +26,7 @@ from service.cli.logs import set_up_logs
 from service.config.estimators import RlsConfig
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
-from service.opcua.hardened import Limits, ServerSettings
+from service.hardened import Limits, ServerSettings
 from service.streaming.identification import Identification
 from virtual_rig.fleet import valve_names
 from virtual_rig.scenario import Fleet, Scenario

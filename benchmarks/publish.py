@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from service.hardened import Limits, Pki, Role, ServerSettings, UserStore, trust
+from service.hardened.security.certificates import ensure_certificate
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.hardened import Limits, Pki, Role, ServerSettings, UserStore, trust
-from service.opcua.hardened.certificates import ensure_certificate
 from service.streaming.data_changes import Signal
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import BUILTIN, Fleet

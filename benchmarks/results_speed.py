@@ -20,8 +20,8 @@ from service.app.build import APPLICATION_URI, build_identification
 from service.app.warm_up import warm_up
 from service.cli.logs import set_up_logs
 from service.config.models import LogConfig
+from service.hardened import Limits
 from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
-from service.opcua.hardened import Limits
 from service.opcua.results_server import ResultsServer
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 

@@ -1,4 +1,4 @@
-"""Everything that valvemap raises for a user to read.
+"""Everything that valvemap raises for a user to read, beside `service.hardened.errors`.
 
 ::
 
@@ -6,8 +6,6 @@
     ├── ConfigurationError        a file, field or argument is wrong, exit code 2
     ├── RecordingError            a recording cannot be read or written
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
-    ├── CertificateError          a certificate or key is missing, expired or not trusted
-    ├── ServerError               our server cannot run (port in use, address not ours)
     ├── CommandRejected           an operator's command cannot be carried out
     └── SourceError               the source server
         ├── SourceLost            worth another try: connection refused, cut, silent
@@ -33,14 +31,6 @@ class RecordingError(ValvemapError):
 
 class StorageError(ValvemapError):
     """A store cannot be read or written."""
-
-
-class CertificateError(ValvemapError):
-    """A certificate or key is missing, expired or not trusted."""
-
-
-class ServerError(ValvemapError):
-    """Our own server cannot run."""
 
 
 class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke

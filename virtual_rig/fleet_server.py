@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from service.opcua.hardened import (
+from service.hardened import (
     Clock,
     HardenedServer,
     ServerSettings,

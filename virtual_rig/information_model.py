@@ -8,7 +8,7 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from service.opcua.hardened import (
+from service.hardened import (
     Argument,
     Block,
     HardenedServer,

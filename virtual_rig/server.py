@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable
 from typing import Self
 
-from service.opcua.hardened import (
+from service.hardened import (
     Clock,
     CommandRejected,
     HardenedServer,

@@ -1,20 +1,22 @@
 """From the configuration's words to the objects that do the work."""
 
 from collections.abc import Awaitable, Callable
+from importlib.metadata import version
 from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
 from service.errors import ConfigurationError
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.hardened import (
+from service.hardened import (
     Limits,
     OwnCertificate,
     Pki,
+    Product,
     ServerSettings,
     UserStore,
     ensure_certificate,
 )
+from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.identification import Identification
@@ -25,6 +27,7 @@ from service.streaming.supervisor import SupervisorSettings
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
+PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 
 _AXIS_POINTS = 21
 
@@ -82,6 +85,7 @@ def build_server_settings(config: Config) -> ServerSettings:
         anonymous_observer=config.server.anonymous_observer,
         host_names=config.server.host_names,
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
+        product=PRODUCT,
     )
 
 

@@ -18,9 +18,9 @@ from service.app.build import (
 from service.app.warm_up import warm_up
 from service.clock import SystemClock
 from service.config.models import Config
+from service.hardened import ServerSettings
 from service.identification.samples import Samples
 from service.opcua.decoding import was_compiled_before
-from service.opcua.hardened import ServerSettings
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
@@ -76,8 +76,7 @@ async def serve(
             settings,
             identification.descriptions(),
             identification,
-            clock,
-            config.server.results_interval_ms * 1e-3,
+            scalars_interval_s=config.server.results_interval_ms * 1e-3,
         )
         live = LiveService(
             identification, source, server, store, clock, build_live_settings(config), on_samples

@@ -50,7 +50,7 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if not _is_for_the_user(error):
             raise
-        return _say(f"valvemap: {error}", getattr(error, "exit_code", 2))
+        return _say(f"valvemap: {error}", _exit_code(error))
     return int(code or 0)
 
 
@@ -74,9 +74,19 @@ def application(asked: Sequence[str] = ()) -> typer.Typer:
 def _is_for_the_user(error: Exception) -> bool:
     if isinstance(error, ValvemapError):
         return True
+    from service.hardened import HardenedError
     from virtual_rig.scenario import ScenarioError
 
-    return isinstance(error, ScenarioError)
+    return isinstance(error, HardenedError | ScenarioError)
+
+
+def _exit_code(error: Exception) -> int:
+    """2 where the user asked wrongly, 1 where it could not be done."""
+    if isinstance(error, ValvemapError):
+        return error.exit_code
+    from service.hardened import ConfigurationError, HardenedError
+
+    return 2 if isinstance(error, ConfigurationError) or not isinstance(error, HardenedError) else 1
 
 
 def _say(line: str, code: int) -> int:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.app.build import APPLICATION_NAME, APPLICATION_URI, PRODUCT, build_identification
 from service.app.serve import serve, stop_on_signal
 from service.app.warm_up import warm_up
 from service.cli import feedforward
@@ -25,11 +25,10 @@ from service.cli.logs import set_up_logs
 from service.clock import SystemClock
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, StateConfig, ValveConfig
-from service.errors import ServerError
+from service.hardened import Role, ServerError, ServerSettings, UserStore
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.samples import Samples
-from service.opcua.hardened import Role, ServerSettings, UserStore
 from service.streaming.identification import Identification
 from virtual_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
 
@@ -112,6 +111,7 @@ def _settings(config: Config, users: UserStore) -> ServerSettings:
         namespace_uri=APPLICATION_URI,
         users=users,
         none_on_loopback=True,
+        product=PRODUCT,
     )
 
 

@@ -10,12 +10,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from service.app.build import PRODUCT
 from service.app.serve import stop_on_signal
 from service.cli.logs import set_up_logs
 from service.cli.options import FolderOption
 from service.config.models import LogConfig
+from service.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from service.identification.samples import Samples
-from service.opcua.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import Fleet, Scenario, load_scenario
 from virtual_rig.server import RigServer
@@ -143,6 +144,7 @@ async def _serve(
         none_on_loopback=under_demo,
         host_names=tuple(hosts),
         limits=limits,
+        product=PRODUCT,
     )
     with ExitStack() as stack:
         stack.enter_context(stop_on_signal(stop))

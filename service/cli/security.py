@@ -13,7 +13,7 @@ from service.cli import rig
 from service.cli.options import FolderOption
 from service.config.template import configuration_template
 from service.errors import StorageError
-from service.opcua.hardened import (
+from service.hardened import (
     OwnCertificate,
     Pki,
     Role,
@@ -21,7 +21,7 @@ from service.opcua.hardened import (
     ensure_certificate,
     rejected,
 )
-from service.opcua.hardened.certificates import trust as trust_certificate
+from service.hardened.security.certificates import trust as trust_certificate
 
 _HOSTS = ["localhost", "127.0.0.1"]
 

@@ -16,15 +16,16 @@ from asyncua.crypto import security_policies, uacrypto
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
-from service.errors import CertificateError, ConfigurationError, SourceLost, SourceRejected
-from service.opcua.hardened.certificates import (
+from service.errors import ConfigurationError, SourceLost, SourceRejected
+from service.hardened import CertificateError
+from service.hardened.security.certificates import (
     OwnCertificate,
     Pki,
     expiry_warning,
     load_certificate,
     thumbprint,
 )
-from service.opcua.hardened.peer_certificates import (
+from service.hardened.security.peer_certificates import (
     CertificateRefused,
     application_uris,
     check_peer,

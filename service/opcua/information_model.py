@@ -16,9 +16,9 @@ from enum import IntEnum
 from asyncua import ua
 
 from service.errors import ConfigurationError
+from service.hardened import Unit
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
-from service.opcua.hardened import Unit
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
 NAMESPACE = "urn:valvemap:service"

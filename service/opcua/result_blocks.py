@@ -7,8 +7,8 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
+from service.hardened import Block, HardenedServer, Variable
 from service.identification.samples import Times
-from service.opcua.hardened import Block, HardenedServer, Variable
 from service.opcua.result_values import Column
 
 

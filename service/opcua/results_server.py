@@ -9,17 +9,16 @@ from asyncua import ua
 from asyncua.common.node import Node
 from numpy.typing import NDArray
 
-from service.clock import Clock, SystemClock
-from service.identification.inversion import InverseStatus
-from service.identification.samples import Floats, Quality, Status
-from service.identification.survey import axes
-from service.opcua.hardened import (
+from service.errors import CommandRejected
+from service.hardened import (
     Argument,
+    Clock,
     HardenedServer,
     OutOfRange,
     Role,
     ServerSettings,
     Startable,
+    SystemClock,
     Unit,
     Variable,
     add_method,
@@ -27,6 +26,11 @@ from service.opcua.hardened import (
     add_variable,
     many_nodes,
 )
+from service.hardened import CommandRejected as Refused
+from service.identification.inversion import InverseStatus
+from service.identification.samples import Floats, Quality, Status
+from service.identification.survey import axes
+from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
     DIAGNOSTICS,
     FRAME,
@@ -48,7 +52,6 @@ from service.opcua.information_model import (
 )
 from service.opcua.result_blocks import Place, ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.opcua.result_news import ResultNews
 from service.opcua.result_values import columns_of
 from service.streaming.ports import EstimatorDescription, Operator, Results, ValveDescription
 
@@ -107,7 +110,7 @@ class ResultsServer(Startable):
         self._scalars_interval_s = scalars_interval_s
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
-        self._news = ResultNews(len(self._valves), counters)
+        self._changed = ChangedResults(len(self._valves), counters)
         self._blocks: ResultBlocks
 
     @property
@@ -155,8 +158,8 @@ class ResultsServer(Startable):
         columns = columns_of(results, now)
         if not due.all():
             columns = (column[due] for column in columns)
-        self._blocks.write(valves[due], (*columns, *self._news.counts(results, due, now)))
-        for valve, new in self._news.values(results, now):
+        self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
+        for valve, new in self._changed.values(results, now):
             variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")
             if variable is not None:
                 self._server.write([(variable, new.value, new.code, new.t)])
@@ -403,11 +406,23 @@ async def _add_command(
         server,
         parent,
         f"{prefix}.{name}",
-        function,
+        _refusing(function),
         inputs=inputs,
         required=Role.OPERATOR,
         description=description,
     )
+
+
+def _refusing(function: Callable[..., None]) -> Callable[..., None]:
+    """Let the server know a command that the service rejects as one that it refuses."""
+
+    def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
+        try:
+            function(*arguments)
+        except CommandRejected as rejected:
+            raise Refused(str(rejected)) from rejected
+
+    return command
 
 
 def _first(values: Floats) -> float:

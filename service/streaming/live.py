@@ -70,7 +70,9 @@ class LiveService:
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
         self._lost = np.zeros(len(identification.plans), np.bool_)
-        self._news: dict[int, None] = {}  # valves with something to show, the oldest first
+        self._unpublished: dict[
+            int, None
+        ] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
@@ -84,7 +86,7 @@ class LiveService:
             log.info("states restored", estimators=restored)
         if refused:
             log.warning("states of another configuration left aside", estimators=refused)
-        self._news = dict.fromkeys(range(len(self._lost)))
+        self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
     async def take(self, changes: DataChanges) -> None:
@@ -95,7 +97,7 @@ class LiveService:
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
-        self._news.update(dict.fromkeys(samples))
+        self._unpublished.update(dict.fromkeys(samples))
         await self._publish_in_turn()
         if not self._under_way and len(samples):
             self._under_way = True
@@ -146,13 +148,13 @@ class LiveService:
             self._lost[valve] = True
             log.warning("sensors lost", valve=self.identification.plans[valve].name)
         if valves:
-            self._news.update(dict.fromkeys(valves))
+            self._unpublished.update(dict.fromkeys(valves))
             await self._publish_all()
 
     async def _publish_in_turn(self) -> None:
         """Publish what the budget and the share of time allow."""
         began = self._clock.monotonic()
-        if began < self._publish_due or not self._news:
+        if began < self._publish_due or not self._unpublished:
             return
         await self._publish_until(began + self._settings.publish_budget_s)
         now = self._clock.monotonic()
@@ -162,10 +164,10 @@ class LiveService:
         await self._publish_until(np.inf)
 
     async def _publish_until(self, end: float) -> None:
-        while self._news:
-            some = list(islice(self._news, VALVES_AT_ONCE))
+        while self._unpublished:
+            some = list(islice(self._unpublished, VALVES_AT_ONCE))
             for valve in some:
-                del self._news[valve]
+                del self._unpublished[valve]
             for results in self.identification.results(some, self._lost):
                 await self._sink.publish(results)
             if self._clock.monotonic() >= end:

@@ -7,7 +7,7 @@ from support.processes import free_port, rig_url, running, wait_for
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI
 from service.config.loading import load_config
-from service.opcua.hardened import ServerSettings
+from service.hardened import ServerSettings
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from asyncua.crypto.security_policies import (
 )
 from support.processes import free_port, rig_url, run, running, service_url, wait_for
 
-from service.opcua.hardened import Pki, ensure_certificate
+from service.hardened import Pki, ensure_certificate
 
 POLICIES = [SecurityPolicyBasic256Sha256, SecurityPolicyAes256Sha256RsaPss]
 CLIENT_URI = "urn:test:client"

@@ -11,7 +11,8 @@ from support.processes import free_port, rig_url, run, service_url
 from service.app.build import build_identification
 from service.app.serve import serve
 from service.config.models import NodesConfig
-from service.errors import ConfigurationError, ServerError, SourceLost, SourceRejected, StorageError
+from service.errors import SourceLost, SourceRejected, StorageError
+from service.hardened import ConfigurationError, ServerError
 
 
 def one_line(answer, code):

@@ -9,10 +9,9 @@ import pytest_asyncio
 from asyncua import Server, ua
 from support.proxy import Proxy
 
-from service.errors import CertificateError, ConfigurationError, SourceLost, SourceRejected
-from service.opcua import subscription as subscriptions
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.hardened import (
+from service.errors import ConfigurationError, SourceLost, SourceRejected
+from service.hardened import (
+    CertificateError,
     HardenedServer,
     Limits,
     Pki,
@@ -24,7 +23,9 @@ from service.opcua.hardened import (
     add_variable,
     ensure_certificate,
 )
-from service.opcua.hardened.certificates import trust
+from service.hardened.security.certificates import trust
+from service.opcua import subscription as subscriptions
+from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.opcua.source_nodes import parse_node_id
 from service.streaming.data_changes import DataChanges, Signal
 

@@ -3,9 +3,9 @@ import pytest
 from asyncua import ua
 
 from service.errors import ConfigurationError
+from service.hardened import Unit
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
-from service.opcua.hardened import Unit
 from service.opcua.information_model import (
     axis,
     check_names,

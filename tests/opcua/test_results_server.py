@@ -8,12 +8,12 @@ from asyncua import Client, ua
 from support.results import results_of, results_settings
 
 from service.clock import ManualClock
-from service.errors import CommandRejected, ServerError
+from service.errors import CommandRejected
+from service.hardened import Role, ServerError, ServerSettings, UserStore
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Quality, Status
 from service.identification.survey import Survey
-from service.opcua.hardened import Role, ServerSettings, UserStore
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
     EstimatorDescription,

@@ -18,9 +18,7 @@ from support.plant import plant
 from support.proxy import Proxy
 from support.results import results_settings
 
-from service.identification.model_structures import FiveTerms
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.opcua.hardened import (
+from service.hardened import (
     OwnCertificate,
     Pki,
     Role,
@@ -30,6 +28,8 @@ from service.opcua.hardened import (
     thumbprint,
     trust,
 )
+from service.identification.model_structures import FiveTerms
+from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.identification import Identification

@@ -4,7 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from service.opcua.hardened import ServerSettings
+from service.hardened import ServerSettings
 from service.opcua.results_server import NAMESPACE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 

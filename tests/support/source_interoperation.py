@@ -17,8 +17,8 @@ from support.processes import free_port
 from support.proxy import Proxy
 
 from service.errors import SourceLost, SourceRejected
+from service.hardened import OwnCertificate, Pki, ensure_certificate, rejected, trust
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.hardened import OwnCertificate, Pki, ensure_certificate, rejected, trust
 from service.streaming.data_changes import DataChanges, Signal
 
 START_MS = 1_800_000_000_000

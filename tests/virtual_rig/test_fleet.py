@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from asyncua import Client, ua
 
-from service.opcua.hardened import ServerSettings
+from service.hardened import ServerSettings
 from virtual_rig.fleet import record, valve_names
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import BUILTIN, Fleet, Scenario

@@ -6,7 +6,7 @@ import pytest
 import pytest_asyncio
 from asyncua import Client, ua
 
-from service.opcua.hardened import Role, ServerSettings, UserStore
+from service.hardened import Role, ServerSettings, UserStore
 from virtual_rig.scenario import BUILTIN
 from virtual_rig.server import RigServer
 

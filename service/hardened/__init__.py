@@ -1,0 +1,80 @@
+"""An OPC UA server that holds up to experts and attackers, and knows nothing of valves."""
+
+from service.hardened.address_space.blocks import Block
+from service.hardened.address_space.declarations import (
+    Argument,
+    InvalidArgument,
+    Method,
+    OutOfRange,
+    Variable,
+)
+from service.hardened.address_space.insertion import many_nodes
+from service.hardened.address_space.nodes import (
+    add_method,
+    add_object,
+    add_variable,
+)
+from service.hardened.address_space.units import Unit
+from service.hardened.clock import Clock, ManualClock, SystemClock
+from service.hardened.errors import (
+    CertificateError,
+    CommandRejected,
+    ConfigurationError,
+    HardenedError,
+    ServerError,
+    StorageError,
+)
+from service.hardened.lifecycle import Startable
+from service.hardened.security.certificates import (
+    OwnCertificate,
+    Pki,
+    ensure_certificate,
+    expiry_warning,
+    load_certificate,
+    rejected,
+    thumbprint,
+    trust,
+)
+from service.hardened.security.users import Account, Role, UserStore
+from service.hardened.server import HardenedServer, ServerCounters
+from service.hardened.settings import Limits, Product, ServerSettings
+
+__all__ = [
+    "Account",
+    "Argument",
+    "Block",
+    "CertificateError",
+    "Clock",
+    "CommandRejected",
+    "ConfigurationError",
+    "HardenedError",
+    "HardenedServer",
+    "InvalidArgument",
+    "Limits",
+    "ManualClock",
+    "Method",
+    "OutOfRange",
+    "OwnCertificate",
+    "Pki",
+    "Product",
+    "Role",
+    "ServerCounters",
+    "ServerError",
+    "ServerSettings",
+    "Startable",
+    "StorageError",
+    "SystemClock",
+    "Unit",
+    "UserStore",
+    "Variable",
+    "add_method",
+    "add_object",
+    "add_variable",
+    "ensure_certificate",
+    "expiry_warning",
+    "load_certificate",
+    "many_nodes",
+    "rejected",
+    "thumbprint",
+    "trust",
+]

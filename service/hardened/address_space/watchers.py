@@ -1,0 +1,25 @@
+"""Who watches an attribute is notified of its new value."""
+
+from collections.abc import Coroutine
+from typing import Any
+
+from asyncua import ua
+from asyncua.server.address_space import AttributeValue
+
+
+def notify(held: AttributeValue, data: ua.DataValue) -> None:
+    """Notify whoever watches an attribute of its new value."""
+    for handle, callback in list(held.datachange_callbacks.items()):
+        outcome = callback(handle, data)
+        if isinstance(outcome, Coroutine):  # of the server's own session
+            _drive(outcome)
+
+
+def _drive(coroutine: Coroutine[Any, Any, Any]) -> None:
+    """Run a coroutine that never waits: the callbacks behind a write only queue."""
+    try:
+        coroutine.send(None)
+    except StopIteration:
+        return
+    coroutine.close()
+    raise RuntimeError("a data change callback waits")

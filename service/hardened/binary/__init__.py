@@ -1,0 +1,1 @@
+"""OPC UA binary (Part 6): encoding, and decoding what cannot be believed."""

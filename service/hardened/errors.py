@@ -1,0 +1,35 @@
+"""Everything that the guarded server raises for a user to read.
+
+::
+
+    HardenedError                 one line for the user
+    ├── ConfigurationError        a setting, file or argument is wrong
+    ├── StorageError              a file cannot be written
+    ├── CertificateError          a certificate or key is missing, expired or not trusted
+    ├── ServerError               the server cannot run (port in use, address not ours)
+    └── CommandRejected           what a client asks for cannot be carried out
+"""
+
+
+class HardenedError(Exception):
+    """A sentence for the user: it names file, field, node or value and what is allowed."""
+
+
+class ConfigurationError(HardenedError):
+    """A setting, a file of settings or an argument is wrong."""
+
+
+class StorageError(HardenedError):
+    """A file cannot be written."""
+
+
+class CertificateError(HardenedError):
+    """A certificate or key is missing, expired or not trusted."""
+
+
+class ServerError(HardenedError):
+    """The server cannot run."""
+
+
+class CommandRejected(HardenedError):  # noqa: N818 - it says what happened, not what broke
+    """A write or a call cannot be carried out; all is as it was."""

@@ -1,0 +1,76 @@
+"""Logs that peers cannot flood: of each kind of line only so many in a while."""
+
+import logging
+from dataclasses import dataclass
+
+AUDIT = "opcua.audit"  # name of the logger of what users do
+WINDOW_S = 10.0
+_LINES, _AUDIT_LINES = 10, 200
+_OF_ASYNCUA = (
+    "asyncua.uaprotocol",
+    "asyncua.ua.ua_binary",
+    "asyncua.ua.uatypes",
+    "asyncua.crypto.security_policies",
+    "asyncua.crypto.uacrypto",
+    "asyncua.server.address_space",
+    "asyncua.server.monitored_item_service",
+)
+
+
+@dataclass
+class _Kind:
+    since: float
+    lines: int = 0
+    left_out: int = 0
+
+
+class Bounded(logging.Filter):
+    """Lets ``lines`` records of one message pass per window; says how many it left out.
+
+    >>> quiet = Bounded(lines=2)
+    >>> [quiet.filter(logging.makeLogRecord({"msg": "refused %s"})) for _ in range(4)]
+    [True, True, False, False]
+    """
+
+    def __init__(self, lines: int) -> None:
+        super().__init__()
+        self._lines = lines
+        self._kinds: dict[str, _Kind] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the record may pass."""
+        now = record.created
+        template = str(record.msg)
+        kind = self._kinds.get(template)
+        if kind is None:
+            kind = self._kinds[template] = _Kind(now)
+        if now - kind.since > WINDOW_S:
+            left_out, kind.since, kind.lines, kind.left_out = kind.left_out, now, 0, 0
+            if left_out:
+                record.msg = f"{template} (and {left_out} more like it)"
+        kind.lines += 1
+        kind.left_out += kind.lines > self._lines
+        return kind.lines <= self._lines
+
+
+def bounded_logger(name: str) -> logging.Logger:
+    """Return the logger of that name, bounded."""
+    return _bound(name, _LINES)
+
+
+def audit_logger() -> logging.Logger:
+    """Return the logger of what users do: sessions, writes, calls, refusals."""
+    return _bound(AUDIT, _AUDIT_LINES)
+
+
+def bound_asyncua() -> None:
+    """Bound what asyncua says while it takes packets apart."""
+    for name in _OF_ASYNCUA:
+        _bound(name, _LINES)
+
+
+def _bound(name: str, lines: int) -> logging.Logger:
+    logger = logging.getLogger(name)
+    if not any(isinstance(known, Bounded) for known in logger.filters):
+        logger.addFilter(Bounded(lines))
+    return logger

@@ -1,0 +1,1 @@
+"""Certificates, users, and who may do what."""

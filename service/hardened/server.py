@@ -1,0 +1,405 @@
+"""The hardened server: identity, endpoints, values; it knows nothing of what it serves."""
+
+import asyncio
+import dataclasses
+import datetime as dt
+import ipaddress
+from collections.abc import Iterable, Sequence
+from typing import Any, Self
+from urllib.parse import urlparse
+
+from asyncua import Server, ua
+from asyncua.server.address_space import AddressSpace
+from asyncua.server.internal_session import InternalSession
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from numpy.typing import ArrayLike
+
+from service.hardened.address_space.asyncua_server import AsyncuaServer
+from service.hardened.address_space.attributes import Attributes
+from service.hardened.address_space.blocks import Block
+from service.hardened.address_space.browse import View
+from service.hardened.address_space.declarations import Method, Value, Variable
+from service.hardened.address_space.plain_values import as_variant
+from service.hardened.address_space.self_description import SelfDescription
+from service.hardened.address_space.watchers import notify
+from service.hardened.audit import Audit
+from service.hardened.binary import seams
+from service.hardened.binary.encoding import instant, nanoseconds
+from service.hardened.clock import Clock, SystemClock
+from service.hardened.errors import CertificateError, ConfigurationError, ServerError
+from service.hardened.lifecycle import Startable
+from service.hardened.logs import bound_asyncua, bounded_logger
+from service.hardened.monitoring.event_filter import event_of_asyncua
+from service.hardened.security.certificates import (
+    KEY_BITS,
+    ensure_certificate,
+    expiry_warning,
+    load_certificate,
+    make_certificate,
+)
+from service.hardened.sessions.services import Services
+from service.hardened.sessions.session import Sessions
+from service.hardened.settings import ServerSettings
+from service.hardened.subscriptions.registry import Subscriptions
+from service.hardened.transport.endpoints import offered_endpoints, offered_policies
+from service.hardened.transport.fair_turns import FairTurns
+from service.hardened.transport.listener import Listener
+from service.hardened.transport.shared import Own, Shared, Traffic
+
+_log = bounded_logger(__name__)
+
+Update = tuple[Variable, Value, int, int]
+
+
+@dataclasses.dataclass(frozen=True)
+class ServerCounters:
+    """What a server holds now, and what it has seen since its start."""
+
+    sessions: int
+    subscriptions: int
+    monitored_items: int
+    queued_notifications: int
+    lost_notifications: int
+    requests: int
+    refused_requests: int
+    refused_connections: int
+
+
+class HardenedServer(Startable):
+    """An OPC UA server with our guard, PKI and users.
+
+    Make it with :meth:`create`, add nodes, then ``async with`` it or call :meth:`start` and
+    :meth:`stop`.
+
+    Attributes
+    ----------
+    ua
+        asyncua's server, for importing node sets and making events; it never listens.
+    namespace_index
+        Index of the namespace of the server's own nodes.
+    """
+
+    def __init__(self, settings: ServerSettings, clock: Clock | None = None) -> None:
+        seams.install()
+        bound_asyncua()
+        self.settings = settings
+        self.namespace_index = 0
+        self._clock = clock or SystemClock()
+        self._inside = AsyncuaServer(settings.cache)
+        self.ua = Server(iserver=self._inside)
+        self._variables: dict[ua.NodeId, Variable] = {}
+        self._methods: dict[ua.NodeId, Method] = {}
+        self._port: int | None = None
+        limits, aspace = settings.limits, self._inside.aspace
+        self._subscriptions = Subscriptions(aspace, limits, self._clock)
+        self._inside.hand_events_to(self._trigger_event_of_asyncua)
+        self._sessions = Sessions(
+            limits, self._clock, self._subscriptions.ledger, self._subscriptions.end
+        )
+        self._view = View(aspace, limits)
+        self._attributes = Attributes(
+            aspace,
+            self._variables,
+            self._methods,
+            self._take_write,
+            self.utc,
+        )
+        self._audit = Audit(
+            settings.application_uri,
+            self._subscriptions,
+            self._clock,
+            limits.audit_events_per_second,
+        )
+        self._services = Services(
+            limits,
+            self._clock,
+            self._attributes,
+            self._view,
+            self._subscriptions,
+            self._inside.history_manager,
+            self._audit,
+        )
+        self._announcements = SelfDescription(
+            aspace, self._write_data_value, self._clock, settings, self._summary
+        )
+        self._listener: Listener | None = None
+        self._traffic = Traffic()
+
+    @classmethod
+    async def create(cls, settings: ServerSettings, clock: Clock | None = None) -> Self:
+        """Make a server with its standard nodes; it does not listen yet.
+
+        Raises
+        ------
+        ConfigurationError
+            if the settings contradict each other.
+        """
+        _check(settings)
+        server = cls(settings, clock)
+        await server.ua.init()
+        await server.ua.set_application_uri(settings.application_uri)
+        server.namespace_index = await server.namespace(settings.namespace_uri)
+        return server
+
+    @property
+    def session(self) -> InternalSession:
+        """The server's own session, which may do everything."""
+        return self._inside.isession
+
+    @property
+    def address_space(self) -> AddressSpace:
+        """All nodes."""
+        return self._inside.aspace
+
+    @property
+    def url(self) -> str:
+        """Where the server listens; with port 0 known once it is started."""
+        parsed = urlparse(self.settings.url)
+        port = parsed.port if self._port is None else self._port
+        return parsed._replace(netloc=f"{_bracketed(parsed.hostname or '')}:{port}").geturl()
+
+    @property
+    def counters(self) -> ServerCounters:
+        """What the server has seen so far."""
+        return ServerCounters(
+            sessions=len(self._sessions),
+            subscriptions=len(self._subscriptions.by_number),
+            monitored_items=self._subscriptions.item_count,
+            queued_notifications=self._subscriptions.ledger.queued,
+            lost_notifications=self._subscriptions.ledger.lost,
+            requests=self._traffic.requests,
+            refused_requests=self._traffic.refused_requests,
+            refused_connections=self._traffic.refused_connections,
+        )
+
+    async def namespace(self, uri: str) -> int:
+        """Return the index of a namespace, registering it if it is new."""
+        return int(await self.ua.register_namespace(uri))
+
+    def utc(self) -> dt.datetime:
+        """Time of day."""
+        return instant(self._clock.now())
+
+    def register_variable(self, variable: Variable, value: Value) -> None:
+        """Take a variable into care (called by ``add_variable``)."""
+        self._variables[variable.id] = variable
+        waiting = ua.StatusCodes.BadWaitingForInitialData
+        code = waiting if value is None else ua.StatusCodes.Good
+        self.write([(variable, value, code, self._clock.now())])
+
+    def register_method(self, method: Method) -> None:
+        """Take a method into care (called by ``add_method``)."""
+        self._methods[method.id] = method
+
+    def write(self, updates: Iterable[Update]) -> None:
+        """Publish values: in order, all before the event loop goes on.
+
+        Parameters
+        ----------
+        updates
+            Tuples (variable, value, status code, source time in UTC ns). With a Bad status the
+            value is dropped, as OPC UA Part 4, 7.7.1 demands; Uncertain keeps it.
+        """
+        server_time = instant(self._clock.now())
+        stamp, source_time = None, server_time
+        for variable, value, code, nanoseconds_ in updates:
+            if nanoseconds_ != stamp:
+                stamp, source_time = nanoseconds_, instant(nanoseconds_)
+            content = (
+                ua.Variant()
+                if code & 0x8000_0000
+                else as_variant(variable.type, value, array=variable.array)
+            )
+            data = ua.DataValue(content, ua.StatusCode(code), source_time, server_time)
+            self._write_data_value(variable.id, data)
+
+    def add_block(self, variables: Sequence[Variable], length: int | None = None) -> Block:
+        """Keep variables of one type as arrays, to be written by :meth:`write_block`.
+
+        Parameters
+        ----------
+        variables
+            What changes together; each belongs to one block at most.
+        length
+            Length of the variables' values if they are arrays.
+
+        Raises
+        ------
+        ServerError
+            if the variables are not of one type, or no numbers.
+        """
+        aspace, known = self._inside.aspace, self._subscriptions.blocks
+        block = Block(variables, length, aspace, self._subscriptions.ledger)
+        known.update({variable.id: (block, i) for i, variable in enumerate(block.variables)})
+        return block
+
+    def write_block(
+        self,
+        block: Block,
+        values: ArrayLike,
+        source_times: ArrayLike,
+        codes: ArrayLike = ua.StatusCodes.Good,
+        present: ArrayLike | None = None,
+    ) -> None:
+        """Publish k successive samples of a block, as :meth:`write` would one by one.
+
+        Parameters
+        ----------
+        block
+            n variables.
+        values
+            Shape (k, n); (k, n, length) if the variables are arrays.
+        source_times
+            UTC ns, shape (k,) or (k, n).
+        codes
+            StatusCodes, one for all or of shape (k, n). A Bad one drops the value.
+        present
+            Shape (k, n), False where there is no sample; None: all are there.
+        """
+        block.take(block.batch(values, source_times, codes, present, self._clock.now()))
+
+    def mark(self, variable: Variable, code: int) -> None:
+        """Change the status of a variable's value, keeping value and source time."""
+        held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
+        server_time = instant(self._clock.now())
+        data = dataclasses.replace(
+            held, StatusCode=ua.StatusCode(code), ServerTimestamp=server_time
+        )
+        self._write_data_value(variable.id, data)
+
+    def mark_block(self, block: Block, code: int) -> None:
+        """Change the status of a block's values, keeping values and source times."""
+        block.take(block.marked(code, self._clock.now()))
+
+    def set_service_level(self, level: int) -> None:
+        """Say how well the server can serve: 255 best, 0 not at all."""
+        self._announcements.set_service_level(level)
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises
+        ------
+        ServerError
+            if the address is in use or not ours: names the endpoint.
+        CertificateError
+            if certificate or key cannot be had.
+        """
+        settings = self.settings
+        certificate, key = await asyncio.to_thread(_certificate, settings)
+        if warning := expiry_warning(certificate):
+            _log.warning("%s", warning)
+        der = certificate.public_bytes(serialization.Encoding.DER)
+        shared = Shared(
+            limits=settings.limits,
+            clock=self._clock,
+            users=settings.users,
+            pki=settings.pki,
+            sessions=self._sessions,
+            services=self._services,
+            audit=self._audit,
+            own=Own(der, key, offered_policies(settings, certificate, key)),
+            turns=FairTurns(self._clock),
+            anonymous_allowed=settings.none_on_loopback or settings.anonymous_observer,
+            traffic=self._traffic,
+        )
+        listener = Listener(shared)
+        self._view.forget_types()
+        parsed = urlparse(settings.url)
+        try:
+            self._port = await listener.start(parsed.hostname or "", parsed.port or 0)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
+        self._listener = listener
+        shared.offered.extend(offered_endpoints(settings, self.url, der))
+        self._announcements.announce()
+        self._announcements.start()
+        if settings.none_on_loopback:
+            _log.warning("%s: also open without security, on loopback (demo only)", self.url)
+
+    async def stop(self) -> None:
+        """Stop listening and close every session; safe to call twice."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            self._announcements.stop()
+            await listener.stop()
+            await self._inside.stop()
+
+    def _write_data_value(self, nodeid: ua.NodeId, data: ua.DataValue) -> None:
+        if place := self._subscriptions.blocks.get(nodeid):
+            block, column = place
+            block.take(block.batch_of(column, data))
+            return
+        held = self._inside.aspace[nodeid].attributes[ua.AttributeIds.Value]
+        held.value = data
+        held.value_callback = None
+        ledger = self._subscriptions.ledger
+        ledger.moment += 1
+        if held.datachange_callbacks:
+            notify(held, data)
+        ledger.moment += 1
+
+    def _take_write(self, variable: Variable, value: Value, at: dt.datetime | None) -> None:
+        source = self._clock.now() if at is None else nanoseconds(at)
+        self.write([(variable, value, ua.StatusCodes.Good, source)])
+
+    def _trigger_event_of_asyncua(self, event: Any) -> None:  # noqa: ANN401 - asyncua's
+        self._subscriptions.trigger_event(event_of_asyncua(event))
+
+    def _summary(self) -> dict[str, int]:
+        totals, traffic = self._sessions.totals, self._traffic
+        intervals = {s.timing.interval_s for s in self._subscriptions.by_number.values()}
+        return {
+            "CurrentSessionCount": len(self._sessions),
+            "CumulatedSessionCount": totals.created,
+            "SecurityRejectedSessionCount": totals.refused_for_security,
+            "RejectedSessionCount": totals.refused + totals.refused_for_security,
+            "SessionTimeoutCount": totals.timed_out,
+            "PublishingIntervalCount": len(intervals),
+            "CurrentSubscriptionCount": len(self._subscriptions.by_number),
+            "CumulatedSubscriptionCount": self._subscriptions.created,
+            "SecurityRejectedRequestsCount": traffic.refused_for_security,
+            "RejectedRequestsCount": traffic.refused_requests,
+        }
+
+
+def _check(settings: ServerSettings) -> None:
+    parsed = urlparse(settings.url)
+    try:
+        complete = parsed.scheme == "opc.tcp" and parsed.hostname and parsed.port is not None
+    except ValueError:
+        complete = False
+    if not complete:
+        raise ConfigurationError(
+            f"{settings.url}: an endpoint like opc.tcp://127.0.0.1:4840/path/ is needed"
+        )
+    if settings.none_on_loopback and parsed.hostname not in ("127.0.0.1", "::1"):
+        raise ConfigurationError(
+            f"{settings.url}: without security a server listens on 127.0.0.1 or ::1 only"
+        )
+    if settings.pki is None and not settings.none_on_loopback:
+        raise ConfigurationError(f"{settings.url}: a server on the network needs a PKI folder")
+
+
+def _certificate(settings: ServerSettings) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
+    names = settings.host_names or ("localhost", "127.0.0.1")
+    uri, name = settings.application_uri, settings.application_name
+    if settings.pki is None:  # only to encrypt passwords on the way to the demo's open endpoint
+        key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
+        return make_certificate(key, uri, names, name), key
+    file_name = "".join(c if c.isalnum() else "-" for c in name)
+    own = ensure_certificate(settings.pki, uri, names, file_name)
+    loaded = serialization.load_pem_private_key(own.key.read_bytes(), None)
+    if not isinstance(loaded, rsa.RSAPrivateKey):
+        raise CertificateError(f"{own.key}: an RSA key is needed")
+    return load_certificate(own.certificate), loaded
+
+
+def _bracketed(host: str) -> str:
+    try:
+        return f"[{host}]" if ipaddress.ip_address(host).version == 6 else host
+    except ValueError:
+        return host

@@ -1,0 +1,1 @@
+"""Sessions of peers, and the services that answer their requests."""

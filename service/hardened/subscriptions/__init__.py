@@ -1,0 +1,1 @@
+"""Subscriptions: when they publish, and what they keep for Republish."""

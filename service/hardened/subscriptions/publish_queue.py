@@ -1,0 +1,123 @@
+"""The publish requests of one session, and which subscription is served first."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from asyncua import ua
+
+from service.hardened.binary.encoding import encode_message, encode_status_change, ticks_of_ns
+from service.hardened.clock import Clock
+from service.hardened.subscriptions.subscription import Message, Subscription
+
+
+@dataclass(frozen=True)
+class PublishRequest:
+    """A publish request that waits for its answer."""
+
+    request_id: int
+    handle: int
+    results: tuple[int, ...]
+    deadline: float
+
+
+Answer = Callable[[PublishRequest, int, Message], None]
+Refuse = Callable[[PublishRequest, int], None]
+
+
+class PublishQueue:
+    """Publish requests in the order they came; late subscriptions by priority, then by age.
+
+    Parameters
+    ----------
+    capacity
+        How many requests may wait; past that the oldest is answered BadTooManyPublishRequests.
+    answer, refuse
+        Send a message, or a fault, in answer to a request.
+    ready
+        Tell whether the connection takes more now.
+    clock
+        For deadlines and the times of messages.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        answer: Answer,
+        refuse: Refuse,
+        ready: Callable[[], bool],
+        clock: Clock,
+    ) -> None:
+        self._capacity = capacity
+        self._answer = answer
+        self._refuse = refuse
+        self._ready = ready
+        self._clock = clock
+        self._requests: deque[PublishRequest] = deque()
+        self._late: dict[int, Subscription] = {}
+
+    def __len__(self) -> int:
+        return len(self._requests)
+
+    def add(self, request: PublishRequest) -> None:
+        """Take a request, and answer it at once if a subscription waits for it."""
+        while len(self._requests) >= self._capacity:
+            self._refuse(self._requests.popleft(), ua.StatusCodes.BadTooManyPublishRequests)
+        self._requests.append(request)
+        self.serve()
+
+    def publish(self, subscription: Subscription) -> bool:
+        """Send a subscription's messages as far as requests go, else remember it as late."""
+        while subscription.has_message():
+            if not self._send(subscription):
+                if subscription.waiting_since is None:
+                    subscription.waiting_since = self._clock.monotonic()
+                self._late[subscription.number] = subscription
+                return False
+        self.forget(subscription)
+        return True
+
+    def serve(self) -> None:
+        """Serve the late subscriptions as far as requests go."""
+        for subscription in sorted(
+            self._late.values(), key=lambda s: (-s.timing.priority, s.waiting_since or 0.0)
+        ):
+            if not self._requests or not self._ready():
+                return
+            self.publish(subscription)
+
+    def forget(self, subscription: Subscription) -> None:
+        """Remember a subscription as late no longer."""
+        subscription.waiting_since = None
+        self._late.pop(subscription.number, None)
+
+    def notify(self, number: int, code: int) -> None:
+        """Let the client know, if it asks, that a subscription is no longer its own."""
+        if self._requests and self._ready():
+            content = encode_message(
+                1, ticks_of_ns(self._clock.now()), [encode_status_change(code)]
+            )
+            self._answer(self._requests.popleft(), number, Message(1, content, (), more=False))
+
+    def drop_expired(self) -> None:
+        """Answer the requests whose time is over."""
+        now = self._clock.monotonic()
+        expired = [request for request in self._requests if request.deadline <= now]
+        for request in expired:
+            self._requests.remove(request)
+            self._refuse(request, ua.StatusCodes.BadTimeout)
+
+    def refuse_all(self, code: int) -> None:
+        """Answer all requests with a fault."""
+        while self._requests:
+            self._refuse(self._requests.popleft(), code)
+
+    def lose_connection(self) -> None:
+        """Forget requests that can be answered no more."""
+        self._requests.clear()
+
+    def _send(self, subscription: Subscription) -> bool:
+        if not self._requests or not self._ready():
+            return False
+        self._answer(self._requests.popleft(), subscription.number, subscription.next_message())
+        return True

@@ -1,0 +1,1 @@
+"""Connections: listening, channels, requests in fair turns."""

@@ -1,0 +1,86 @@
+"""Results that are rare or large: they go out when they are new."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+from numpy.typing import NDArray
+
+from service.identification.samples import Times
+from service.opcua.information_model import INVERSE, counter_name
+from service.opcua.result_values import (
+    Column,
+    Shown,
+    discovery_values,
+    estimator_own_words,
+    inverse_codes,
+    map_value,
+    survey_values,
+)
+from service.streaming.ports import Results
+
+
+class ChangedResults:
+    """Remembers what was published of each valve.
+
+    Parameters
+    ----------
+    valves, counters
+        How many there are of them.
+    """
+
+    def __init__(self, valves: int, counters: int) -> None:
+        self._counts = np.full((valves, counters), -1, np.int64)
+        self._counted = np.zeros((valves, counters), np.int64)  # when it last grew, UTC ns
+        self._told: dict[tuple[int, str], tuple[Any, ...]] = {}
+
+    def counts(self, results: Results, due: NDArray[np.bool_], now: int) -> Iterator[Column]:
+        """Counters of those valves that are due, with the time when they were first seen so."""
+        counters = results.counters[due]
+        where = results.valves[due, None], np.arange(counters.shape[1])
+        grown = counters != self._counts[where]
+        t = np.where(grown, now, self._counted[where])
+        self._counts[where], self._counted[where] = counters, t
+        good = np.full(len(counters), ua.StatusCodes.Good, np.uint32)
+        for k in np.flatnonzero(grown.any(axis=0)):
+            yield Column(counter_name(results.counter_names[k]), counters[:, k], good, t[:, k])
+
+    def values(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        """Maps, surveys, changes and structures that are new, each with its valve's number."""
+        valves = _numbers(results.valves)
+        inverse = results.inverse
+        codes, t = inverse_codes(inverse).tolist(), _times(inverse.t, now)
+        for m, table in enumerate(inverse.map_U):
+            if self._is_new(valves[m], INVERSE, table, codes[m]):
+                yield valves[m], map_value(table, codes[m], t[m])
+        for name, found in results.estimators.items():
+            codes = estimator_own_words(found).tolist()
+            t = _times(found.t, now)
+            discoveries = zip(found.change, found.structure, strict=True)
+            for m, discovery in enumerate(discoveries):
+                valve, code = valves[m], codes[m]
+                if self._is_new(valve, f"{name}.Coverage", found.survey[m], code):
+                    for new in survey_values(name, found.survey[m], code, t[m]):
+                        yield valve, new
+                if self._is_new(valve, name, None, *discovery, code):
+                    for new in discovery_values(name, *discovery, code, t[m]):
+                        yield valve, new
+
+    def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
+        """Tell whether it is another thing, or one of the facts is another than last time."""
+        key = valve, name
+        before = self._told.get(key)
+        if before is not None and before[0] is thing and before[1:] == facts:
+            return False
+        self._told[key] = thing, *facts
+        return True
+
+
+def _times(t: Times, now: int) -> list[int]:
+    return _numbers(np.where(t, t, now))
+
+
+def _numbers(array: Times) -> list[int]:
+    numbers: list[int] = array.tolist()
+    return numbers

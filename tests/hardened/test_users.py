@@ -1,0 +1,139 @@
+import json
+import os
+import stat
+import sys
+
+import pytest
+
+from service.hardened.clock import ManualClock
+from service.hardened.errors import ConfigurationError
+from service.hardened.security.users import Role, UserStore
+
+PASSWORD = "correct horse"
+
+
+@pytest.fixture
+def clock():
+    return ManualClock()
+
+
+@pytest.fixture
+def store(clock):
+    users = UserStore(clock=clock)
+    users.add("anna", Role.ENGINEER, PASSWORD)
+    return users
+
+
+def test_the_right_password_gives_the_users_role(store):
+    assert store.authenticate("anna", PASSWORD) is Role.ENGINEER
+
+
+@pytest.mark.parametrize(
+    ("name", "password"), [("anna", "wrong horse"), ("anna", ""), ("nobody", PASSWORD), ("", "")]
+)
+def test_a_wrong_name_or_password_gives_nothing(store, name, password):
+    assert store.authenticate(name, password) is None
+
+
+def test_after_five_failures_even_the_right_password_is_refused_until_the_lock_ends(store, clock):
+    for _ in range(5):
+        assert store.authenticate("anna", "wrong horse", "10.0.0.1") is None
+    assert store.authenticate("anna", PASSWORD, "10.0.0.1") is None
+    clock.advance(301.0)
+    assert store.authenticate("anna", PASSWORD, "10.0.0.1") is Role.ENGINEER
+
+
+def test_one_guessing_peer_does_not_lock_the_user_out_elsewhere(store):
+    for _ in range(5):
+        store.authenticate("anna", "wrong horse", "10.0.0.1")
+    assert store.authenticate("anna", PASSWORD, "10.0.0.2") is Role.ENGINEER
+
+
+def test_many_guessing_peers_lock_the_name_for_everybody(store):
+    for peer in range(50):
+        store.authenticate("anna", "wrong horse", f"10.0.1.{peer}")
+    assert store.authenticate("anna", PASSWORD, "10.0.0.2") is None
+
+
+def test_a_success_forgets_the_failures_before_it(store):
+    for _ in range(3):
+        for _ in range(4):
+            store.authenticate("anna", "wrong horse")
+        assert store.authenticate("anna", PASSWORD) is Role.ENGINEER
+
+
+def test_remembered_failures_stay_bounded(store, monkeypatch):
+    monkeypatch.setattr("service.hardened.security.users._hash", lambda *_: bytes(32))
+    for number in range(3000):
+        store.authenticate(f"guess-{number}", "wrong horse", "10.0.0.1")
+    assert len(store._failures) <= 1000
+
+
+def test_a_saved_store_is_read_back_and_holds_no_password(store, tmp_path):
+    file = tmp_path / "users.json"
+    store.save(file)
+    assert PASSWORD not in file.read_text()
+    assert UserStore.load(file).authenticate("anna", PASSWORD) is Role.ENGINEER
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX modes")
+def test_only_the_owner_can_read_a_saved_store(store, tmp_path):
+    old = os.umask(0)
+    try:
+        store.save(tmp_path / "users.json")
+    finally:
+        os.umask(old)
+    assert stat.S_IMODE((tmp_path / "users.json").stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("no json", "not a JSON file"),
+        ("{}", "a list of users"),
+        (json.dumps([{"name": "anna"}]), "user 1"),
+        (json.dumps([{"name": "anna", "role": 9, "password_hash": "AA=="}]), "user 1"),
+        (json.dumps([{"name": "anna", "role": 1}]), "neither password_hash nor thumbprint"),
+        (json.dumps([{"name": "a", "role": 1, "password_hash": "AA==", "n": 2**30}]), "cost"),
+    ],
+)
+def test_a_damaged_file_of_users_is_named_with_its_fault(tmp_path, content, named):
+    file = tmp_path / "users.json"
+    file.write_text(content)
+    with pytest.raises(ConfigurationError, match=named) as caught:
+        UserStore.load(file)
+    assert "users.json" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_of_users_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"users\.json: cannot be read"):
+        UserStore.load(tmp_path / "users.json")
+
+
+def test_a_short_password_or_an_empty_name_is_refused(store):
+    with pytest.raises(ConfigurationError, match="at least 8"):
+        store.add("bert", Role.OBSERVER, "short")
+    with pytest.raises(ConfigurationError, match="1 to 64"):
+        store.add("", Role.OBSERVER, PASSWORD)
+
+
+def test_a_one_time_password_is_different_each_time():
+    first, password = UserStore.one_time("operator", Role.OPERATOR)
+    _, other = UserStore.one_time("operator", Role.OPERATOR)
+    assert password != other
+    assert first.authenticate("operator", password) is Role.OPERATOR
+
+
+def test_a_user_certificate_gives_name_and_role(store):
+    store.add_certificate("carl", Role.OPERATOR, b"certificate of carl")
+    assert store.certificate_role(b"certificate of carl") == ("carl", Role.OPERATOR)
+    assert store.certificate_role(b"another certificate") is None
+    assert store.authenticate("carl", "") is None
+
+
+def test_a_removed_user_is_gone_and_an_unknown_one_named(store):
+    store.remove("anna")
+    assert store.authenticate("anna", PASSWORD) is None
+    with pytest.raises(ConfigurationError, match="anna: unknown"):
+        store.remove("anna")
