@@ -115,6 +115,32 @@ class Audit:
         fields = {"Certificate": _bytes(der)}
         self._report(kind, "Security/Certificate", Actor(None, host), code, sentence, fields)
 
+    def channel_opened(
+        self, host: str, number: int, asked: ua.OpenSecureChannelParameters, policy: str, der: bytes
+    ) -> None:
+        """Report that a peer, with its certificate, opened or renewed a secure channel."""
+        said = f"secure channel opened by {host}"
+        name = thumbprint(der).upper() if der else ""
+        fields = {
+            "SecureChannelId": ua.Variant(str(number), _Types.String),
+            "ClientCertificate": _bytes(der),
+            "ClientCertificateThumbprint": ua.Variant(name, _Types.String),
+            "RequestType": ua.Variant(int(asked.RequestType), _Types.Int32),
+            "SecurityPolicyUri": ua.Variant(policy, _Types.String),
+            "SecurityMode": ua.Variant(int(asked.SecurityMode), _Types.Int32),
+            "RequestedLifetime": ua.Variant(float(asked.RequestedLifetime), _Types.Double),
+        }
+        kind = _Ids.AuditOpenSecureChannelEventType
+        actor = Actor(None, host)
+        self._report(kind, "SecureChannel/OpenSecureChannel", actor, _Codes.Good, said, fields)
+
+    def cancelled(self, actor: Actor, handle: int) -> None:
+        """Report that a client cancelled requests of its own."""
+        said = f"cancel by {actor.user} at {actor.host}"
+        fields = {"RequestHandle": ua.Variant(handle, _Types.UInt32)}
+        kind = _Ids.AuditCancelEventType
+        self._report(kind, "Session/Cancel", actor, _Codes.Good, said, fields)
+
     def session_refused(self, actor: Actor, code: int, token: object = None) -> None:
         """Report that a session was not made, or nobody let in."""
         reason = ua.StatusCode(code).name

@@ -39,6 +39,7 @@ from service.hardened.security.certificates import (
     load_certificate,
     make_certificate,
 )
+from service.hardened.security.login_queue import LoginQueue
 from service.hardened.sessions.services import Services
 from service.hardened.sessions.session import Sessions
 from service.hardened.settings import ServerSettings
@@ -302,6 +303,7 @@ class HardenedServer(Startable):
             audit=self._audit,
             own=Own(der, key, offered_policies(settings, certificate, key)),
             turns=FairTurns(self._clock),
+            logins=LoginQueue(settings.users, self._clock),
             anonymous_allowed=settings.none_on_loopback or settings.anonymous_observer,
             traffic=self._traffic,
         )

@@ -13,6 +13,9 @@ class Limits:
 
     Attributes
     ----------
+    reserved_share
+        Share of sessions, subscriptions, monitored items, and items of one node, that is kept for
+        users with the role Operator or above.
     connections, connections_per_host, connections_per_second
         TCP connections, those without a session included; the last one by host.
     sessions, sessions_per_host
@@ -43,6 +46,8 @@ class Limits:
         Subscriptions.
     monitored_items, monitored_items_per_subscription
         Monitored items.
+    links_per_subscription
+        Links by which items of a subscription trigger others: each costs with every message.
     monitored_items_per_node, monitored_items_per_node_and_session
         Monitored items on one node: each costs with every change of it.
     queue_size, event_queue_size, queued_notifications
@@ -64,6 +69,7 @@ class Limits:
         Longest and shortest session time-out, ms.
     """
 
+    reserved_share: float = 0.1
     connections: int = 100
     connections_per_host: int = 50
     connections_per_second: int = 50
@@ -95,6 +101,7 @@ class Limits:
     subscriptions_per_session: int = 20
     monitored_items: int = 20_000
     monitored_items_per_subscription: int = 10_000
+    links_per_subscription: int = 1_000
     monitored_items_per_node: int = 50
     monitored_items_per_node_and_session: int = 5
     queue_size: int = 10_000

@@ -70,9 +70,7 @@ class LiveService:
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
         self._lost = np.zeros(len(identification.plans), np.bool_)
-        self._unpublished: dict[
-            int, None
-        ] = {}  # valves, the oldest first
+        self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
         self._publish_due = now

@@ -171,6 +171,18 @@ async def test_the_server_says_that_it_audits(sara):
     assert await sara.get_node(Ids.Server_Auditing).read_value() is True
 
 
+async def test_an_opened_channel_and_a_cancelled_request_are_reported(plant, listening):
+    async with plant.client("oskar") as client:
+        opened = await listening.heard(Ids.AuditOpenSecureChannelEventType)
+        assert opened.SourceName == "SecureChannel/OpenSecureChannel"
+        request = ua.CancelRequest()
+        request.Parameters.RequestHandle = 4711
+        await client.uaclient.protocol.send_request(request)
+        cancelled = await listening.heard(Ids.AuditCancelEventType)
+        assert cancelled.SourceName == "Session/Cancel"
+        assert cancelled.ClientUserId == "oskar"
+
+
 async def test_sessions_are_told_from_their_beginning_to_their_end(plant, listening):
     async with plant.client("oskar"):
         pass

@@ -43,6 +43,9 @@ class Line:
     def __init__(self):
         self.sent = []
 
+    def charge(self, cost):
+        pass
+
     def answer_publish(self, request, number, message):
         self.sent.append(
             encode_publish_response(
@@ -60,6 +63,16 @@ class Line:
         self.sent.append((request_id, handle, code))
 
 
+async def no_breath():
+    pass
+
+
+def at_once(coroutine):
+    """Run a coroutine that never waits."""
+    with pytest.raises(StopIteration):
+        coroutine.send(None)
+
+
 class Side:
     """One server with its clients: with blocks, or without."""
 
@@ -73,6 +86,7 @@ class Side:
         service = self.server._subscriptions
         for subscription in list(service.by_number.values()):
             service.end(subscription)
+        service.chores.finish()
         service._limits = limits
         service.created = 0
         ledger = service.ledger
@@ -261,20 +275,20 @@ class Play:
 
     def set_mode(self):
         who, number, items = self.some()
-        params = ua.SetMonitoringModeParameters(
-            number,
-            self.rng.choice((Mode.Disabled, Mode.Reporting, self.other)),
-            self.rng.sample(items, min(2, len(items))),
-        )
-        self.both(lambda s: s.server._subscriptions.set_monitoring(s.sessions[who], params))
+        mode = self.rng.choice((Mode.Disabled, Mode.Reporting, self.other))
+        for item in self.rng.sample(items, min(2, len(items))):
+            self.both(
+                lambda s, item=item: s.server._subscriptions.set_monitoring(
+                    s.sessions[who], number, item, mode
+                )
+            )
 
     def link(self):
         who, number, items = self.some()
         if len(items) < 2 or self.plain:
             return
         a, b = self.rng.sample(items, 2)
-        params = ua.SetTriggeringParameters(number, a, [b], [])
-        self.both(lambda s: s.server._subscriptions.set_triggering(s.sessions[who], params))
+        self.both(lambda s: s.server._subscriptions.link(s.sessions[who], number, a, b))
 
     def delete(self):
         who, number, items = self.some()
@@ -282,8 +296,7 @@ class Play:
             return
         gone = self.rng.choice(items)
         items.remove(gone)
-        params = ua.DeleteMonitoredItemsParameters(number, [gone])
-        self.both(lambda s: s.server._subscriptions.delete_items(s.sessions[who], params))
+        self.both(lambda s: s.server._subscriptions.delete_item(s.sessions[who], number, gone))
 
     def switch(self):
         who, number, _ = self.some()
@@ -292,7 +305,9 @@ class Play:
 
     def resend(self):
         who, number, _ = self.some()
-        self.both(lambda s: s.server._subscriptions.resend(s.sessions[who], number))
+        self.both(
+            lambda s: at_once(s.server._subscriptions.resend(s.sessions[who], number, no_breath))
+        )
 
     def write(self):
         name = self.rng.choice(list(BLOCKS))

@@ -49,8 +49,8 @@ class Watch:
     def has_pending(self, number):
         self.pending.append(number)
 
-    def trigger(self, links):
-        self.triggered.append(set(links))
+    def trigger(self, number):
+        self.triggered.append(number)
 
 
 def value(number, code=0, t=0):
@@ -332,4 +332,4 @@ def test_a_linked_item_is_triggered():
     one = item(watch)
     one.links.add(9)
     one(0, value(1.0))
-    assert watch.triggered == [one.links]
+    assert watch.triggered == [1]

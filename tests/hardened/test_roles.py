@@ -223,7 +223,7 @@ async def test_a_wrong_user_or_password_is_let_in_nowhere(plant, endpoint, user,
     code = await code_of(client.connect())
     assert code in (Codes.BadUserAccessDenied, Codes.BadIdentityTokenInvalid)
     await client.disconnect()
-    plant.server.settings.users._failures.clear()
+    plant.server.settings.users.unlock(user)
 
 
 @pytest.mark.parametrize("endpoint", ENDPOINTS)
@@ -258,7 +258,7 @@ async def test_guessing_locks_the_user_for_this_peer(plant):
     client = await plant.client(user="erna")
     assert await code_of(client.connect()) == Codes.BadUserAccessDenied
     await client.disconnect()
-    plant.server.settings.users._failures.clear()
+    plant.server.settings.users.unlock("erna")
     async with await plant.client(user="erna"):
         pass
 
@@ -278,7 +278,7 @@ async def test_the_session_goes_on_while_another_guesses(plant, observer):
         waits.append(loop.time() - began)
         await asyncio.sleep(0.01)
     await guessing
-    plant.server.settings.users._failures.clear()
+    plant.server.settings.users.unlock("oskar")
     assert max(waits) < 0.25
 
 

@@ -22,6 +22,9 @@ class Owner:
         self.times = []
         self._clock = clock
 
+    def charge(self, cost):
+        pass
+
     def has_publish_requests(self):
         return True
 

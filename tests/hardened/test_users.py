@@ -62,11 +62,28 @@ def test_a_success_forgets_the_failures_before_it(store):
         assert store.authenticate("anna", PASSWORD) is Role.ENGINEER
 
 
-def test_remembered_failures_stay_bounded(store, monkeypatch):
+def test_names_that_nobody_has_flush_no_users_failures_and_stay_bounded(store, monkeypatch):
     monkeypatch.setattr("service.hardened.security.users._hash", lambda *_: bytes(32))
+    for _ in range(5):
+        store.authenticate("anna", "wrong horse", "10.0.0.1")
     for number in range(3000):
         store.authenticate(f"guess-{number}", "wrong horse", "10.0.0.1")
-    assert len(store._failures) <= 1000
+    assert store.locked("anna", "10.0.0.1")
+    assert len(store._failures_of_strangers._names) <= 1000
+
+
+def test_a_name_that_nobody_has_is_locked_as_others_are(store):
+    for _ in range(5):
+        store.authenticate("berta", "wrong horse", "10.0.0.1")
+    assert store.locked("berta", "10.0.0.1")
+
+
+def test_guesses_from_elsewhere_lock_out_no_address_that_logged_in_before(store):
+    assert store.authenticate("anna", PASSWORD, "10.0.0.1") is Role.ENGINEER
+    for peer in range(60):
+        store.authenticate("anna", "wrong horse", f"10.0.1.{peer}")
+    assert store.locked("anna", "10.0.0.2")
+    assert store.authenticate("anna", PASSWORD, "10.0.0.1") is Role.ENGINEER
 
 
 def test_a_saved_store_is_read_back_and_holds_no_password(store, tmp_path):

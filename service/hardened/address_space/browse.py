@@ -3,6 +3,7 @@
 import dataclasses
 import secrets
 from collections import OrderedDict
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from asyncua import ua
@@ -33,6 +34,7 @@ class Continuation:
     page: int
 
 
+Breathe = Callable[[], Awaitable[None]]
 Continuations = OrderedDict[bytes, Continuation]
 
 
@@ -130,10 +132,10 @@ class View:
             result.ContinuationPoint = point
         return result
 
-    def translate(  # noqa: PLR0911 - one per reason
-        self, path: ua.BrowsePath
+    async def translate(  # noqa: PLR0911 - one per reason
+        self, path: ua.BrowsePath, breathe: Breathe
     ) -> ua.BrowsePathResult:
-        """Follow a browse path to its nodes."""
+        """Follow a browse path to its nodes, letting others go first between them."""
         elements = path.RelativePath.Elements
         if not elements:
             return _no_path(_Codes.BadNothingToDo)
@@ -143,13 +145,17 @@ class View:
             return _no_path(_Codes.BadBrowseNameInvalid)
         if path.StartingNode not in self._aspace:
             return _no_path(_Codes.BadNodeIdUnknown)
-        reached = {path.StartingNode: None}
+        reached: dict[ua.NodeId, None] = {path.StartingNode: None}
         for element in elements:
-            reached = {target: None for nodeid in reached for target in self._step(nodeid, element)}
+            found: dict[ua.NodeId, None] = {}
+            for nodeid in reached:
+                found.update(dict.fromkeys(self._step(nodeid, element)))
+                if len(found) > _MAX_TARGETS:
+                    return _no_path(_Codes.BadTooManyMatches)
+                await breathe()
+            reached = found
             if not reached:
                 return _no_path(_Codes.BadNoMatch)
-            if len(reached) > _MAX_TARGETS:
-                return _no_path(_Codes.BadTooManyMatches)
         targets = [
             ua.BrowsePathTarget(TargetId=nodeid, RemainingPathIndex=2**32 - 1) for nodeid in reached
         ]

@@ -193,7 +193,7 @@ class DataItem:
         if self.mode == ua.MonitoringMode.Reporting:
             self._subscription.has_report(self.number)
         if self.links:
-            self._subscription.trigger(self.links)
+            self._subscription.trigger(self.number)
 
 
 def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:

@@ -1,6 +1,5 @@
 """What a monitored item is asked to do, and what it knows of its subscription (Part 4, 5.13)."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -48,5 +47,5 @@ class Reporter(Protocol):
     def hurry(self) -> None:
         """Publish at once if the rhythm is a fast one and a whole interval has passed."""
 
-    def trigger(self, links: Iterable[int]) -> None:
-        """Report what linked items have sampled."""
+    def trigger(self, number: int) -> None:
+        """Report what the items linked to this one have sampled, when the next message is made."""

@@ -1,6 +1,5 @@
 """Who logs in: user identity tokens, checked against the users of the server (Part 4, 7.41)."""
 
-import asyncio
 import hmac
 from dataclasses import dataclass
 
@@ -10,11 +9,11 @@ from asyncua.crypto import uacrypto
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from service.hardened.security.login_queue import LoginQueue
 from service.hardened.security.users import Role, UserStore
 
 _Codes = ua.StatusCodes
 _MAX_PASSWORD_BYTES = 4_096
-_PAUSE_AFTER_GUESS_S = 0.1  # for all: guessing must not cost the others the processor
 
 ANONYMOUS = "anonymous"
 USERNAME = "username"
@@ -55,13 +54,11 @@ async def identify(
     challenge: Challenge,
     users: UserStore,
     origin: str,
-    gate: asyncio.Semaphore,
+    logins: LoginQueue,
     *,
     anonymous_allowed: bool,
 ) -> Principal:
     """Find out who logs in.
-
-    ``gate`` bounds how many passwords are hashed at once: each takes 16 MB.
 
     Raises
     ------
@@ -75,12 +72,7 @@ async def identify(
         return Principal(ANONYMOUS, Role.OBSERVER)
     if isinstance(token, ua.UserNameIdentityToken):
         name, password = token.UserName or "", _password(token, challenge)
-        async with gate:
-            role = None
-            if not users.locked(name, origin):
-                role = await asyncio.to_thread(users.authenticate, name, password, origin)
-            if role is None:
-                await asyncio.sleep(_PAUSE_AFTER_GUESS_S)
+        role = await logins.authenticate(name, password, origin)
         if role is None:
             raise ServiceError(_Codes.BadUserAccessDenied)
         return Principal(name, role)

@@ -6,6 +6,7 @@ import hmac
 import json
 import os
 import secrets
+import sys
 from collections import OrderedDict
 from dataclasses import asdict, dataclass
 from enum import IntEnum
@@ -14,10 +15,12 @@ from typing import Self
 
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import ConfigurationError, StorageError
+from service.hardened.security.lock_out import Failures
 
 _SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and some 40 ms a guess
 _SCRYPT_MEMORY = 64 * 1024 * 1024
-_REMEMBERED_FAILURES = 1_000
+_REMEMBERED_STRANGERS = 1_000  # names that nobody has
+_REMEMBERED_ORIGINS = 100  # addresses from which a user has logged in
 _DUMMY_SALT = bytes(16)
 
 
@@ -56,8 +59,9 @@ class UserStore:
     """The users of a server.
 
     After ``allowed_failures`` wrong passwords for one name from one peer, that pair is locked
-    for ``lock_seconds``; ten times as many from anywhere lock the name for everybody, so that
-    many peers guess no faster. While locked, the right password is refused too.
+    for ``lock_seconds``; ten times as many from anywhere lock the name for everybody but those
+    addresses from which the user has logged in before, so that many peers guess no faster. While
+    locked, the right password is refused too.
 
     >>> store = UserStore()
     >>> store.add("anna", Role.ENGINEER, "correct horse")
@@ -75,9 +79,10 @@ class UserStore:
         clock: Clock | None = None,
     ) -> None:
         self._accounts: dict[str, Account] = {}
-        self._failures: OrderedDict[tuple[str, str], tuple[int, float]] = OrderedDict()
+        self._failures_of_users = Failures(sys.maxsize, lock_seconds)
+        self._failures_of_strangers = Failures(_REMEMBERED_STRANGERS, lock_seconds)
+        self._origins: dict[str, OrderedDict[str, None]] = {}  # where each user has logged in
         self._allowed_failures = allowed_failures
-        self._lock_seconds = lock_seconds
         self._clock = clock or SystemClock()
 
     @classmethod
@@ -164,11 +169,19 @@ class UserStore:
         if self.locked(name, origin):
             return None
         if not right or stored is None:
-            self._count_failure((name, origin))
-            self._count_failure((name, "*"))
+            self._failures_of(name).add(name, origin, self._clock.monotonic())
             return None
-        self._failures.pop((name, origin), None)
+        self._failures_of(name).forget(name, origin)
+        origins = self._origins.setdefault(name, OrderedDict())
+        origins[origin] = None
+        origins.move_to_end(origin)
+        if len(origins) > _REMEMBERED_ORIGINS:
+            origins.popitem(last=False)
         return stored.role
+
+    def knows(self, name: str, origin: str) -> bool:
+        """Whether this user has logged in from this address since the start."""
+        return origin in self._origins.get(name, ())
 
     def certificate_role(self, certificate: bytes) -> tuple[str, Role] | None:
         """Return name and role of the user with this certificate (DER), or None."""
@@ -179,10 +192,19 @@ class UserStore:
         return None
 
     def locked(self, name: str, origin: str = "") -> bool:
-        """Tell whether this name is locked for this peer now."""
-        return self._over(name, origin, self._allowed_failures) or self._over(
-            name, "*", 10 * self._allowed_failures
-        )
+        """Whether this name is locked for this peer now.
+
+        Guesses from elsewhere do not lock out an address from which the user has logged in before.
+        """
+        failures, now = self._failures_of(name), self._clock.monotonic()
+        if failures.of_origin(name, origin, now) >= self._allowed_failures:
+            return True
+        from_anywhere = failures.of_name(name, now) >= 10 * self._allowed_failures
+        return from_anywhere and not self.knows(name, origin)
+
+    def unlock(self, name: str) -> None:
+        """Forget all wrong passwords for a name."""
+        self._failures_of(name).forget_name(name)
 
     def save(self, file: Path) -> None:
         """Write the users to a JSON file that only its owner can read.
@@ -225,18 +247,10 @@ class UserStore:
             store._accounts[account.name] = account
         return store
 
-    def _count_failure(self, key: tuple[str, str]) -> None:
-        count, _ = self._failures.pop(key, (0, 0.0))
-        self._failures[key] = (count + 1, self._clock.monotonic())
-        while len(self._failures) > _REMEMBERED_FAILURES:
-            self._failures.popitem(last=False)
-
-    def _over(self, name: str, origin: str, allowed: int) -> bool:
-        count, last = self._failures.get((name, origin), (0, 0.0))
-        if count and self._clock.monotonic() - last >= self._lock_seconds:
-            self._failures.pop((name, origin))
-            return False
-        return count >= allowed
+    def _failures_of(self, name: str) -> Failures:
+        """Names that nobody has are counted apart: however many, they flush no user's."""
+        known = name in self._accounts
+        return self._failures_of_users if known else self._failures_of_strangers
 
 
 def write_owner_only(file: Path, content: bytes) -> None:

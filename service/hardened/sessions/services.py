@@ -225,13 +225,13 @@ class Services:
     ) -> ua.CallMethodResult:
         session = request.session
         if wanted.MethodId in (_GET_MONITORED_ITEMS, _RESEND_DATA):
-            return self._call_for_session(session, wanted)
+            return await self._call_for_session(request, wanted)
         return await self._attributes.call(wanted, session.role, request.turn.outside)
 
-    def _call_for_session(
-        self, session: Session, wanted: ua.CallMethodRequest
+    async def _call_for_session(
+        self, request: Request, wanted: ua.CallMethodRequest
     ) -> ua.CallMethodResult:
-        result = ua.CallMethodResult()
+        session, result = request.session, ua.CallMethodResult()
         given = wanted.InputArguments or []
         if len(given) != 1 or given[0].VariantType != ua.VariantType.UInt32:
             result.StatusCode = ua.StatusCode(_Codes.BadInvalidArgument)
@@ -242,7 +242,7 @@ class Services:
         elif number not in session.subscriptions:
             result.StatusCode = ua.StatusCode(_Codes.BadUserAccessDenied)
         elif wanted.MethodId == _RESEND_DATA:
-            self._subscriptions.resend(session, number)
+            await self._subscriptions.resend(session, number, request.turn.breathe)
         else:
             pairs = self._subscriptions.items_of(session, number)
             result.OutputArguments = [
@@ -299,7 +299,7 @@ class Services:
         self._check_count(params.BrowsePaths)
         results = []
         for path in params.BrowsePaths:
-            results.append(self._view.translate(path))
+            results.append(await self._view.translate(path, request.turn.breathe))
             await request.turn.breathe()
         return ua.TranslateBrowsePathsToNodeIdsResponse(Results=results)
 
@@ -349,7 +349,7 @@ class Services:
         self, request: Request, params: ua.TransferSubscriptionsParameters
     ) -> ua.TransferSubscriptionsResponse:
         self._check_count(params.SubscriptionIds)
-        results = self._subscriptions.transfer(request.session, params)
+        results = await self._subscriptions.transfer(request.session, params, request.turn.breathe)
         response = ua.TransferSubscriptionsResponse()
         response.Parameters.Results = results
         return response
@@ -408,14 +408,25 @@ class Services:
         self, request: Request, params: ua.DeleteMonitoredItemsParameters
     ) -> ua.DeleteMonitoredItemsResponse:
         self._check_count(params.MonitoredItemIds)
-        codes = self._subscriptions.delete_items(request.session, params)
+        codes = []
+        for item in params.MonitoredItemIds:
+            code = self._subscriptions.delete_item(request.session, params.SubscriptionId, item)
+            codes.append(code)
+            await request.turn.breathe()
         return ua.DeleteMonitoredItemsResponse(Results=_statuses(codes))
 
     async def _set_monitoring_mode(
         self, request: Request, params: ua.SetMonitoringModeParameters
     ) -> ua.SetMonitoringModeResponse:
         self._check_count(params.MonitoredItemIds)
-        codes = self._subscriptions.set_monitoring(request.session, params)
+        codes = []
+        for item in params.MonitoredItemIds:
+            codes.append(
+                self._subscriptions.set_monitoring(
+                    request.session, params.SubscriptionId, item, params.MonitoringMode
+                )
+            )
+            await request.turn.breathe()
         response = ua.SetMonitoringModeResponse()
         response.Parameters.Results = _statuses(codes)
         return response
@@ -425,11 +436,26 @@ class Services:
     ) -> ua.SetTriggeringResponse:
         links = [*(params.LinksToAdd or ()), *(params.LinksToRemove or ())]
         self._check_count(links)
-        result = self._subscriptions.set_triggering(request.session, params)
+        session, subscriptions = request.session, self._subscriptions
+        where = params.SubscriptionId, params.TriggeringItemId
+        result = ua.SetTriggeringResult()
+        for linked in params.LinksToRemove or ():
+            code = subscriptions.unlink(session, *where, linked)
+            result.RemoveResults.append(ua.StatusCode(code))
+            await request.turn.breathe()
+        for linked in params.LinksToAdd or ():
+            code = subscriptions.link(session, *where, linked)
+            result.AddResults.append(ua.StatusCode(code))
+            await request.turn.breathe()
         return ua.SetTriggeringResponse(Parameters=result)
 
-    async def _cancel(self, _: Request, __: ua.CancelParameters) -> ua.CancelResponse:
-        return ua.CancelResponse()  # all but Publish are answered before the next is read
+    async def _cancel(self, request: Request, params: ua.CancelParameters) -> ua.CancelResponse:
+        # All but Publish are answered before the next request is read.
+        count = request.session.cancel(params.RequestHandle)
+        self._audit.cancelled(request.actor, params.RequestHandle)
+        response = ua.CancelResponse()
+        response.Parameters.CancelCount = count
+        return response
 
     def _check_count(self, operations: Sequence[Any] | None, most: int | None = None) -> None:
         if not operations:

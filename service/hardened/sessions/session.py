@@ -2,7 +2,7 @@
 
 import math
 import secrets
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
@@ -45,6 +45,9 @@ class Line(Protocol):
 
     def refuse(self, request_id: int, handle: int, code: int) -> None:
         """Send a fault."""
+
+    def charge(self, cost: float) -> None:
+        """Put what was done for the peer on its account, s of the processor."""
 
 
 class Session:
@@ -101,6 +104,11 @@ class Session:
     def hears(self, audience: Role) -> bool:
         """Tell whether the user may hear of an event that is for that role and above."""
         return self.principal is not None and self.principal.role >= audience
+
+    def charge(self, cost: float) -> None:
+        """Put what was done for the session on its connection's account, s of the processor."""
+        if self.line is not None:
+            self.line.charge(cost)
 
     def touch(self) -> None:
         """Note that the client lives."""
@@ -163,6 +171,10 @@ class Session:
         for subscription in self.subscriptions.values():
             subscription.heard_of()
         self._queue.add(request)
+
+    def cancel(self, handle: int) -> int:
+        """Refuse the publish requests that the client calls so; how many there were."""
+        return self._queue.cancel(handle)
 
     def publish(self, subscription: Subscription) -> bool:
         """Send what a subscription has, as far as publish requests go."""
@@ -245,7 +257,10 @@ class Sessions:
         return len(self._by_token)
 
     def create(self, line: Line, params: ua.CreateSessionParameters) -> Session:
-        """Make a session; where there are too many, one that nobody uses gives way."""
+        """Make a session; where there are too many, one that nobody uses gives way.
+
+        Sessions that are not activated yield first, those of the address that has most of them.
+        """
         limits = self._limits
         of_host = [session for session in self if session.host == line.host]
         if len(of_host) >= limits.sessions_per_host:
@@ -263,6 +278,29 @@ class Sessions:
         self._by_token[session.token.Identifier] = session
         self.totals.created += 1
         return session
+
+    def admit(self, session: Session, principal: Principal) -> None:
+        """Let a user into a session; a part of the room is kept for operators and above.
+
+        Raises
+        ------
+        ServiceError
+            BadTooManySessions.
+        """
+        if principal.role >= Role.OPERATOR:
+            return
+        others = [
+            other
+            for other in self
+            if other is not session and other.active and not other.hears(Role.OPERATOR)
+        ]
+        limits = self._limits
+        for held, most in (
+            ([other for other in others if other.host == session.host], limits.sessions_per_host),
+            (others, limits.sessions),
+        ):
+            if len(held) >= most - int(limits.reserved_share * most):
+                self._give_way(held)
 
     def find(self, token: ua.NodeId) -> Session:
         """Find a session by its token.
@@ -323,4 +361,5 @@ class Sessions:
         if not unused:
             self.totals.refused += 1
             raise ServiceError(_Codes.BadTooManySessions)
-        self.close(min(unused, key=lambda session: (session.active, session.last_seen)))
+        of_host = Counter(session.host for session in unused if not session.active)
+        self.close(min(unused, key=lambda s: (s.active, -of_host[s.host], s.last_seen)))

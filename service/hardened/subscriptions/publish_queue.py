@@ -107,6 +107,14 @@ class PublishQueue:
             self._requests.remove(request)
             self._refuse(request, ua.StatusCodes.BadTimeout)
 
+    def cancel(self, handle: int) -> int:
+        """Refuse the requests that the client calls so; how many there were."""
+        cancelled = [request for request in self._requests if request.handle == handle]
+        for request in cancelled:
+            self._requests.remove(request)
+            self._refuse(request, ua.StatusCodes.BadRequestCancelledByClient)
+        return len(cancelled)
+
     def refuse_all(self, code: int) -> None:
         """Answer all requests with a fault."""
         while self._requests:

@@ -2,13 +2,14 @@
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AddressSpace
 
+from service.hardened.chores import Chores
 from service.hardened.clock import Clock
 from service.hardened.ledger import Ledger
 from service.hardened.logs import bounded_logger
@@ -38,6 +39,7 @@ from service.hardened.subscriptions.subscription import (
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 
+Breathe = Callable[[], Awaitable[None]]
 EventWatch = tuple[Subscription, EventItem, EventFilter]
 
 
@@ -46,6 +48,7 @@ class Subscriptions:
 
     def __init__(self, aspace: AddressSpace, limits: Limits, clock: Clock) -> None:
         self.ledger = Ledger(limits.queued_notifications)
+        self.chores = Chores(clock)
         self.by_number: dict[int, Subscription] = {}
         self.created = 0
         self._aspace = aspace
@@ -63,9 +66,10 @@ class Subscriptions:
     ) -> ua.CreateSubscriptionResult:
         """Create a subscription."""
         limits = self._limits
+        room = limits.subscriptions - self._reserved(session, limits.subscriptions)
         if (
             len(session.subscriptions) >= limits.subscriptions_per_session
-            or len(self.by_number) >= limits.subscriptions
+            or len(self.by_number) >= room
         ):
             raise ServiceError(_Codes.BadTooManySubscriptions)
         timing = self._timing(params, params.Priority)
@@ -124,22 +128,27 @@ class Subscriptions:
         return codes
 
     def end(self, subscription: Subscription) -> None:
-        """Delete one subscription and its items."""
-        for item in list(subscription.items.values()):
-            self._forget(subscription, item)
+        """Delete one subscription now, and its items little by little."""
+        owner = subscription.owner
         subscription.stop()
         self.by_number.pop(subscription.number, None)
-        subscription.owner.lose(subscription)
+        owner.lose(subscription)
         self._share()
+        self.chores.add(self._forget_all(subscription), owner.charge)
 
-    def transfer(
-        self, session: Owner, params: ua.TransferSubscriptionsParameters
+    async def transfer(
+        self, session: Owner, params: ua.TransferSubscriptionsParameters, breathe: Breathe
     ) -> list[ua.TransferResult]:
         """Move subscriptions of the same user to this session."""
-        return [
-            self._transfer(session, number, send_initial=bool(params.SendInitialValues))
-            for number in params.SubscriptionIds
-        ]
+        results = []
+        for number in params.SubscriptionIds:
+            moves = number not in session.subscriptions
+            result = self._transfer(session, number)
+            if moves and params.SendInitialValues and number in session.subscriptions:
+                await self.resend(session, number, breathe)
+            results.append(result)
+            await breathe()
+        return results
 
     def republish(self, session: Owner, params: ua.RepublishParameters) -> bytes:
         """Return a message again."""
@@ -194,72 +203,61 @@ class Subscriptions:
         except ItemRefused as refused:
             return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(refused.code))
 
-    def delete_items(self, session: Owner, params: ua.DeleteMonitoredItemsParameters) -> list[int]:
-        """Delete monitored items; a status code each."""
-        subscription = self._owned(session, params.SubscriptionId)
+    def delete_item(self, session: Owner, number: int, item_number: int) -> int:
+        """Delete a monitored item; a status code."""
+        subscription = self._owned(session, number)
         subscription.heard_of()
-        codes = []
-        for number in params.MonitoredItemIds:
-            item = subscription.items.get(number)
-            if item is not None:
-                self._forget(subscription, item)
-            codes.append(_Codes.BadMonitoredItemIdInvalid if item is None else _Codes.Good)
-        return codes
-
-    def set_monitoring(self, session: Owner, params: ua.SetMonitoringModeParameters) -> list[int]:
-        """Set the monitoring mode; a status code each."""
-        subscription = self._owned(session, params.SubscriptionId)
-        subscription.heard_of()
-        codes = []
-        for number in params.MonitoredItemIds:
-            item = subscription.items.get(number)
-            if item is None:
-                codes.append(_Codes.BadMonitoredItemIdInvalid)
-                continue
-            if isinstance(item, BlockItem) and params.MonitoringMode == ua.MonitoringMode.Sampling:
-                item = one_by_one(self._aspace, subscription, item)
-            if item.set_mode(params.MonitoringMode) and not isinstance(item, EventItem):
-                item.start(self._current(item))
-            codes.append(_Codes.Good)
-        return codes
-
-    def set_triggering(
-        self, session: Owner, params: ua.SetTriggeringParameters
-    ) -> ua.SetTriggeringResult:
-        """Link items so that one reports what others have sampled."""
-        subscription = self._owned(session, params.SubscriptionId)
-        subscription.heard_of()
-        item = subscription.items.get(params.TriggeringItemId)
+        item = subscription.items.get(item_number)
         if item is None:
-            raise ServiceError(_Codes.BadMonitoredItemIdInvalid)
-        for number in params.LinksToAdd or ():  # who is linked needs the order of single samples
-            linked = subscription.items.get(number)
-            if isinstance(linked, BlockItem):
-                one_by_one(self._aspace, subscription, linked)
-        if params.LinksToAdd and isinstance(item, BlockItem):
-            item = one_by_one(self._aspace, subscription, item)
-        if not params.LinksToAdd and not params.LinksToRemove:
-            raise ServiceError(_Codes.BadNothingToDo)
-        result = ua.SetTriggeringResult()
-        for number in params.LinksToRemove or ():
-            known = number in item.links
-            item.links.discard(number)
-            code = _Codes.Good if known else _Codes.BadMonitoredItemIdInvalid
-            result.RemoveResults.append(ua.StatusCode(code))
-        for number in params.LinksToAdd or ():
-            known = number in subscription.items
-            if known:
-                item.links.add(number)
-            code = _Codes.Good if known else _Codes.BadMonitoredItemIdInvalid
-            result.AddResults.append(ua.StatusCode(code))
-        return result
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        self._forget(subscription, item)
+        return int(_Codes.Good)
 
-    def resend(self, session: Owner, number: int) -> None:
+    def set_monitoring(
+        self, session: Owner, number: int, item_number: int, mode: ua.MonitoringMode
+    ) -> int:
+        """Set the monitoring mode of an item; a status code."""
+        subscription = self._owned(session, number)
+        subscription.heard_of()
+        item = subscription.items.get(item_number)
+        if item is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        if isinstance(item, BlockItem) and mode == ua.MonitoringMode.Sampling:
+            item = one_by_one(self._aspace, subscription, item)
+        if item.set_mode(mode) and not isinstance(item, EventItem):
+            item.start(self._current(item))
+        return int(_Codes.Good)
+
+    def unlink(self, session: Owner, number: int, trigger: int, linked: int) -> int:
+        """Let an item trigger another one no more; a status code."""
+        subscription, item = self._trigger(session, number, trigger)
+        known = subscription.unlink(item, linked)
+        return int(_Codes.Good if known else _Codes.BadMonitoredItemIdInvalid)
+
+    def link(self, session: Owner, number: int, trigger: int, linked: int) -> int:
+        """Let an item report, with its changes, what another one has sampled; a status code."""
+        subscription, item = self._trigger(session, number, trigger)
+        other = subscription.items.get(linked)
+        if other is None:
+            return int(_Codes.BadMonitoredItemIdInvalid)
+        if linked not in item.links and subscription.links >= self._limits.links_per_subscription:
+            return int(_Codes.BadTooManyMonitoredItems)
+        if isinstance(other, BlockItem):  # who is linked needs the order of single samples
+            one_by_one(self._aspace, subscription, other)
+        item = subscription.items[trigger]
+        if isinstance(item, BlockItem):
+            item = one_by_one(self._aspace, subscription, item)
+        subscription.link(item, linked)
+        return int(_Codes.Good)
+
+    async def resend(self, session: Owner, number: int, breathe: Breathe) -> None:
         """Report the current values of all items again (method ResendData)."""
         subscription = self._owned(session, number)
-        for item in subscription.items.values():
-            if not isinstance(item, EventItem):
+        for item_number in list(subscription.items):
+            item = subscription.items.get(item_number)
+            if item is not None and not isinstance(item, EventItem):
                 item.repeat(self._current(item))
+            await breathe()
 
     def items_of(self, session: Owner, number: int) -> list[tuple[int, int]]:
         """List (monitored item, client handle) of a subscription (method GetMonitoredItems)."""
@@ -288,6 +286,18 @@ class Subscriptions:
     def _share(self) -> None:
         owners = {id(subscription.owner) for subscription in self.by_number.values()}
         self.ledger.sessions = max(1, len(owners))
+
+    def _reserved(self, owner: Owner, most: int) -> int:
+        """How many of ``most`` are kept for others than this session."""
+        return 0 if owner.hears(Role.OPERATOR) else int(self._limits.reserved_share * most)
+
+    def _trigger(self, session: Owner, number: int, trigger: int) -> tuple[Subscription, Item]:
+        subscription = self._owned(session, number)
+        subscription.heard_of()
+        item = subscription.items.get(trigger)
+        if item is None:
+            raise ServiceError(_Codes.BadMonitoredItemIdInvalid)
+        return subscription, item
 
     def _owned(self, session: Owner, number: int) -> Subscription:
         subscription = session.subscriptions.get(number)
@@ -323,8 +333,9 @@ class Subscriptions:
         stamps: ua.TimestampsToReturn,
     ) -> ua.MonitoredItemCreateResult:
         limits = self._limits
+        room = limits.monitored_items - self._reserved(subscription.owner, limits.monitored_items)
         if (
-            self._items >= limits.monitored_items
+            self._items >= room
             or len(subscription.items) >= limits.monitored_items_per_subscription
         ):
             return _refused(_Codes.BadTooManyMonitoredItems)
@@ -362,10 +373,9 @@ class Subscriptions:
         watchers = self._watchers.get((wanted.NodeId, wanted.AttributeId), {})
         limits = self._limits
         own = watchers.get(id(subscription.owner), 0)
-        return (
-            own >= limits.monitored_items_per_node_and_session
-            or sum(watchers.values()) >= limits.monitored_items_per_node
-        )
+        room = limits.monitored_items_per_node
+        room -= self._reserved(subscription.owner, room)
+        return own >= limits.monitored_items_per_node_and_session or sum(watchers.values()) >= room
 
     def _keep(self, subscription: Subscription, item: Item) -> None:
         subscription.items[item.number] = item
@@ -390,10 +400,15 @@ class Subscriptions:
         self._items -= 1
         self._watch(subscription.owner, item, -1)
 
+    def _forget_all(self, subscription: Subscription) -> Iterator[None]:
+        for item in list(subscription.items.values()):
+            self._forget(subscription, item)
+            yield
+
     def _current(self, item: Item) -> ua.DataValue:
         return self._aspace.read_attribute_value(item.wanted.NodeId, item.wanted.AttributeId)
 
-    def _transfer(self, session: Owner, number: int, *, send_initial: bool) -> ua.TransferResult:
+    def _transfer(self, session: Owner, number: int) -> ua.TransferResult:
         subscription = self.by_number.get(number)
         if subscription is None or not session.is_same_client(subscription.owner):
             denied = _Codes.BadSubscriptionIdInvalid
@@ -415,8 +430,6 @@ class Subscriptions:
             self._watch(session, item, 1)
         subscription.give_to(session)
         session.subscriptions[number] = subscription
-        if send_initial:
-            self.resend(session, number)
         return ua.TransferResult(StatusCode=ua.StatusCode(), AvailableSequenceNumbers=available)
 
     def _expire(self, subscription: Subscription) -> None:

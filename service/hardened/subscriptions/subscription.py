@@ -1,7 +1,7 @@
 """One subscription: when it publishes, what it keeps for Republish (Part 4, 5.14)."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -48,6 +48,9 @@ class Owner(Protocol):
 
     def is_same_client(self, other: object) -> bool:
         """Whether another session acts for the same user of the same application."""
+
+    def charge(self, cost: float) -> None:
+        """Put what was done for the session on its account, s of the processor."""
 
 
 @dataclass
@@ -104,6 +107,9 @@ class Subscription:
         self._clock = clock
         self._expired = expired
         self._reports = Reports()
+        self._triggered: set[int] = set()  # items whose linked ones are to be reported
+        self._linked_by: dict[int, set[int]] = {}
+        self._stopped = False
         self._pending: dict[int, DataItem] = {}
         self._unacknowledged: OrderedDict[int, bytes] = OrderedDict()
         self._sequence = 1
@@ -135,7 +141,7 @@ class Subscription:
     def has_report(self, number: int) -> None:
         """Note that an item has something to report."""
         item = self.items[number]
-        if not isinstance(item, BlockItem):
+        if not isinstance(item, BlockItem) and not self._stopped:
             self._reports.add(item)
             self.hurry()
 
@@ -146,7 +152,7 @@ class Subscription:
     def hurry(self) -> None:
         """Publish at once if the rhythm is a fast one and a whole interval has passed."""
         timing = self.timing
-        if timing.interval_s > _COARSE_S or self._hurries:
+        if timing.interval_s > _COARSE_S or self._hurries or self._stopped:
             return
         if self._clock.monotonic() - self._last_message >= timing.interval_s:
             self._hurries = True
@@ -167,15 +173,35 @@ class Subscription:
         if isinstance(item, DataItem):
             self._pending[number] = item
 
-    def trigger(self, links: Iterable[int]) -> None:
-        """Report what linked items have sampled."""
-        for number in links:
-            linked = self.items.get(number)
-            if linked is not None and len(linked):
-                self.has_report(number)
+    def trigger(self, number: int) -> None:
+        """Report what the items linked to this one have sampled, when the next message is made."""
+        self._triggered.add(number)
+        self.hurry()
+
+    @property
+    def links(self) -> int:
+        """How many links between items there are."""
+        return sum(map(len, self._linked_by.values()))
+
+    def link(self, item: Item, number: int) -> None:
+        """Let an item trigger another one."""
+        item.links.add(number)
+        self._linked_by.setdefault(number, set()).add(item.number)
+
+    def unlink(self, item: Item, number: int) -> bool:
+        """Let an item trigger another one no more; whether it did."""
+        if number not in item.links:
+            return False
+        item.links.discard(number)
+        self._linked_by[number].discard(item.number)
+        if not self._linked_by[number]:
+            del self._linked_by[number]
+        return True
 
     def has_message(self) -> bool:
         """Tell whether something is to be sent now."""
+        if self._triggered:
+            self._report_linked()
         if self.publishing and self._reports:
             return True
         return self._silent_cycles >= self.timing.keep_alive_count
@@ -228,23 +254,33 @@ class Subscription:
             item.of.remove(item)
         else:
             item.clear()
+        for number in list(item.links):
+            self.unlink(item, number)
+        for number in list(self._linked_by.get(item.number, ())):
+            self.unlink(self.items[number], item.number)
         self.items.pop(item.number, None)
         self._reports.forget(item.number)
         self._pending.pop(item.number, None)
-        for other in self.items.values():
-            other.links.discard(item.number)
+        self._triggered.discard(item.number)
 
     def stop(self) -> None:
-        """End the rhythm and free what is held."""
+        """End the rhythm: nothing is published any more; the items are to be forgotten."""
+        self._stopped = True
         self._timer.cancel()
-        for item in self.items.values():
-            item.clear()
         for block, items in self._reports.blocks.items():
             block.watchers.remove(items)
         self._reports.clear()
         self._pending.clear()
+        self._triggered.clear()
         self._store.held -= sum(map(len, self._unacknowledged.values()))
         self._unacknowledged.clear()
+
+    def _report_linked(self) -> None:
+        triggered, self._triggered = self._triggered, set()
+        for trigger in triggered:
+            for number in self.items[trigger].links:
+                if len(self.items[number]):
+                    self.has_report(number)
 
     def _begin_rhythm(self) -> None:
         self._last_message = self._clock.monotonic()
@@ -276,7 +312,9 @@ class Subscription:
             self._silent_cycles += 1
         if self.has_message():
             self._last_message = now
+            before = self._clock.processor()
             self.owner.publish(self)
+            self.owner.charge(self._clock.processor() - before)
 
     def _take_notifications(self) -> list[bytes]:
         if not self.publishing or not self._reports:

@@ -60,7 +60,7 @@ class Connection(asyncio.BufferedProtocol):
         self.host = "?"
         self.cost = Cost(earned_until=shared.clock.monotonic())
         self.writable = True
-        self.idle_since = shared.clock.monotonic()
+        self.since = self.idle_since = shared.clock.monotonic()
         self.blocked_since: float | None = None
         self.channel: Channel
         self._transport: asyncio.Transport
@@ -87,6 +87,11 @@ class Connection(asyncio.BufferedProtocol):
     def peer_certificate(self) -> bytes | None:
         """Certificate of the secure channel (DER), None without security."""
         return self.channel.peer_certificate
+
+    @property
+    def progress(self) -> int:
+        """How far the peer has come: 0 connected, 1 has said hello, 2 has a channel."""
+        return self._greeted + self.channel.is_open()
 
     @property
     def unsent(self) -> int:
@@ -187,6 +192,10 @@ class Connection(asyncio.BufferedProtocol):
     def abort(self) -> None:
         """Close at once."""
         self._transport.abort()
+
+    def charge(self, cost: float) -> None:
+        """Put what was done for the peer on its account, s of the processor."""
+        self.cost.spend(cost)
 
     def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
         """Send a publish response."""

@@ -40,10 +40,14 @@ class Cost:
         self.credit = min(_SAVINGS_S, self.credit + _SHARE * (now - self.earned_until))
         self.earned_until = now
 
-    def charge(self, cost: float) -> None:
-        """Take off what a turn has cost."""
+    def spend(self, cost: float) -> None:
+        """Take off what was done beside its turns."""
         self.finished += cost
         self.credit -= cost
+
+    def charge(self, cost: float) -> None:
+        """Take off what a turn has cost."""
+        self.spend(cost)
         self.mean += _NEWEST * (cost - self.mean)
 
     @property

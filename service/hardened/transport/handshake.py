@@ -75,6 +75,13 @@ class Handshake:
         response = ua.OpenSecureChannelResponse()
         response.Parameters = channel.open(request.Parameters, self._shared.channel_numbers)
         response.ResponseHeader.RequestHandle = request.RequestHeader.RequestHandle
+        self._shared.audit.channel_opened(
+            self._peer.host,
+            channel.security_token.ChannelId,
+            request.Parameters,
+            channel.security_policy.URI,
+            channel.peer_certificate or b"",
+        )
         self._peer.send_open(message.SequenceHeader().RequestId, response)
 
     def answers(self, service: object) -> bool:
@@ -191,7 +198,7 @@ class Handshake:
                 challenge,
                 shared.users,
                 session.host,
-                shared.guesses,
+                shared.logins,
                 anonymous_allowed=shared.anonymous_allowed,
             )
         )
@@ -199,6 +206,8 @@ class Handshake:
             raise ServiceError(_Codes.BadIdentityTokenRejected)
         if session.closed:
             raise ServiceError(_Codes.BadSessionIdInvalid)
+        if principal != session.principal:
+            shared.sessions.admit(session, principal)
         session.principal = principal
         if moves:
             session.bind(peer)

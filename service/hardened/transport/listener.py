@@ -4,6 +4,7 @@ import asyncio
 import os
 import socket
 from collections import Counter
+from collections.abc import Container
 
 from asyncua import ua
 
@@ -71,21 +72,24 @@ class Listener:
         await asyncio.sleep(0)
 
     def admit(self, connection: Connection) -> bool:
-        """Take a new connection, unless there are too many of them."""
+        """Take a new connection; where there are too many, another one gives way if it can.
+
+        The address that holds most gives way, with what came least far, the oldest first; who is
+        logged in stays.
+        """
         limits, host = self._shared.limits, connection.host
         second = int(self._shared.clock.monotonic())
         if second != self._second:
             self._second = second
             self._openings.clear()
         self._openings[host] += 1
-        if (
-            len(self._connections) >= limits.connections
-            or self._of_host[host] >= limits.connections_per_host
-            or self._openings[host] > limits.connections_per_second
-        ):
-            self._shared.traffic.refused_connections += 1
-            _log.warning("%s: refused: too many connections", host)
-            return False
+        if self._openings[host] > limits.connections_per_second:
+            return self._refuse(connection)
+        if self._of_host[host] >= limits.connections_per_host and not self._make_room({host}):
+            return self._refuse(connection)
+        full = len(self._connections) >= limits.connections
+        if full and not self._make_room(self._of_host):
+            return self._refuse(connection)
         self._connections.add(connection)
         self._of_host[host] += 1
         return True
@@ -109,6 +113,23 @@ class Listener:
             slowest = max(self._connections, key=lambda other: other.unsent)
             _log.warning("%s: disconnected: reads too slowly", slowest.host)
             slowest.abort()
+
+    def _refuse(self, connection: Connection) -> bool:
+        self._shared.traffic.refused_connections += 1
+        _log.warning("%s: refused: too many connections", connection.host)
+        return False
+
+    def _make_room(self, hosts: Container[str]) -> bool:
+        """End a connection that nobody is logged in on; whether there was one."""
+        lines = {id(session.line) for session in self._shared.sessions if session.active}
+        idle = [one for one in self._connections if one.host in hosts and id(one) not in lines]
+        if not idle:
+            return False
+        victim = min(idle, key=lambda one: (-self._of_host[one.host], one.progress, one.since))
+        _log.warning("%s: disconnected: gives way to others", victim.host)
+        self.forget(victim)
+        victim.abort()
+        return True
 
     async def _reap_for_ever(self) -> None:
         while True:

@@ -1,6 +1,5 @@
 """What all connections of a server share."""
 
-import asyncio
 import copy
 import secrets
 from dataclasses import dataclass, field
@@ -13,13 +12,13 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from service.hardened.audit import Audit
 from service.hardened.clock import Clock
 from service.hardened.security.certificates import Pki
+from service.hardened.security.login_queue import LoginQueue
 from service.hardened.security.users import UserStore
 from service.hardened.sessions.services import Services
 from service.hardened.sessions.session import Sessions
 from service.hardened.settings import Limits
 from service.hardened.transport.fair_turns import FairTurns
 
-_GUESSES_AT_ONCE = 1
 _ARRIVALS_BYTES = 64 * 1024
 _SECURITY_CODES = {
     getattr(ua.StatusCodes, name)
@@ -72,8 +71,8 @@ class Shared:
     ----------
     arrivals
         Where bytes arrive; emptied before the next ones do.
-    guesses
-        Bounds how many passwords are hashed at once.
+    logins
+        Looks at passwords, one at a time.
     """
 
     limits: Limits
@@ -85,12 +84,12 @@ class Shared:
     audit: Audit
     own: Own
     turns: FairTurns
+    logins: LoginQueue
     anonymous_allowed: bool
     traffic: Traffic = field(default_factory=Traffic)
     channel_numbers: ChannelNumbers = field(default_factory=ChannelNumbers)
     offered: list[ua.EndpointDescription] = field(default_factory=list)
     arrivals: memoryview = field(default_factory=lambda: memoryview(bytearray(_ARRIVALS_BYTES)))
-    guesses: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_GUESSES_AT_ONCE))
 
     def endpoints(self, reached_as: str | None) -> list[ua.EndpointDescription]:
         """Return the endpoints under the host and port by which the peer reaches us."""
