@@ -16,6 +16,7 @@ from asyncua.crypto import uacrypto
 from asyncua.crypto.security_policies import encrypt_asymmetric
 from asyncua.ua import ua_binary
 
+from benchmarks.worst_loads import WORST
 from tests.support.mutations import mutated, requests
 from tests.support.raw_peer import RawPeer
 
@@ -236,7 +237,7 @@ LOADS = {
         slow_readers,
         broken_packets,
     )
-}
+} | WORST
 PEERS = {"connections": 4, "sessions": 4, "logins": 4, "passwords": 4, "garbage": 2}
 
 
@@ -252,7 +253,8 @@ async def attack(load, url, until):
 
 async def main(name, url, seconds):
     until = time.monotonic() + seconds
-    count = PEERS.get(name, 2 if name != "broken_packets" else 1)
+    single = name == "broken_packets" or name in WORST
+    count = 1 if single else PEERS.get(name, 2)
     await asyncio.gather(*(attack(LOADS[name], url, until) for _ in range(count)))
 
 

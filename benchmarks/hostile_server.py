@@ -1,12 +1,14 @@
 """A server to be attacked, ours or a plain one: ``python -m benchmarks.hostile_server ours PORT``.
 
 Both have the same nodes and the default settings of their makers; both write to stderr what they
-log. A counter goes up 20 times a second.
+log. A counter goes up 10 times a second, and ours writes 200 other values each time.
 """
 
 import asyncio
+import gc
 import logging
 import sys
+import time
 
 from asyncua import Server, ua
 
@@ -19,7 +21,8 @@ from service.hardened import (
     add_variable,
 )
 
-PERIOD_S = 0.05
+PERIOD_S = 0.1
+SINGLES = 200
 BIG = [0.5] * 20_000
 USER, PASSWORD = "operator", "correct horse"
 
@@ -40,8 +43,15 @@ async def ours(port):
     await add_variable(server, plant, "Plant.Big", BIG, dimensions=(0,))
     kind = ua.VariantType.UInt32
     counter = await add_variable(server, plant, "Plant.Counter", 0, type=kind)
+    singles = [await add_variable(server, plant, f"Plant.Single{i}", 0.0) for i in range(SINGLES)]
+
+    def write(number):
+        now = time.time_ns()
+        server.write([(counter, number, 0, now)])
+        server.write([(single, number + 0.5, 0, now) for single in singles])
+
     async with server:
-        await count(lambda number: server.write([(counter, number, 0, server._clock.now())]))  # noqa: SLF001
+        await count(write)
 
 
 async def plain(port):
@@ -73,4 +83,5 @@ async def count(write):
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO)
+    gc.set_threshold(50_000, 20, 20)  # as the command line does
     asyncio.run({"ours": ours, "plain": plain}[sys.argv[1]](int(sys.argv[2])))

@@ -43,6 +43,7 @@ from service.hardened.security.login_queue import LoginQueue
 from service.hardened.sessions.services import Services
 from service.hardened.sessions.session import Sessions
 from service.hardened.settings import ServerSettings
+from service.hardened.subscriptions.pace import Pace
 from service.hardened.subscriptions.registry import Subscriptions
 from service.hardened.transport.endpoints import offered_endpoints, offered_policies
 from service.hardened.transport.fair_turns import FairTurns
@@ -97,7 +98,11 @@ class HardenedServer(Startable):
         self._subscriptions = Subscriptions(aspace, limits, self._clock)
         self._inside.hand_events_to(self._trigger_event_of_asyncua)
         self._sessions = Sessions(
-            limits, self._clock, self._subscriptions.ledger, self._subscriptions.end
+            limits,
+            self._clock,
+            self._subscriptions.ledger,
+            Pace(self._clock),
+            self._subscriptions.end,
         )
         self._view = View(aspace, limits)
         self._attributes = Attributes(

@@ -22,6 +22,7 @@ from service.hardened.monitoring import block_items
 from service.hardened.monitoring.block_items import BlockItem
 from service.hardened.security.users import Role
 from service.hardened.sessions.session import Session
+from service.hardened.subscriptions.pace import Pace
 from service.hardened.subscriptions.publish_queue import PublishRequest
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -94,7 +95,8 @@ class Side:
         service._item_numbers = iter(range(1, 10**6))
         self.lines = [Line() for _ in range(sessions)]
         self.sessions = [
-            Session(line, "test", 1e9, limits, self.clock, service.ledger) for line in self.lines
+            Session(line, "test", 1e9, limits, self.clock, service.ledger, Pace(self.clock))
+            for line in self.lines
         ]
         for name, (_, length) in BLOCKS.items():
             zero = np.zeros((1, N) if length is None else (1, N, length))

@@ -10,7 +10,15 @@ from benchmarks import hostile
 
 
 def row(**changes):
-    phase = {"median_ms": 1.0, "worst_ms": 10.0, "reads": 9, "got": 9, "first": 1, "last": 9}
+    phase = {
+        "median_ms": 1.0,
+        "worst_ms": 10.0,
+        "gap_ms": 9.0,
+        "reads": 9,
+        "got": 9,
+        "first": 1,
+        "last": 9,
+    }
     made = {
         "rss_ratio": 1.5,
         "quiet": phase,
@@ -38,9 +46,10 @@ def test_a_row_at_its_bars_misses_none():
         ({"rss_ratio": 1.51}, ["memory"]),
         ({"loaded": felt(median_ms=2.1)}, ["median"]),
         ({"loaded": felt(worst_ms=251.0)}, ["worst"]),
+        ({"loaded": felt(gap_ms=251.0)}, ["gap"]),
         ({"lost": 1}, ["lost"]),
         ({"served": False}, ["lost"]),
-        ({"loaded": None, "lost": None, "served": False}, ["median", "worst", "lost"]),
+        ({"loaded": None, "lost": None, "served": False}, ["median", "worst", "gap", "lost"]),
         ({"log_bytes_per_s": 1e6}, ["log"]),
     ],
 )

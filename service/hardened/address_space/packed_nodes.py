@@ -4,12 +4,15 @@ There are 6,000 of them, and hardly a client looks at a hundred: a server that u
 starts half a second later and carries half a million objects.
 """
 
+import gc
 import pickle
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
 from asyncua import ua
 from asyncua.server.address_space import NodeData
+
+_FREEZE_EVERY = 128  # nodes: they stay for ever, a collector that looks at all stops every client
 
 T = TypeVar("T")
 
@@ -43,6 +46,8 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
         """Unpack a node that nobody asked for yet."""
         node: NodeData = pickle.loads(self._packed.pop(id_))  # noqa: S301 - trusted, see above
         self[id_] = node
+        if len(self._packed) % _FREEZE_EVERY == 0:
+            gc.freeze()
         return node
 
     def __contains__(self, id_: object) -> bool:

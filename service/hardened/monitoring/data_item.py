@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable, Iterator
 
 from asyncua import ua
 
-from service.hardened.binary.encoding import encode_data_value
+from service.hardened.binary.encoding import encode_data_value, encoding_cost
 from service.hardened.binary.index_range import Ranges, select
 from service.hardened.monitoring.parameters import OVERFLOW, Monitoring, Queued, Reporter
 
@@ -81,9 +81,9 @@ class DataItem:
         return _DONE
 
     @property
-    def moments(self) -> Iterator[int]:
-        """Numbers of the changes that are queued."""
-        return (moment for moment, _ in self._queue)
+    def waiting(self) -> Iterator[tuple[int, float]]:
+        """Numbers of the changes that are queued, and what it costs to encode each, s."""
+        return ((moment, encoding_cost(value)) for moment, value in self._queue)
 
     def start(self, value: ua.DataValue) -> None:
         """Sample for the first time, or again after the item was disabled."""

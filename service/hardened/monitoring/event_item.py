@@ -10,6 +10,9 @@ from service.hardened.monitoring.parameters import Reporter
 QueuedEvent = tuple[int, Sequence[ua.Variant]]  # client handle, fields
 
 
+_COST_OF_FIELD_S = 20e-6
+
+
 class EventItem:
     """Monitors the events of one object."""
 
@@ -55,9 +58,9 @@ class EventItem:
         return True
 
     @property
-    def moments(self) -> Iterator[int]:
-        """When the events came."""
-        return (moment for moment, _ in self._queue)
+    def waiting(self) -> Iterator[tuple[int, float]]:
+        """Numbers of the changes that the events came with, and what it costs to encode each, s."""
+        return ((moment, _COST_OF_FIELD_S * len(fields)) for moment, fields in self._queue)
 
     def notify(self, event_fields: Sequence[ua.Variant]) -> None:
         """Queue an event."""

@@ -17,6 +17,7 @@ from service.hardened.logs import bounded_logger
 from service.hardened.security.identity import ANONYMOUS, Principal
 from service.hardened.security.users import Role
 from service.hardened.settings import Limits
+from service.hardened.subscriptions.pace import Pace
 from service.hardened.subscriptions.publish_queue import PublishQueue, PublishRequest
 from service.hardened.subscriptions.subscription import Message, Subscription
 
@@ -61,6 +62,7 @@ class Session:
         limits: Limits,
         clock: Clock,
         ledger: Ledger,
+        pace: Pace,
     ) -> None:
         self.id = ua.NodeId(secrets.token_bytes(16), 1, ua.NodeIdType.ByteString)
         self.token = ua.NodeId(secrets.token_bytes(32), 0, ua.NodeIdType.ByteString)
@@ -87,6 +89,7 @@ class Session:
             self._refuse,
             self._is_ready,
             clock,
+            pace,
         )
 
     @property
@@ -176,9 +179,9 @@ class Session:
         """Refuse the publish requests that the client calls so; how many there were."""
         return self._queue.cancel(handle)
 
-    def publish(self, subscription: Subscription) -> bool:
+    def publish(self, subscription: Subscription) -> None:
         """Send what a subscription has, as far as publish requests go."""
-        return self._queue.publish(subscription)
+        self._queue.publish(subscription)
 
     def has_publish_requests(self) -> bool:
         """Tell whether a publish request waits."""
@@ -241,12 +244,14 @@ class Sessions:
         limits: Limits,
         clock: Clock,
         ledger: Ledger,
+        pace: Pace,
         end_subscription: Callable[[Subscription], None],
     ) -> None:
         self.totals = SessionTotals()
         self._limits = limits
         self._clock = clock
         self._ledger = ledger
+        self._pace = pace
         self._end_subscription = end_subscription
         self._by_token: dict[bytes, Session] = {}
 
@@ -271,7 +276,13 @@ class Sessions:
         wish = wish if math.isfinite(wish) and wish > 0 else limits.session_timeout_ms
         timeout = min(max(wish, limits.shortest_session_timeout_ms), limits.session_timeout_ms)
         session = Session(
-            line, (params.SessionName or "")[:200], timeout / 1e3, limits, self._clock, self._ledger
+            line,
+            (params.SessionName or "")[:200],
+            timeout / 1e3,
+            limits,
+            self._clock,
+            self._ledger,
+            self._pace,
         )
         session.max_response_bytes = params.MaxResponseMessageSize
         session.application_uri = (params.ClientDescription.ApplicationUri or "")[:500]

@@ -8,6 +8,7 @@ from asyncua import ua
 
 from service.hardened.binary.encoding import encode_message, encode_status_change, ticks_of_ns
 from service.hardened.clock import Clock
+from service.hardened.subscriptions.pace import Pace
 from service.hardened.subscriptions.subscription import Message, Subscription
 
 
@@ -38,6 +39,8 @@ class PublishQueue:
         Tell whether the connection takes more now.
     clock
         For deadlines and the times of messages.
+    pace
+        Says when to let others go first.
     """
 
     def __init__(
@@ -47,12 +50,14 @@ class PublishQueue:
         refuse: Refuse,
         ready: Callable[[], bool],
         clock: Clock,
+        pace: Pace,
     ) -> None:
         self._capacity = capacity
         self._answer = answer
         self._refuse = refuse
         self._ready = ready
         self._clock = clock
+        self._pace = pace
         self._requests: deque[PublishRequest] = deque()
         self._late: dict[int, Subscription] = {}
 
@@ -66,25 +71,27 @@ class PublishQueue:
         self._requests.append(request)
         self.serve()
 
-    def publish(self, subscription: Subscription) -> bool:
+    def publish(self, subscription: Subscription) -> None:
         """Send a subscription's messages as far as requests go, else remember it as late."""
-        while subscription.has_message():
-            if not self._send(subscription):
-                if subscription.waiting_since is None:
-                    subscription.waiting_since = self._clock.monotonic()
-                self._late[subscription.number] = subscription
-                return False
-        self.forget(subscription)
-        return True
+        if subscription.waiting_since is None:
+            subscription.waiting_since = self._clock.monotonic()
+        self._late[subscription.number] = subscription
+        self.serve()
 
     def serve(self) -> None:
-        """Serve the late subscriptions as far as requests go."""
+        """Serve the late subscriptions as far as requests go; what takes long goes on later."""
         for subscription in sorted(
             self._late.values(), key=lambda s: (-s.timing.priority, s.waiting_since or 0.0)
         ):
-            if not self._requests or not self._ready():
-                return
-            self.publish(subscription)
+            while subscription.has_message():
+                if not self._requests or not self._ready():
+                    return
+                if not self._pace.may_go_on():
+                    self._pace.later(self.serve)
+                    return
+                request = self._requests.popleft()
+                self._answer(request, subscription.number, subscription.next_message())
+            self.forget(subscription)
 
     def forget(self, subscription: Subscription) -> None:
         """Remember a subscription as late no longer."""
@@ -123,9 +130,3 @@ class PublishQueue:
     def lose_connection(self) -> None:
         """Forget requests that can be answered no more."""
         self._requests.clear()
-
-    def _send(self, subscription: Subscription) -> bool:
-        if not self._requests or not self._ready():
-            return False
-        self._answer(self._requests.popleft(), subscription.number, subscription.next_message())
-        return True

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from heapq import merge
 from itertools import islice, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,16 @@ from service.hardened.monitoring.block_queue import Notifications
 from service.hardened.monitoring.data_item import DataItem
 from service.hardened.monitoring.event_item import EventItem, QueuedEvent
 
-_Queued = tuple[int, int, DataItem | EventItem]  # number of the change, of the item, the item
+_MESSAGE_S = 0.02  # processor time that the encoding of one message may take
+
+
+class _Queued(NamedTuple):
+    """Number of the change, of the item, the item; s to encode it, later all up to it."""
+
+    moment: int
+    number: int
+    item: DataItem | EventItem
+    cost_so_far: float
 
 
 class Reports:
@@ -48,11 +58,16 @@ class Reports:
         self.blocks.clear()
 
     def take(self, most: int) -> list[bytes]:
-        """Take up to ``most`` notifications, encoded: data changes, then events."""
+        """Take up to ``most`` notifications, encoded: data changes, then events.
+
+        Those that are dear to encode make a message end sooner: nobody waits for the others' long.
+        """
         content = _Content()
-        singles = list(islice(merge(*map(_queued, self._items.values())), most))
+        singles = _affordable(islice(merge(*map(_queued, self._items.values())), most))
+        is_cut = len(singles) < most and bool(singles) and singles[-1].cost_so_far > _MESSAGE_S
         fronts = [(items, items.queue.front(most)) for items in self.blocks.values()]
-        self._take(content, singles, [(items, front) for items, front in fronts if front], most)
+        known = [(items, front) for items, front in fronts if front]
+        self._take(content, singles, known, most, is_cut=is_cut)
         self._items = {number: item for number, item in self._items.items() if len(item)}
         return content.notifications()
 
@@ -62,17 +77,21 @@ class Reports:
         singles: list[_Queued],
         fronts: list[tuple[BlockItems, Notifications]],
         most: int,
+        *,
+        is_cut: bool,
     ) -> None:
         if not fronts:
             content.add_all(singles)
             return
         moments = [front.moment for _, front in fronts]
         numbers = [items.number[front.slot] for items, front in fronts]
-        moments.append(np.array([moment for moment, _, _ in singles], np.int64))
-        numbers.append(np.array([number for _, number, _ in singles], np.int64))
+        moments.append(np.array([single.moment for single in singles], np.int64))
+        numbers.append(np.array([single.number for single in singles], np.int64))
         source = np.repeat(np.arange(len(fronts) + 1), [len(part) for part in moments])
         order = np.lexsort((np.concatenate(numbers), np.concatenate(moments)))[:most]
         source = source[order]
+        if is_cut:  # what came after the last of the singles may have come after others of them
+            source = source[: int(np.flatnonzero(source == len(fronts))[-1]) + 1]
         taken = [
             items.take(front[: int((source == which).sum())])
             for which, (items, front) in enumerate(fronts)
@@ -92,7 +111,18 @@ class Reports:
 
 
 def _queued(item: DataItem | EventItem) -> Iterator[_Queued]:
-    return ((moment, item.number, item) for moment in item.moments)
+    return (_Queued(moment, item.number, item, cost) for moment, cost in item.waiting)
+
+
+def _affordable(queued: Iterator[_Queued]) -> list[_Queued]:
+    """The first of them, until they are too dear for one message; one at least."""
+    found, total = [], 0.0
+    for one in queued:
+        total += one.cost_so_far
+        found.append(one._replace(cost_so_far=total))
+        if total > _MESSAGE_S:
+            break
+    return found
 
 
 class _Content:
@@ -104,7 +134,7 @@ class _Content:
         self.events: list[QueuedEvent] = []
 
     def add_all(self, queued: list[_Queued]) -> None:
-        for _, _, item in queued:
+        for _, _, item, _ in queued:
             if isinstance(item, DataItem):
                 self.changes += item.take(1)
                 self.count += 1

@@ -34,7 +34,7 @@ class Owner(Protocol):
     def subscriptions(self) -> dict[int, "Subscription"]:
         """Its subscriptions, by number."""
 
-    def publish(self, subscription: "Subscription") -> bool:
+    def publish(self, subscription: "Subscription") -> None:
         """Send the subscription's next message if a publish request waits, else remember it."""
 
     def has_publish_requests(self) -> bool:
