@@ -1,6 +1,7 @@
 """Logs that peers cannot flood: of each kind of line only so many in a while."""
 
 import logging
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 AUDIT = "opcua.audit"  # name of the logger of what users do
@@ -13,7 +14,7 @@ _OF_ASYNCUA = (
     "asyncua.crypto.security_policies",
     "asyncua.crypto.uacrypto",
     "asyncua.server.address_space",
-    "asyncua.server.monitored_item_service",
+    "asyncua.server.history",
 )
 
 
@@ -64,9 +65,22 @@ def audit_logger() -> logging.Logger:
 
 
 def bound_asyncua() -> None:
-    """Bound what asyncua says while it takes packets apart."""
+    """Bound what asyncua says in this task, which serves a peer, and in no other."""
+    _serves_a_peer.set(True)
     for name in _OF_ASYNCUA:
-        _bound(name, _LINES)
+        logger = logging.getLogger(name)
+        if not any(isinstance(known, _WhileServing) for known in logger.filters):
+            logger.addFilter(_WhileServing(_LINES))
+
+
+class _WhileServing(Bounded):
+    """Bounded in tasks that serve a peer: others in the process lose no line of asyncua's."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        return not _serves_a_peer.get() or super().filter(record)
+
+
+_serves_a_peer: ContextVar[bool] = ContextVar("serves_a_peer", default=False)
 
 
 def _bound(name: str, lines: int) -> logging.Logger:

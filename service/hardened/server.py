@@ -25,12 +25,11 @@ from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
 from service.hardened.address_space.watchers import notify
 from service.hardened.audit import Audit
-from service.hardened.binary import seams
 from service.hardened.binary.encoding import instant, nanoseconds
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
 from service.hardened.lifecycle import Startable
-from service.hardened.logs import bound_asyncua, bounded_logger
+from service.hardened.logs import bounded_logger
 from service.hardened.monitoring.event_filter import event_of_asyncua
 from service.hardened.security.certificates import (
     KEY_BITS,
@@ -84,8 +83,6 @@ class HardenedServer(Startable):
     """
 
     def __init__(self, settings: ServerSettings, clock: Clock | None = None) -> None:
-        seams.install()
-        bound_asyncua()
         self.settings = settings
         self.namespace_index = 0
         self._clock = clock or SystemClock()

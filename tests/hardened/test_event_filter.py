@@ -157,11 +157,43 @@ async def test_each_select_clause_is_answered_and_what_is_missing_is_null(aspace
         Codes.BadTypeDefinitionInvalid,
         Codes.BadIndexRangeInvalid,
         Codes.BadAttributeIdInvalid,
-        Codes.Good,
+        Codes.BadAttributeIdInvalid,
         Codes.Good,
     ]
     selected = found.select(event(**{"Part/Whole": 5.0}))
     assert [field_.Value for field_ in selected] == [300, None, None, None, None, None, None, 5.0]
+
+
+CONDITION = ua.NodeId("valve 7 is clogged", 2)
+
+
+@pytest.mark.parametrize("kind", [Ids.ConditionType, Ids.ExclusiveDeviationAlarmType])
+async def test_the_node_of_a_condition_type_is_its_condition_id(aspace, kind):
+    condition_id = field(kind=kind, attribute=ua.AttributeIds.NodeId)
+    same = (Op.Equals, condition_id, literal(CONDITION))
+    found = made(aspace, same, select=[condition_id])
+    alarm = Event(SERVER, ua.NodeId(kind), {}, condition=CONDITION)
+    assert found.results == [Codes.Good]
+    assert found.select(alarm) == [ua.Variant(CONDITION, ua.VariantType.NodeId)]
+    assert found.passes(alarm)
+    assert found.select(event()) == [ua.Variant()]
+    assert not found.passes(event())
+
+
+@pytest.mark.parametrize(
+    "operand",
+    [
+        field(attribute=ua.AttributeIds.NodeId),
+        field(kind=Ids.AuditEventType, attribute=ua.AttributeIds.NodeId),
+        field("Message", kind=Ids.ConditionType, attribute=ua.AttributeIds.NodeId),
+        field(kind=Ids.ConditionType),
+    ],
+    ids=["base", "audit", "path", "value"],
+)
+async def test_no_other_node_is_answered(aspace, operand):
+    assert made(aspace, select=[operand]).results == [Codes.BadAttributeIdInvalid]
+    with pytest.raises(EventFilterRefused):
+        made(aspace, (Op.IsNull, operand))
 
 
 async def test_the_types_above_end_at_the_base(aspace):

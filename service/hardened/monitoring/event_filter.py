@@ -19,6 +19,7 @@ _Codes = ua.StatusCodes
 _Operator = ua.FilterOperator
 _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 _BASE_EVENT = ua.NodeId(ua.ObjectIds.BaseEventType)
+_CONDITION = ua.NodeId(ua.ObjectIds.ConditionType)
 _MAX_SELECT_CLAUSES = 100
 _MAX_WHERE_ELEMENTS = 20
 _MAX_OPERANDS = 100
@@ -64,12 +65,15 @@ class Event:
         Its fields, by their browse names; those of a path joined by ``/``.
     audience
         The least role that hears of it.
+    condition
+        ConditionId, if it is the event of a condition (Part 9, 5.5.2).
     """
 
     emitter: ua.NodeId
     kind: ua.NodeId
     fields: Mapping[str, ua.Variant]
     audience: Role = Role.OBSERVER
+    condition: ua.NodeId | None = None
 
 
 def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event objects
@@ -110,13 +114,13 @@ class EventFilter:
             raise EventFilterRefused
         self.results = [_select_result(aspace, clause) for clause in clauses]
         self._aspace = aspace
-        self._names = [
-            _name(clause) if code == _Codes.Good else None
+        self._clauses = [
+            clause if code == _Codes.Good else None
             for clause, code in zip(clauses, self.results, strict=True)
         ]
         elements = wish.WhereClause.Elements if wish.WhereClause is not None else None
         self._where: Sequence[ua.ContentFilterElement] = elements or ()
-        _check_where(self._where)
+        _check_where(aspace, self._where)
 
     def passes(self, event: Event) -> bool:
         """Tell whether the client wants an event."""
@@ -124,10 +128,8 @@ class EventFilter:
 
     def select(self, event: Event) -> list[ua.Variant]:
         """Return the fields that the client wants; those that an event lacks are null."""
-        return [
-            event.fields.get(name, ua.Variant()) if name is not None else ua.Variant()
-            for name in self._names
-        ]
+        found = (clause and _field(clause, event) for clause in self._clauses)
+        return [ua.Variant() if field is None else field for field in found]
 
     def _judge(  # noqa: PLR0911 - one per operator
         self, number: int, event: Event
@@ -168,7 +170,7 @@ class EventFilter:
             variant = operand.Value
         else:
             assert isinstance(operand, ua.SimpleAttributeOperand)  # noqa: S101 - was checked
-            variant = event.fields.get(_name(operand))
+            variant = _field(operand, event)
         return None if variant is None else _plain(variant.Value)
 
 
@@ -196,16 +198,25 @@ def _select_result(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> i
         return _Codes.BadBrowseNameInvalid
     if clause.IndexRange:
         return _Codes.BadIndexRangeInvalid
-    is_value = clause.AttributeId == ua.AttributeIds.Value and clause.BrowsePath
-    is_id = clause.AttributeId == ua.AttributeIds.NodeId and not clause.BrowsePath
-    return _Codes.Good if is_value or is_id else _Codes.BadAttributeIdInvalid
+    return _Codes.Good if _is_field(aspace, clause) else _Codes.BadAttributeIdInvalid
 
 
-def _name(clause: ua.SimpleAttributeOperand) -> str:
-    return "/".join(part.Name or "" for part in clause.BrowsePath or ())
+def _is_field(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> bool:
+    """Tell whether an event may have it: a value, or the ConditionId (Part 9, 5.5.2)."""
+    if clause.BrowsePath:
+        return bool(clause.AttributeId == ua.AttributeIds.Value)
+    kind = clause.TypeDefinitionId
+    is_condition = kind is not None and _CONDITION in types_above(aspace, kind)
+    return is_condition and bool(clause.AttributeId == ua.AttributeIds.NodeId)
 
 
-def _check_where(elements: Sequence[ua.ContentFilterElement]) -> None:
+def _field(clause: ua.SimpleAttributeOperand, event: Event) -> ua.Variant | None:
+    if clause.BrowsePath:
+        return event.fields.get("/".join(part.Name or "" for part in clause.BrowsePath))
+    return None if event.condition is None else ua.Variant(event.condition, ua.VariantType.NodeId)
+
+
+def _check_where(aspace: AddressSpace, elements: Sequence[ua.ContentFilterElement]) -> None:
     if len(elements) > _MAX_WHERE_ELEMENTS:
         raise EventFilterRefused
     used: set[int] = set()
@@ -221,7 +232,8 @@ def _check_where(elements: Sequence[ua.ContentFilterElement]) -> None:
                     raise EventFilterRefused
                 used.add(operand.Index)
             elif isinstance(operand, ua.SimpleAttributeOperand):
-                if operand.IndexRange or len(operand.BrowsePath or ()) > _MAX_DEPTH:
+                too_long = len(operand.BrowsePath or ()) > _MAX_DEPTH
+                if operand.IndexRange or too_long or not _is_field(aspace, operand):
                     raise EventFilterRefused
             elif not isinstance(operand, ua.LiteralOperand):
                 raise EventFilterRefused

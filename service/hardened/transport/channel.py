@@ -5,9 +5,8 @@ from typing import Any, Protocol
 
 from asyncua import ua
 from asyncua.common.connection import SecureConnection, TransportLimits
-from asyncua.common.utils import Buffer, ServiceError
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.security_policies import SecurityPolicyNone
-from asyncua.ua import ua_binary
 from typing_extensions import override
 
 from service.hardened.clock import Clock
@@ -65,15 +64,13 @@ class Channel(SecureConnection):
         """Whether the channel was not renewed in time."""
         return self.is_open() and self._clock.monotonic() > self._expires
 
-    def check_open_frame(self, header: ua.Header, body: Buffer) -> None:
-        """Check an OpenSecureChannel before anything of it is decrypted."""
-        data = body.copy(header.body_size)
-        shown = ua_binary.struct_from_binary(ua.AsymmetricAlgorithmHeader, data)
+    def check_open_frame(self, shown: ua.AsymmetricAlgorithmHeader, encrypted: int) -> None:
+        """Check an OpenSecureChannel before anything of it is decrypted, by its size in bytes."""
         if self.is_open() and shown.SecurityPolicyURI != self.security_policy.URI:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
         if self.is_open() and (shown.SenderCertificate or None) != self.peer_certificate:
             raise ServiceError(_Codes.BadSecurityChecksFailed)
-        if not str(shown.SecurityPolicyURI).endswith("#None") and len(data) > (
+        if not str(shown.SecurityPolicyURI).endswith("#None") and encrypted > (
             _MAX_ASYMMETRIC_BLOCKS * 256
         ):
             raise ServiceError(_Codes.BadTcpMessageTooLarge)

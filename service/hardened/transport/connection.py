@@ -12,9 +12,9 @@ from asyncua.common.utils import Buffer, ServiceError
 from asyncua.crypto.uacrypto import InvalidSignature
 from asyncua.ua import ua_binary
 
-from service.hardened.binary import seams
+from service.hardened.binary.bounded_decoding import Budget, Reader, decode, decode_slowly
 from service.hardened.binary.encoding import encode_publish_response, ticks_of_ns
-from service.hardened.logs import bounded_logger
+from service.hardened.logs import bound_asyncua, bounded_logger
 from service.hardened.sessions.services import Request
 from service.hardened.subscriptions.publish_queue import PublishRequest
 from service.hardened.subscriptions.subscription import Message
@@ -259,6 +259,7 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.close()
 
     async def _run(self) -> None:
+        bound_asyncua()
         while True:
             while not self._frames:
                 self._arrived.clear()
@@ -281,8 +282,7 @@ class Connection(asyncio.BufferedProtocol):
 
     async def _process(self, frame: bytes) -> bool:
         try:
-            with seams.decoding(self._budget()):
-                message = self._receive(frame)
+            message = self._receive(frame)
             if message is None:
                 return True
             if isinstance(message, ua.Message) and frame[:3] == _MESSAGE:
@@ -301,17 +301,18 @@ class Connection(asyncio.BufferedProtocol):
         body = Buffer(frame)
         header = ua_binary.header_from_binary(body)
         if header.MessageType == _HELLO:
-            self._greet(ua_binary.struct_from_binary(ua.Hello, body))
+            self._greet(decode(ua.Hello, Reader(frame[header.header_size :], self._budget())))
             return None
         if not self._greeted:
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
         if header.MessageType == _OPEN:
-            self.channel.check_open_frame(header, body)
+            shown = Reader(frame[header.header_size :], self._budget())
+            self.channel.check_open_frame(decode(ua.AsymmetricAlgorithmHeader, shown), shown.left)
         elif not self.channel.is_open():
             raise ServiceError(_Codes.BadTcpSecureChannelUnknown)
         message = self.channel.receive_from_header_and_body(header, body)
         if message is not None and header.MessageType == _OPEN:
-            self._handshake.open_channel(message)
+            self._handshake.open_channel(message, self._budget())
         return message
 
     def _greet(self, hello: ua.Hello) -> None:
@@ -339,17 +340,15 @@ class Connection(asyncio.BufferedProtocol):
     async def _serve(self, message: ua.Message) -> bool:
         """Answer a request; tell whether the connection goes on."""
         request_id = message.SequenceHeader().RequestId
-        body = message.body()
-        budget = self._budget()
+        body = Reader(bytes(message.body()), self._budget())
         self._shared.traffic.requests += 1
-        with seams.decoding(budget):
-            service = ua_binary.nodeid_from_binary(body)
-            header = ua_binary.struct_from_binary(ua.RequestHeader, body)
+        service = decode(ua.NodeId, body)
+        header = decode(ua.RequestHeader, body)
         number = service.Identifier if service.NamespaceIndex == 0 else None
         if number == _CLOSE_CHANNEL:
             return False
         try:
-            response = await self._answer(number, request_id, header, body, budget)
+            response = await self._answer(number, request_id, header, body)
         except (ServiceError, ua.UaStatusCodeError) as error:
             self._refused(request_id, header, error.code)
             return self._forgiven(error.code)
@@ -366,21 +365,20 @@ class Connection(asyncio.BufferedProtocol):
         service: Any,  # noqa: ANN401 - whatever a peer sends
         request_id: int,
         header: ua.RequestHeader,
-        body: Buffer,
-        budget: seams.Budget,
+        body: Reader,
     ) -> Any:  # noqa: ANN401 - any response
         if self._handshake.answers(service):
             if not self._handshake.done:
                 self._requests_before_session += 1
                 if self._requests_before_session > self._limits.handshake_messages:
                     raise ServiceError(_Codes.BadTcpServerTooBusy)
-            return await self._handshake.answer(service, header, body, budget)
+            return await self._handshake.answer(service, header, body)
         session = self._handshake.session_of(header)
         services = self._shared.services
         self.idle_since = self._shared.clock.monotonic()
         session.touch()
         kind = services.parameters(service)
-        params = await seams.decode_slowly(kind, body, budget, self.breathe)
+        params = await decode_slowly(kind, body, self.breathe)
         return await services.answer(service, Request(session, request_id, header, self), params)
 
     def _refused(self, request_id: int, header: ua.RequestHeader, code: int) -> None:
@@ -392,13 +390,11 @@ class Connection(asyncio.BufferedProtocol):
             self._errors += 1
         return self._errors <= _ERRORS_FORGIVEN
 
-    def _budget(self) -> seams.Budget:
+    def _budget(self) -> Budget:
         limits = self._limits
         if not self._handshake.done:
-            return seams.Budget(1_000, 1_000, limits.handshake_bytes, 8)
-        return seams.Budget(
-            limits.elements, limits.array_length, limits.string_bytes, limits.nesting
-        )
+            return Budget(1_000, 1_000, limits.handshake_bytes, 8)
+        return Budget(limits.elements, limits.array_length, limits.string_bytes, limits.nesting)
 
     def _send(self, request_id: int, response: bytes) -> None:
         if self._transport.is_closing():

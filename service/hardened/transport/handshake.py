@@ -7,13 +7,12 @@ from typing import Any, Protocol, TypeVar
 from urllib.parse import urlparse
 
 from asyncua import ua
-from asyncua.common.utils import Buffer, ServiceError
+from asyncua.common.utils import ServiceError
 from asyncua.crypto import uacrypto
-from asyncua.ua import ua_binary
 from cryptography.exceptions import InvalidSignature
 
 from service.hardened.audit import Actor
-from service.hardened.binary import seams
+from service.hardened.binary.bounded_decoding import Budget, Reader, decode
 from service.hardened.security.identity import Challenge, identify
 from service.hardened.security.peer_certificates import application_uris
 from service.hardened.sessions.session import Line, Session
@@ -61,11 +60,11 @@ class Handshake:
         self._shared = shared
         self._peer = peer
 
-    def open_channel(self, message: ua.Message) -> None:
+    def open_channel(self, message: ua.Message, budget: Budget) -> None:
         """Open the secure channel, or renew it."""
         channel = self._peer.channel
         algorithm = message.SecurityHeader()
-        request = ua_binary.struct_from_binary(ua.OpenSecureChannelRequest, message.body())
+        request = decode(ua.OpenSecureChannelRequest, Reader(bytes(message.body()), budget))
         if not channel.is_open():
             channel.select_policy(
                 algorithm.SecurityPolicyURI,
@@ -104,9 +103,7 @@ class Handshake:
             raise ServiceError(_Codes.BadSessionNotActivated)
         return session
 
-    async def answer(
-        self, service: object, header: ua.RequestHeader, body: Buffer, budget: seams.Budget
-    ) -> Any:  # noqa: ANN401 - any response
+    async def answer(self, service: object, header: ua.RequestHeader, body: Reader) -> Any:  # noqa: ANN401 - any response
         """Answer a request that needs no active session.
 
         Raises
@@ -116,22 +113,22 @@ class Handshake:
         if service not in _DISCOVERY:
             self._check_policy()
         if service == _ENDPOINTS:
-            asked = seams.decode(ua.GetEndpointsParameters, body, budget)
+            asked = decode(ua.GetEndpointsParameters, body)
             return ua.GetEndpointsResponse(Endpoints=self._endpoints(asked))
         if service == _SERVERS:
-            wanted = seams.decode(ua.FindServersParameters, body, budget)
+            wanted = decode(ua.FindServersParameters, body)
             return ua.FindServersResponse(Servers=self._servers(wanted))
         if service == _CREATE:
-            create = seams.decode(ua.CreateSessionParameters, body, budget)
+            create = decode(ua.CreateSessionParameters, body)
             with self._reporting_refusals(Actor(None, self._peer.host, _entry(header))):
                 return self._create(header, create)
         if service == _ACTIVATE:
-            activate = seams.decode(ua.ActivateSessionParameters, body, budget)
+            activate = decode(ua.ActivateSessionParameters, body)
             session = self._shared.sessions.get(header.AuthenticationToken)
             actor = Actor(session, self._peer.host, _entry(header))
             with self._reporting_refusals(actor, activate.UserIdentityToken):
                 return await self._activate(actor, header, activate)
-        keep = not ua_binary.Primitives.Boolean.unpack(body)
+        keep = not decode(ua.Boolean, body)
         return self._close(header, keep_subscriptions=keep)
 
     @contextlib.contextmanager
