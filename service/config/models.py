@@ -36,6 +36,9 @@ class SourceConfig(_Section):
     user: str | None = Field(None, description="user name; none = anonymous")
     password: SecretStr | None = Field(None, description="better by the environment or a file")
     password_file: Path | None = Field(None, description="file whose first line is the password")
+    check_host_name: bool = Field(
+        default=True, description="the source's certificate must name the host of the url"
+    )
     publishing_interval_ms: float = Field(100.0, ge=1.0, le=60_000.0)
     queue_size: int = Field(
         1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
@@ -75,6 +78,10 @@ class SecurityConfig(_Section):
 
     pki: Path = Field(Path("data/pki/service"), description="folder of certificates and keys")
     users: Path = Field(Path("data/users.json"), description="users and hashed passwords")
+    require_crl: bool = Field(
+        default=True,
+        description="certificates of an authority need its revocation list; self-signed ones none",
+    )
 
 
 class StateConfig(_Section):

@@ -1,6 +1,7 @@
-"""Logs that peers cannot flood: of each kind of line only so many in a while."""
+"""Logs that peers can neither flood nor forge: so many lines of a kind, each of them one line."""
 
 import logging
+import traceback
 from contextvars import ContextVar
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ class _Kind:
 class Bounded(logging.Filter):
     """Lets ``lines`` records of one message pass per window; says how many it left out.
 
+    What passes is escaped, whoever formats it: a peer's words may hold line breaks.
+
     >>> quiet = Bounded(lines=2)
     >>> [quiet.filter(logging.makeLogRecord({"msg": "refused %s"})) for _ in range(4)]
     [True, True, False, False]
@@ -51,7 +54,21 @@ class Bounded(logging.Filter):
                 record.msg = f"{template} (and {left_out} more like it)"
         kind.lines += 1
         kind.left_out += kind.lines > self._lines
-        return kind.lines <= self._lines
+        if kind.lines > self._lines:
+            return False
+        _escape(record)
+        return True
+
+
+def escaped(text: str) -> str:
+    r"""Return a text in one printable line: control characters and line breaks as escapes.
+
+    >>> print(escaped("peer\n2026-11-22 [info] let in"))
+    peer\n2026-11-22 [info] let in
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def bounded_logger(name: str) -> logging.Logger:
@@ -81,6 +98,15 @@ class _WhileServing(Bounded):
 
 
 _serves_a_peer: ContextVar[bool] = ContextVar("serves_a_peer", default=False)
+
+
+def _escape(record: logging.LogRecord) -> None:
+    record.msg, record.args = escaped(record.getMessage()), None
+    if record.exc_info and record.exc_info[0] is not None:
+        # indented, so that no line of it looks like one of the log
+        lines = "".join(traceback.format_exception(*record.exc_info)).splitlines()
+        record.msg = "\n".join([record.msg, *(f"    {escaped(line)}" for line in lines)])
+        record.exc_info = record.exc_text = None
 
 
 def _bound(name: str, lines: int) -> logging.Logger:

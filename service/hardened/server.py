@@ -39,6 +39,7 @@ from service.hardened.security.certificates import (
     make_certificate,
 )
 from service.hardened.security.login_queue import LoginQueue
+from service.hardened.security.peer_certificates import PeerTrust
 from service.hardened.sessions.services import Services
 from service.hardened.sessions.session import Sessions
 from service.hardened.settings import ServerSettings
@@ -299,7 +300,7 @@ class HardenedServer(Startable):
             limits=settings.limits,
             clock=self._clock,
             users=settings.users,
-            pki=settings.pki,
+            trust=PeerTrust(settings.pki, self._clock, require_crl=settings.require_crl),
             sessions=self._sessions,
             services=self._services,
             audit=self._audit,

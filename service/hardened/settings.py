@@ -152,6 +152,9 @@ class ServerSettings:
         Namespace of the server's own nodes.
     pki
         Certificates; with None only the demo's endpoint without security is offered.
+    require_crl
+        Refuse certificates of an authority without a valid revocation list. Those that are
+        self-signed and trusted by themselves need none.
     users
         Who may log in.
     none_on_loopback
@@ -173,6 +176,7 @@ class ServerSettings:
     namespace_uri: str
     product: Product = Product()
     pki: Pki | None = None
+    require_crl: bool = True
     users: UserStore = field(default_factory=UserStore)
     none_on_loopback: bool = False
     anonymous_observer: bool = False

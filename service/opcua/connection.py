@@ -5,7 +5,7 @@ import contextlib
 import ipaddress
 import logging
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from urllib.parse import urlsplit
@@ -18,6 +18,7 @@ from cryptography.hazmat.primitives import serialization
 
 from service.errors import ConfigurationError, SourceLost, SourceRejected
 from service.hardened import CertificateError
+from service.hardened.security.certificate_rules import CertificateRefused, Use, first_certificate
 from service.hardened.security.certificates import (
     OwnCertificate,
     Pki,
@@ -26,9 +27,9 @@ from service.hardened.security.certificates import (
     thumbprint,
 )
 from service.hardened.security.peer_certificates import (
-    CertificateRefused,
+    PeerTrust,
     application_uris,
-    check_peer,
+    check_host_name,
 )
 
 _log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ _DER = serialization.Encoding.DER
 _SESSION_TIMEOUT_MS = 120_000
 _CHANNEL_LIFETIME_MS = 3_600_000
 _FAREWELL_S = 2.0
+_LOOK_AT_TRUST_S = 1.0
 
 
 class Security(StrEnum):
@@ -68,6 +70,10 @@ class SourceSettings:
     user, password
         Credentials; anonymous if ``user`` is None. The password shows in no representation and
         never travels in the clear, except to this very host.
+    check_host_name
+        The server's certificate must name the host of ``url``.
+    require_crl
+        An authority that certifies the server needs a valid revocation list.
     application_uri
         Ours; None takes it from the certificate.
     publishing_interval_ms
@@ -95,6 +101,8 @@ class SourceSettings:
     own: OwnCertificate | None = None
     user: str | None = None
     password: str | None = field(default=None, repr=False)
+    check_host_name: bool = True
+    require_crl: bool = True
     application_uri: str | None = None
     publishing_interval_ms: float = 100.0
     sampling_interval_ms: float = 0.0
@@ -144,11 +152,20 @@ class BatchSession(UaSession):
 class Connection:
     """An open channel and session; made by :func:`open_connection`, used once."""
 
-    def __init__(self, settings: SourceSettings, client: Client, session: BatchSession) -> None:
+    def __init__(
+        self,
+        settings: SourceSettings,
+        client: Client,
+        session: BatchSession,
+        server: "TrustedServer | None",
+    ) -> None:
         self.settings = settings
         self.session = session
         self._client = client
-        self._renewal = asyncio.create_task(self._renew_for_ever())
+        self._server = server
+        self._tasks = [asyncio.create_task(self._renew_for_ever())]
+        if server is not None:
+            self._tasks.append(asyncio.create_task(self._watch_trust(server)))
 
     @contextlib.contextmanager
     def errors(self, doing: str) -> Iterator[None]:
@@ -158,8 +175,9 @@ class Connection:
 
     async def close(self) -> None:
         """Say good-bye if the server still listens, and hang up."""
-        self._renewal.cancel()
-        await asyncio.gather(self._renewal, return_exceptions=True)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         client = self._client.uaclient
         client.request_disconnect()
         client.pre_request_hook = None
@@ -174,8 +192,53 @@ class Connection:
         """Renew the channel's keys after three quarters of their life (Part 4, 5.6.2)."""
         while True:
             await asyncio.sleep(0.75e-3 * self._client.secure_channel_timeout)
+            if self._server is not None and not self._is_trusted(self._server.check):
+                return
             await self._client.open_secure_channel(renew=True)
             self._client.uaclient.revolve_security_token()
+
+    async def _watch_trust(self, server: "TrustedServer") -> None:
+        """Hang up on a server whose certificate is accepted no more."""
+        while True:
+            await asyncio.sleep(_LOOK_AT_TRUST_S)
+            if server.trust.look_again() and not self._is_trusted(server.check_again):
+                return
+
+    def _is_trusted(self, check: Callable[[], object]) -> bool:
+        try:
+            check()
+        except CertificateRefused as refused:
+            _log.warning("%s: disconnected: %s", self.settings.url, refused)
+            self._client.disconnect_socket()
+            return False
+        return True
+
+
+@dataclass(frozen=True)
+class TrustedServer:
+    """The certificate of the server, and whom we trust."""
+
+    trust: PeerTrust
+    shown: bytes
+    application_uri: str
+
+    def check(self) -> x509.Certificate:
+        """Check it.
+
+        Raises
+        ------
+        CertificateRefused
+        """
+        return self.trust.check(self.shown, Use.SERVER, self.application_uri)
+
+    def check_again(self) -> x509.Certificate:
+        """Check it by the folders as they were last read.
+
+        Raises
+        ------
+        CertificateRefused
+        """
+        return self.trust.check_again(self.shown, Use.SERVER)
 
 
 async def open_connection(settings: SourceSettings) -> Connection:
@@ -198,7 +261,7 @@ async def open_connection(settings: SourceSettings) -> Connection:
     with source_errors(settings.url, "connecting"):
         try:
             async with asyncio.timeout(4 * settings.timeout_s):
-                await _secure(client, settings)
+                server = await _secure(client, settings)
                 await client.connect_socket()
                 await client.send_hello()
                 with source_errors(settings.url, _opening(settings)):
@@ -209,7 +272,7 @@ async def open_connection(settings: SourceSettings) -> Connection:
         except BaseException:
             client.disconnect_socket()
             raise
-    return Connection(settings, client, session)
+    return Connection(settings, client, session, server)
 
 
 @contextlib.contextmanager
@@ -250,12 +313,12 @@ def _port(url: str) -> int | None:
         return None
 
 
-async def _secure(client: Client, settings: SourceSettings) -> None:
+async def _secure(client: Client, settings: SourceSettings) -> TrustedServer | None:
     """Find the server's certificate, check that we trust it, set up keys."""
     if settings.security is Security.NONE:
         if settings.application_uri is not None:
             client.application_uri = settings.application_uri
-        return
+        return None
     assert settings.pki is not None  # noqa: S101 - settings checked it
     assert settings.own is not None  # noqa: S101 - settings checked it
     client.application_uri = settings.application_uri or _uri_of(settings.own)
@@ -274,7 +337,12 @@ async def _secure(client: Client, settings: SourceSettings) -> None:
             f"{settings.url}: does not offer {settings.security}/SignAndEncrypt; "
             f"it offers {', '.join(offered)}"
         )
-    certificate = _trusted(settings, settings.pki, settings.own, endpoint)
+    server = TrustedServer(
+        PeerTrust(settings.pki, require_crl=settings.require_crl),
+        endpoint.ServerCertificate,
+        endpoint.Server.ApplicationUri,
+    )
+    certificate = _trusted(settings, server, settings.own)
     await client.set_security(
         policy,
         certificate=settings.own.certificate,
@@ -282,18 +350,21 @@ async def _secure(client: Client, settings: SourceSettings) -> None:
         server_certificate=uacrypto.CertProperties(certificate.public_bytes(_DER), "der"),
         mode=ua.MessageSecurityMode.SignAndEncrypt,
     )
+    return server
 
 
 def _trusted(
-    settings: SourceSettings, pki: Pki, own: OwnCertificate, endpoint: ua.EndpointDescription
+    settings: SourceSettings, server: TrustedServer, own: OwnCertificate
 ) -> x509.Certificate:
     """The server's certificate, once it has passed all checks; else it lies in ``rejected``."""
     try:
-        certificate = check_peer(pki, endpoint.ServerCertificate, endpoint.Server.ApplicationUri)
+        certificate = server.check()
+        if settings.check_host_name:
+            check_host_name(certificate, urlsplit(settings.url).hostname or "")
     except CertificateRefused as refused:
         advice = ""
         if refused.code == ua.StatusCodes.BadCertificateUntrusted:
-            mark = thumbprint(_first_certificate(endpoint.ServerCertificate))
+            mark = thumbprint(first_certificate(server.shown))
             advice = f": compare the thumbprint, then `valvemap trust {mark}`"
         raise SourceRejected(f"{settings.url}: {refused}{advice}") from refused
     for known in (certificate, load_certificate(own.certificate)):
@@ -333,11 +404,6 @@ def _uri_of(own: OwnCertificate) -> str:
     if not uris:
         raise CertificateError(f"{own.certificate}: names no application (URI in its SAN)")
     return uris[0]
-
-
-def _first_certificate(chain: bytes) -> bytes:
-    """Return the leading certificate of a chain: its DER length is in bytes 2 and 3."""
-    return chain[: int.from_bytes(chain[2:4], "big") + 4]
 
 
 def _fragment(uri: str | None) -> str:

@@ -1,24 +1,35 @@
+"""Whom we trust, case by case; ``test_certificates_on_the_wire`` has the same cases again."""
+
 import datetime as dt
+import os
 
 import pytest
 from asyncua import ua
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, rsa
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID
+from support import certificate_cases as cases
+from support.certificates import (
+    DAY,
+    EMAIL,
+    NOW,
+    PEM,
+    URI,
+    name,
+    root,
+    self_signed,
+)
 
-from service.hardened.security.certificates import Pki, make_certificate, rejected
-from service.hardened.security.peer_certificates import CertificateRefused, check_peer
+from service.hardened.clock import ManualClock
+from service.hardened.security.certificates import Pki, fingerprint, rejected
+from service.hardened.security.peer_certificates import (
+    CertificateRefused,
+    PeerTrust,
+    Use,
+    check_host_name,
+)
 
 Codes = ua.StatusCodes
-NOW = dt.datetime.now(dt.UTC)
-DAY = dt.timedelta(days=1)
-URI = "urn:test:peer"
-
-
-@pytest.fixture(scope="module")
-def keys():
-    return [rsa.generate_private_key(public_exponent=65537, key_size=2048) for _ in range(2)]
+START = int(NOW.timestamp() * 1e9)
 
 
 @pytest.fixture
@@ -28,148 +39,124 @@ def pki(tmp_path):
     return made
 
 
-def der(certificate):
-    return certificate.public_bytes(serialization.Encoding.DER)
+def code_of(pki, identity, chain=(), *, use=Use.CLIENT, uri=None, trust=None, **settings):
+    return refusal(pki, identity, chain, use=use, uri=uri, trust=trust, **settings)[0]
 
 
-def name(text):
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
-
-
-def issued(
-    key, issuer_key, *, subject="peer", issuer="authority", ca=False, days=(-1, 30), usage=True
-):
-    builder = (
-        x509.CertificateBuilder()
-        .subject_name(name(subject))
-        .issuer_name(name(issuer))
-        .public_key(key.public_key())
-        .serial_number(77)
-        .not_valid_before(NOW + days[0] * DAY)
-        .not_valid_after(NOW + days[1] * DAY)
-        .add_extension(x509.BasicConstraints(ca=ca, path_length=None), critical=True)
-        .add_extension(
-            x509.SubjectAlternativeName([x509.UniformResourceIdentifier(URI)]), critical=False
-        )
-        .add_extension(
-            x509.KeyUsage(
-                digital_signature=usage,
-                content_commitment=usage,
-                key_encipherment=usage,
-                data_encipherment=usage,
-                key_agreement=False,
-                key_cert_sign=ca,
-                crl_sign=ca,
-                encipher_only=False,
-                decipher_only=False,
-            ),
-            critical=True,
-        )
-    )
-    return builder.sign(issuer_key, hashes.SHA256())
-
-
-def keep(folder, certificate, file="one.der"):
-    (folder / file).write_bytes(der(certificate))
-
-
-def code_of(pki, shown, uri=None):
+def refusal(pki, identity, chain=(), *, use=Use.CLIENT, uri=None, trust=None, **settings):
+    """Status code and sentence."""
+    shown = identity if isinstance(identity, bytes) else b"".join(i.der for i in (identity, *chain))
     try:
-        check_peer(pki, shown, uri)
+        (trust or PeerTrust(pki, **settings)).check(shown, use, uri)
     except CertificateRefused as refused:
-        return refused.code
-    return Codes.Good
+        return refused.code, str(refused)
+    return Codes.Good, ""
 
 
-def test_a_trusted_certificate_is_accepted_and_must_name_its_application(pki, keys):
-    certificate = make_certificate(keys[0], URI, ("localhost",), "peer")
-    keep(pki.trusted, certificate)
-    assert code_of(pki, der(certificate)) == Codes.Good
-    assert code_of(pki, der(certificate), URI) == Codes.Good
-    assert code_of(pki, der(certificate), "urn:other") == Codes.BadCertificateUriInvalid
+@pytest.mark.parametrize("use", [Use.CLIENT, Use.SERVER])
+@pytest.mark.parametrize(
+    ("case", "code"), cases.REFUSED.items(), ids=[case.__name__ for case in cases.REFUSED]
+)
+def test_refused_is(pki, case, code, use):
+    identity, chain = cases.shown(case, pki)
+    assert code_of(pki, identity, chain, use=use) == code
 
 
-def test_an_unknown_certificate_is_refused_and_kept(pki, keys):
-    certificate = make_certificate(keys[0], URI, ("localhost",), "peer")
-    assert code_of(pki, der(certificate)) == Codes.BadCertificateUntrusted
+@pytest.mark.parametrize("use", [Use.CLIENT, Use.SERVER])
+@pytest.mark.parametrize("case", cases.ACCEPTED, ids=lambda c: c.__name__)
+def test_accepted_is(pki, case, use):
+    identity, chain = cases.shown(case, pki)
+    assert refusal(pki, identity, chain, use=use) == (Codes.Good, "")
+
+
+def test_a_certificate_must_name_its_application(pki):
+    identity = cases.trusted_itself(pki)
+    assert code_of(pki, identity, uri=URI) == Codes.Good
+    assert code_of(pki, identity, uri="urn:other") == Codes.BadCertificateUriInvalid
+
+
+def test_an_unknown_certificate_is_kept_without_what_was_sent_along(pki):
+    authority = root()
+    peer = authority.issue()
+    assert code_of(pki, peer, [authority]) == Codes.BadCertificateUntrusted
     (kept,) = rejected(pki)
-    assert kept.read_bytes() == der(certificate)
+    assert kept.read_bytes() == peer.der
 
 
-def test_a_certificate_of_a_trusted_authority_is_accepted(pki, keys):
-    authority = issued(keys[1], keys[1], subject="authority", ca=True)
-    keep(pki.trusted, authority)
-    assert code_of(pki, der(issued(keys[0], keys[1]))) == Codes.Good
+@pytest.mark.parametrize(
+    ("extended", "right", "wrong"),
+    [
+        (ExtendedKeyUsageOID.CLIENT_AUTH, Use.CLIENT, Use.SERVER),
+        (ExtendedKeyUsageOID.SERVER_AUTH, Use.SERVER, Use.CLIENT),
+    ],
+)
+def test_a_client_is_no_server_and_the_other_way_round(pki, extended, right, wrong):
+    identity = cases.trusted_itself(pki, extended=[extended])
+    assert code_of(pki, identity, use=right) == Codes.Good
+    assert code_of(pki, identity, use=wrong) == Codes.BadCertificateUseNotAllowed
 
 
-def test_an_authority_that_is_only_an_issuer_is_not_trusted(pki, keys):
-    authority = issued(keys[1], keys[1], subject="authority", ca=True)
-    keep(pki.issuers, authority)
-    certificate = issued(keys[0], keys[1])
-    assert code_of(pki, der(certificate)) == Codes.BadCertificateUntrusted
-    keep(pki.trusted, certificate)
-    assert code_of(pki, der(certificate)) == Codes.Good
+@pytest.mark.parametrize(
+    "case",
+    [
+        cases.one_without_a_revocation_list,
+        cases.one_below_an_intermediate_without_a_revocation_list,
+        cases.one_whose_revocation_list_has_expired,
+        cases.one_whose_revocation_list_another_signed,
+        cases.one_with_an_indirect_revocation_list,
+    ],
+    ids=lambda c: c.__name__,
+)
+def test_a_refusal_for_want_of_a_revocation_list_names_the_setting_that_allows_it(pki, case):
+    identity, chain = cases.shown(case, pki)
+    _, sentence = refusal(pki, identity, chain)
+    assert "security.require_crl = false" in sentence
+    assert code_of(pki, identity, chain, require_crl=False) == Codes.Good
 
 
-def test_an_authority_that_the_peer_sends_along_is_not_trusted_for_that(pki, keys):
-    authority = issued(keys[1], keys[1], subject="authority", ca=True)
-    shown = der(issued(keys[0], keys[1])) + der(authority)
-    assert code_of(pki, shown) == Codes.BadCertificateUntrusted
-    keep(pki.trusted, authority)
-    assert code_of(pki, shown) == Codes.Good
+@pytest.mark.parametrize(
+    ("case", "code"),
+    [
+        (cases.a_revoked_one, Codes.BadCertificateRevoked),
+        (cases.one_that_a_delta_revokes, Codes.BadCertificateRevoked),
+        (cases.one_that_an_expired_list_revokes, Codes.BadCertificateRevoked),
+        (cases.one_whose_revocation_list_cannot_be_read, Codes.BadCertificateRevocationUnknown),
+        (cases.one_whose_issuer_is_missing, Codes.BadCertificateChainIncomplete),
+    ],
+    ids=lambda c: getattr(c, "__name__", ""),
+)
+def test_what_revocation_lists_say_counts_even_where_none_is_required(pki, case, code):
+    identity, chain = cases.shown(case, pki)
+    assert code_of(pki, identity, chain, require_crl=False) == code
 
 
-def test_a_name_alone_makes_nobody_an_issuer(pki, keys):
-    keep(pki.trusted, issued(keys[1], keys[1], subject="authority", ca=True))
-    forged = issued(keys[0], keys[0])
-    assert code_of(pki, der(forged)) == Codes.BadCertificateUntrusted
+def test_one_trusted_itself_without_its_issuer_needs_the_setting(pki):
+    peer = root().issue()
+    peer.keep(pki.trusted)
+    code, sentence = refusal(pki, peer)
+    assert code == Codes.BadCertificateChainIncomplete
+    assert "security.require_crl = false" in sentence
+    assert code_of(pki, peer, require_crl=False) == Codes.Good
 
 
-def test_who_is_no_authority_issues_nothing(pki, keys):
-    keep(pki.trusted, issued(keys[1], keys[1], subject="authority", ca=False))
-    assert code_of(pki, der(issued(keys[0], keys[1]))) == Codes.BadCertificateUntrusted
+def test_a_revocation_list_that_cannot_be_read_is_named_and_harms_no_self_signed_one(pki):
+    peer = cases.one_whose_revocation_list_cannot_be_read(pki)
+    _, sentence = refusal(pki, peer)
+    assert "damaged.crl" in sentence
+    assert code_of(pki, cases.trusted_itself(pki, number=4)) == Codes.Good
 
 
-@pytest.mark.parametrize("days", [(-30, -1), (2, 30)])
-def test_a_certificate_is_good_in_its_time_only(pki, keys, days):
-    certificate = issued(keys[0], keys[0], issuer="peer", days=days)
-    keep(pki.trusted, certificate)
-    assert code_of(pki, der(certificate)) == Codes.BadCertificateTimeInvalid
+def test_a_damaged_file_among_the_trusted_ones_harms_nobody_else(pki):
+    identity = cases.trusted_itself(pki)
+    (pki.trusted / "broken.der").write_bytes(b"rubbish")
+    assert code_of(pki, identity) == Codes.Good
 
 
-def test_an_authority_is_good_in_its_time_only(pki, keys):
-    keep(pki.trusted, issued(keys[1], keys[1], subject="authority", ca=True, days=(-30, -1)))
-    assert code_of(pki, der(issued(keys[0], keys[1]))) == Codes.BadCertificateIssuerTimeInvalid
-
-
-def test_a_revoked_certificate_is_refused(pki, keys):
-    keep(pki.trusted, issued(keys[1], keys[1], subject="authority", ca=True))
-    revoked = (
-        x509.CertificateRevocationListBuilder()
-        .issuer_name(name("authority"))
-        .last_update(NOW - DAY)
-        .next_update(NOW + DAY)
-        .add_revoked_certificate(
-            x509.RevokedCertificateBuilder().serial_number(77).revocation_date(NOW).build()
-        )
-        .sign(keys[1], hashes.SHA256())
-    )
-    (pki.issuers / "authority.crl").write_bytes(revoked.public_bytes(serialization.Encoding.PEM))
-    certificate = der(issued(keys[0], keys[1]))
-    assert code_of(pki, certificate) == Codes.BadCertificateRevoked
-    (pki.issuers / "authority.crl").write_bytes(b"rubbish")
-    assert code_of(pki, certificate) == Codes.BadCertificateRevocationUnknown
-
-
-def test_a_key_that_may_not_be_used_or_is_too_short_is_refused(pki, keys):
-    idle = issued(keys[0], keys[0], issuer="peer", usage=False)
-    assert code_of(pki, der(idle)) == Codes.BadCertificateUseNotAllowed
-    short = rsa.generate_private_key(public_exponent=65537, key_size=1024)  # noqa: S505 - it must be refused
-    weak = issued(short, short, issuer="peer")
-    assert code_of(pki, der(weak)) == Codes.BadCertificatePolicyCheckFailed
-    curve = ec.generate_private_key(ec.SECP256R1())
-    other = issued(curve, curve, issuer="peer")
-    assert code_of(pki, der(other)) == Codes.BadCertificatePolicyCheckFailed
+def test_a_revocation_list_in_pem_form_and_capital_letters_is_read(pki):
+    authority = root()
+    authority.keep(pki.trusted)
+    (pki.trusted / "AUTHORITY.CRL").write_bytes(authority.crl().public_bytes(PEM))
+    assert code_of(pki, authority.issue()) == Codes.Good
 
 
 @pytest.mark.parametrize("shown", [b"", b"x", b"\x30\x82", b"\x30\x03abc", bytes(20_000)])
@@ -177,8 +164,143 @@ def test_what_is_no_certificate_is_refused(pki, shown):
     assert code_of(pki, shown) == Codes.BadCertificateInvalid
 
 
-def test_a_damaged_file_among_the_trusted_ones_harms_nobody_else(pki, keys):
-    certificate = make_certificate(keys[0], URI, ("localhost",), "peer")
-    keep(pki.trusted, certificate)
-    (pki.trusted / "broken.der").write_bytes(b"rubbish")
-    assert code_of(pki, der(certificate)) == Codes.Good
+def test_a_certificate_cut_short_anywhere_is_refused(pki):
+    identity = cases.trusted_itself(pki)
+    for size in range(0, len(identity.der), 7):
+        assert code_of(pki, identity.der[:size]) == Codes.BadCertificateInvalid
+
+
+def test_a_changed_file_of_the_same_size_and_time_is_noticed(pki):
+    trust = PeerTrust(pki)
+    first, second = self_signed(), self_signed(number=4)
+    second = self_signed(number=4) if len(first.der) != len(second.der) else second
+    file = first.keep(pki.trusted, "peer.der")
+    stamp = file.stat()
+    assert code_of(pki, first, trust=trust) == Codes.Good
+    file.write_bytes(second.der)
+    os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert code_of(pki, second, trust=trust) == Codes.Good
+    assert code_of(pki, first, trust=trust) == Codes.BadCertificateUntrusted
+
+
+def test_what_was_accepted_is_checked_again_when_its_time_is_over(pki):
+    clock = ManualClock(START)
+    trust = PeerTrust(pki, clock)
+    authority = root()
+    authority.keep(pki.trusted)
+    authority.keep_crl(pki.issuers, days=(-1, 2))
+    peer = authority.issue(days=(-1, 30))
+    assert code_of(pki, peer, trust=trust) == Codes.Good
+    clock.advance(3 * DAY / dt.timedelta(seconds=1))
+    assert code_of(pki, peer, trust=trust) == Codes.BadCertificateRevocationUnknown
+    authority.keep_crl(pki.issuers, days=(-1, 60))
+    assert code_of(pki, peer, trust=trust) == Codes.Good
+    clock.advance(30 * DAY / dt.timedelta(seconds=1))
+    assert code_of(pki, peer, trust=trust) in (
+        Codes.BadCertificateTimeInvalid,
+        Codes.BadCertificateIssuerTimeInvalid,
+    )
+
+
+def test_folders_that_are_being_changed_are_believed_once_they_rest(pki):
+    trust = PeerTrust(pki)
+    assert not trust.look_again() or trust.look_again()
+    cases.trusted_itself(pki)
+    assert [trust.look_again() for _ in range(2)] == [False, True]
+    looks = []
+    for number in range(8):
+        self_signed().keep(pki.trusted, f"{number}.der")
+        looks.append(trust.look_again())
+    assert any(looks)
+
+
+@pytest.mark.parametrize(
+    ("host", "named"),
+    [
+        ("localhost", True),
+        ("LOCALHOST.", True),
+        ("127.0.0.1", True),
+        ("127.0.0.2", False),
+        ("plant", False),
+        ("", False),
+        ("::1", False),
+    ],
+)
+def test_a_server_is_reached_under_a_name_of_its_certificate(host, named):
+    certificate = self_signed(hosts=("localhost", "127.0.0.1")).certificate
+    if named:
+        check_host_name(certificate, host)
+        return
+    with pytest.raises(CertificateRefused, match=r"source\.check_host_name = false") as refused:
+        check_host_name(certificate, host)
+    assert refused.value.code == Codes.BadCertificateHostNameInvalid
+
+
+def test_an_address_written_as_a_name_does_not_count_nor_does_a_common_name():
+    written = x509.SubjectAlternativeName([x509.DNSName("127.0.0.1")])
+    identity = self_signed("plant", alternative=None, extra=[written])
+    for host in ("127.0.0.1", "plant"):
+        with pytest.raises(CertificateRefused):
+            check_host_name(identity.certificate, host)
+
+
+def test_a_subject_with_a_line_break_is_refused_in_one_line(pki):
+    peer = self_signed(name("peer\n2026-11-22 [info] session activated by anna\x1b[31m\u2028"))
+    code, sentence = refusal(pki, peer)
+    assert code == Codes.BadCertificateUntrusted
+    assert sentence.isprintable()
+    assert r"peer\n2026" in sentence
+
+
+class TestUsers:
+    """A user is trusted by nothing but the own account."""
+
+    @pytest.fixture
+    def trust(self, pki):
+        return PeerTrust(pki)
+
+    def code(self, trust, user, *anchors, chain=()):
+        shown = b"".join(i.der for i in (user, *chain))
+        known = frozenset(fingerprint(i.der) for i in anchors)
+        try:
+            trust.check(shown, Use.USER, anchors=known)
+        except CertificateRefused as refused:
+            return refused.code
+        return Codes.Good
+
+    def test_the_folders_of_applications_let_no_user_in(self, pki, trust):
+        user = cases.trusted_itself(pki)
+        assert self.code(trust, user) == Codes.BadCertificateUntrusted
+        assert self.code(trust, user, user) == Codes.Good
+        assert rejected(pki) == ()
+
+    def test_an_authority_lets_in_whom_it_issued_and_did_not_revoke(self, pki, trust):
+        authority = root()
+        authority.keep(pki.issuers)
+        user, bad = authority.issue("anna"), authority.issue("anna")
+        assert self.code(trust, user, authority) == Codes.BadCertificateRevocationUnknown
+        authority.keep_crl(pki.issuers, bad)
+        assert self.code(trust, user, authority) == Codes.Good
+        assert self.code(trust, bad, authority) == Codes.BadCertificateRevoked
+        assert self.code(trust, bad, bad) == Codes.BadCertificateRevoked
+
+    @pytest.mark.parametrize(
+        ("wishes", "code"),
+        [
+            ({}, Codes.Good),
+            ({"uses": ("digital_signature",)}, Codes.Good),
+            ({"uses": None, "extended": None}, Codes.Good),
+            ({"days": (-30, -1)}, Codes.BadCertificateTimeInvalid),
+            ({"days": (2, 30)}, Codes.BadCertificateTimeInvalid),
+            ({"uses": ("key_encipherment",)}, Codes.BadCertificateUseNotAllowed),
+            ({"extended": [EMAIL]}, Codes.BadCertificateUseNotAllowed),
+            (
+                {"extended": [ExtendedKeyUsageOID.SERVER_AUTH]},
+                Codes.BadCertificateUseNotAllowed,
+            ),
+            ({"weak": "sha1"}, Codes.BadCertificatePolicyCheckFailed),
+        ],
+    )
+    def test_a_users_own_certificate_is_good_in_its_time_and_use(self, trust, wishes, code):
+        user = self_signed("anna", **wishes)
+        assert self.code(trust, user, user) == code

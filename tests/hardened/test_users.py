@@ -4,9 +4,11 @@ import stat
 import sys
 
 import pytest
+from support.certificates import root, self_signed
 
 from service.hardened.clock import ManualClock
 from service.hardened.errors import ConfigurationError
+from service.hardened.security.certificates import fingerprint, thumbprint
 from service.hardened.security.users import Role, UserStore
 
 PASSWORD = "correct horse"
@@ -112,6 +114,7 @@ def test_only_the_owner_can_read_a_saved_store(store, tmp_path):
         (json.dumps([{"name": "anna", "role": 9, "password_hash": "AA=="}]), "user 1"),
         (json.dumps([{"name": "anna", "role": 1}]), "neither password_hash nor thumbprint"),
         (json.dumps([{"name": "a", "role": 1, "password_hash": "AA==", "n": 2**30}]), "cost"),
+        (json.dumps([{"name": "a", "role": 1, "thumbprint": "x"}]), "40 or 64 digits"),
     ],
 )
 def test_a_damaged_file_of_users_is_named_with_its_fault(tmp_path, content, named):
@@ -142,11 +145,54 @@ def test_a_one_time_password_is_different_each_time():
     assert first.authenticate("operator", password) is Role.OPERATOR
 
 
-def test_a_user_certificate_gives_name_and_role(store):
-    store.add_certificate("carl", Role.OPERATOR, b"certificate of carl")
-    assert store.certificate_role(b"certificate of carl") == ("carl", Role.OPERATOR)
-    assert store.certificate_role(b"another certificate") is None
+def test_a_user_certificate_gives_the_user(store):
+    carl, other = self_signed("carl"), self_signed("carl", number=2)
+    store.add_certificate("carl", Role.OPERATOR, carl.der)
+    assert store.by_certificate(carl.certificate).role is Role.OPERATOR
+    assert store.by_certificate(other.certificate) is None
     assert store.authenticate("carl", "") is None
+
+
+def test_a_user_with_a_certificate_keeps_the_password(store):
+    store.add_certificate("anna", Role.OPERATOR, self_signed("anna").der)
+    assert store.authenticate("anna", PASSWORD) is Role.OPERATOR
+
+
+def test_an_authority_stands_for_whom_it_certifies_by_name(store):
+    authority = root()
+    store.add_certificate("carl", Role.OPERATOR, authority.der)
+    assert store.by_certificate(authority.issue("carl").certificate).name == "carl"
+    assert store.by_certificate(authority.issue("anna").certificate) is None
+    assert store.account("carl").anchors == {fingerprint(authority.der)}
+
+
+def test_a_certificate_stored_by_an_earlier_version_is_still_known(tmp_path):
+    carl = self_signed("carl")
+    file = tmp_path / "users.json"
+    file.write_text(json.dumps([{"name": "carl", "role": 2, "thumbprint": thumbprint(carl.der)}]))
+    store = UserStore.load(file)
+    assert store.by_certificate(carl.certificate).name == "carl"
+    store.save(file)
+    assert UserStore.load(file).by_certificate(carl.certificate).name == "carl"
+
+
+def test_what_is_no_certificate_is_no_users(store):
+    with pytest.raises(ConfigurationError, match=r"user carl: not an X\.509 certificate"):
+        store.add_certificate("carl", Role.OPERATOR, b"rubbish")
+
+
+def test_a_changed_file_of_users_is_read_again_and_a_damaged_one_changes_nothing(store, tmp_path):
+    file = tmp_path / "users.json"
+    store.save(file)
+    running = UserStore.load(file)
+    assert not running.refresh()
+    store.add_certificate("carl", Role.OPERATOR, self_signed("carl").der)
+    store.save(file)
+    assert running.refresh()
+    assert running.names == ("anna", "carl")
+    file.write_text("rubbish")
+    assert not running.refresh()
+    assert running.names == ("anna", "carl")
 
 
 def test_a_removed_user_is_gone_and_an_unknown_one_named(store):

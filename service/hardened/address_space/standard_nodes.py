@@ -17,7 +17,7 @@ from asyncua.server.standard_address_space import standard_address_space
 
 from service.hardened.address_space.packed_nodes import PackedNodes, pack
 from service.hardened.logs import bounded_logger
-from service.hardened.security.users import write_owner_only
+from service.hardened.security.owner_only import write_owner_only
 
 _log = bounded_logger(__name__)
 _FORMAT = 2  # raise it when the preparation below changes

@@ -3,6 +3,7 @@
 import datetime as dt
 import hashlib
 import ipaddress
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +13,8 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from service.hardened.errors import CertificateError
-from service.hardened.logs import bounded_logger
-from service.hardened.security.users import write_owner_only
+from service.hardened.logs import bounded_logger, escaped
+from service.hardened.security.owner_only import write_owner_only
 
 _log = bounded_logger(__name__)
 
@@ -21,7 +22,7 @@ KEY_BITS = 2048
 VALID_DAYS = 730
 WARN_DAYS = 30
 MAX_REJECTED = 100
-_CERTIFICATE_SUFFIXES = {".der", ".cer", ".crt", ".pem"}
+CERTIFICATE_SUFFIXES = {".der", ".cer", ".crt", ".pem"}
 
 
 @dataclass(frozen=True)
@@ -177,15 +178,18 @@ def make_certificate(
 
 
 def thumbprint(certificate: x509.Certificate | bytes) -> str:
-    """SHA-1 of the DER form in hex: how OPC UA names a certificate."""
-    if isinstance(certificate, x509.Certificate):
-        certificate = certificate.public_bytes(serialization.Encoding.DER)
-    return hashlib.sha1(certificate, usedforsecurity=False).hexdigest()
+    """SHA-1 of the DER form in hex: how OPC UA names a certificate; it proves nothing."""
+    return hashlib.sha1(_der(certificate), usedforsecurity=False).hexdigest()
+
+
+def fingerprint(certificate: x509.Certificate | bytes) -> str:
+    """SHA-256 of the DER form in hex: this certificate and no other."""
+    return hashlib.sha256(_der(certificate)).hexdigest()
 
 
 def rejected(pki: Pki) -> tuple[Path, ...]:
     """List the certificates that were refused, the newest first."""
-    files = certificate_files(pki.rejected)
+    files = files_with(pki.rejected, CERTIFICATE_SUFFIXES)
     return tuple(sorted(files, key=lambda file: file.stat().st_mtime, reverse=True))
 
 
@@ -243,17 +247,22 @@ def expiry_warning(certificate: x509.Certificate, now: dt.datetime | None = None
     left = certificate.not_valid_after_utc - (now or dt.datetime.now(dt.UTC))
     if left >= dt.timedelta(days=WARN_DAYS):
         return ""
-    name = certificate.subject.rfc4514_string()
+    name = escaped(certificate.subject.rfc4514_string())
     if left < dt.timedelta(0):
         return f"the certificate {name} expired on {certificate.not_valid_after_utc:%Y-%m-%d}"
     return f"the certificate {name} expires on {certificate.not_valid_after_utc:%Y-%m-%d}"
 
 
-def certificate_files(folder: Path) -> list[Path]:
-    """List the files in a folder that may be certificates, by name."""
+def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """List the files in a folder that end with one of some suffixes, by name.
+
+    Raises
+    ------
+    OSError
+    """
     if not folder.is_dir():
         return []
-    return sorted(file for file in folder.iterdir() if file.suffix in _CERTIFICATE_SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes)
 
 
 def load_certificate(file: Path) -> x509.Certificate:
@@ -273,6 +282,12 @@ def load_certificate(file: Path) -> x509.Certificate:
         raise CertificateError(f"{file}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise CertificateError(f"{file}: not an X.509 certificate (DER or PEM)") from error
+
+
+def _der(certificate: x509.Certificate | bytes) -> bytes:
+    if isinstance(certificate, x509.Certificate):
+        return certificate.public_bytes(serialization.Encoding.DER)
+    return certificate
 
 
 def _load_key(file: Path) -> rsa.RSAPrivateKey:
@@ -320,11 +335,7 @@ def _general_name(host: str) -> x509.GeneralName:
 
 def _rejected_by_thumbprint(pki: Pki, text: str) -> Path:
     wanted = text.lower().replace(":", "").replace(" ", "")
-    fitting = [
-        file
-        for file in rejected(pki)
-        if len(wanted) >= 6 and thumbprint(load_certificate(file)).startswith(wanted)
-    ]
+    fitting = [file for file in rejected(pki) if len(wanted) >= 6 and _has_thumbprint(file, wanted)]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
@@ -333,3 +344,11 @@ def _rejected_by_thumbprint(pki: Pki, text: str) -> Path:
         f"{text}: neither a file nor the thumbprint (6 digits or more) of a certificate in "
         f"{pki.rejected}"
     )
+
+
+def _has_thumbprint(file: Path, beginning: str) -> bool:
+    try:
+        certificate = load_certificate(file)
+    except CertificateError:
+        return False
+    return any(f(certificate).startswith(beginning) for f in (thumbprint, fingerprint))

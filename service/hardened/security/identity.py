@@ -1,7 +1,8 @@
 """Who logs in: user identity tokens, checked against the users of the server (Part 4, 7.41)."""
 
 import hmac
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
@@ -9,11 +10,21 @@ from asyncua.crypto import uacrypto
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from service.hardened.security.certificate_rules import (
+    CertificateRefused,
+    Use,
+    check_own_rules,
+    first_certificate,
+    parse,
+)
 from service.hardened.security.login_queue import LoginQueue
+from service.hardened.security.peer_certificates import PeerTrust
 from service.hardened.security.users import Role, UserStore
 
 _Codes = ua.StatusCodes
 _MAX_PASSWORD_BYTES = 4_096
+
+Refused = Callable[[bytes, int, str], None]  # certificate (DER), status code, sentence
 
 ANONYMOUS = "anonymous"
 USERNAME = "username"
@@ -34,6 +45,7 @@ class Principal:
 
     name: str
     role: Role
+    certificate: bytes = field(default=b"", compare=False, repr=False)  # if by one (DER)
 
     def __str__(self) -> str:
         return f"{self.name} ({self.role.name.lower()})"
@@ -55,16 +67,21 @@ async def identify(
     users: UserStore,
     origin: str,
     logins: LoginQueue,
+    trust: PeerTrust,
+    refused: Refused,
     *,
     anonymous_allowed: bool,
 ) -> Principal:
     """Find out who logs in.
 
+    ``trust`` judges user certificates; ``refused`` hears why one is refused.
+
     Raises
     ------
     ServiceError
         BadIdentityTokenInvalid for what cannot be read, BadIdentityTokenRejected for what is not
-        accepted here, BadUserAccessDenied for a wrong password or a locked user.
+        accepted here, a user certificate that is refused included, BadUserAccessDenied for a wrong
+        password, an unknown certificate or a locked user, BadUserSignatureInvalid.
     """
     if isinstance(token, ua.AnonymousIdentityToken) or _is_null(token):
         if not anonymous_allowed:
@@ -77,8 +94,30 @@ async def identify(
             raise ServiceError(_Codes.BadUserAccessDenied)
         return Principal(name, role)
     if isinstance(token, ua.X509IdentityToken):
-        return _by_certificate(token, signature, challenge, users)
+        return _by_certificate(token, signature, challenge, users, trust, refused)
     raise ServiceError(_Codes.BadIdentityTokenInvalid)
+
+
+def still_accepted(
+    principal: Principal, users: UserStore, trust: PeerTrust, refused: Refused
+) -> bool:
+    """Tell whether somebody who is logged in could do so again; asked once in a while.
+
+    The folders of ``trust`` count as they were last read.
+    """
+    account = users.account(principal.name)
+    if account is None and principal.name == ANONYMOUS:
+        return True
+    if account is None or account.role != principal.role:
+        return False
+    if not principal.certificate:
+        return bool(account.password_hash)
+    try:
+        trust.check_again(principal.certificate, Use.USER, account.anchors)
+    except CertificateRefused as reason:
+        refused(first_certificate(principal.certificate), reason.code, str(reason))
+        return False
+    return True
 
 
 def _is_null(token: object) -> bool:
@@ -112,16 +151,23 @@ def _by_certificate(
     signature: ua.SignatureData,
     challenge: Challenge,
     users: UserStore,
+    trust: PeerTrust,
+    refused: Refused,
 ) -> Principal:
-    verify = _VERIFY.get(signature.Algorithm or "")
-    if verify is None or not signature.Signature or not token.CertificateData:
+    verify, shown = _VERIFY.get(signature.Algorithm or ""), token.CertificateData or b""
+    if verify is None or not signature.Signature or not shown:
         raise ServiceError(_Codes.BadIdentityTokenInvalid)
-    found = users.certificate_role(token.CertificateData)
-    if found is None:
-        raise ServiceError(_Codes.BadUserAccessDenied)
     try:
-        certificate = uacrypto.x509_from_der(token.CertificateData)
+        certificate, _ = parse(shown)
+        check_own_rules(certificate, Use.USER)
+        account = users.by_certificate(certificate)
+        if account is None:
+            raise ServiceError(_Codes.BadUserAccessDenied)
         verify(certificate, challenge.certificate + challenge.nonce, signature.Signature)
+        trust.check(shown, Use.USER, anchors=account.anchors)
+    except CertificateRefused as reason:
+        refused(first_certificate(shown), reason.code, str(reason))
+        raise ServiceError(_Codes.BadIdentityTokenRejected) from reason
     except (InvalidSignature, uacrypto.InvalidSignature, ValueError) as error:
         raise ServiceError(_Codes.BadUserSignatureInvalid) from error
-    return Principal(*found)
+    return Principal(account.name, account.role, shown)

@@ -1,234 +1,205 @@
-"""Whether a peer's certificate is one we trust (OPC UA Part 4, 6.1.3)."""
+"""Whether a certificate is one we trust (OPC UA Part 4, 6.1.3)."""
 
 import datetime as dt
-import functools
-from collections.abc import Iterable
-from pathlib import Path
+import ipaddress
 
 from asyncua import ua
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.hazmat.primitives import serialization
 
-from service.hardened.errors import CertificateError
-from service.hardened.logs import bounded_logger
-from service.hardened.security.certificates import (
-    KEY_BITS,
-    Pki,
-    certificate_files,
-    load_certificate,
-    reject,
-    thumbprint,
+from service.hardened.clock import Clock, SystemClock
+from service.hardened.logs import escaped
+from service.hardened.security.certificate_paths import TrustLists, check_path
+from service.hardened.security.certificate_rules import (
+    UNREADABLE,
+    CertificateRefused,
+    Use,
+    check_own_rules,
+    extension,
+    name_of,
+    parse,
 )
+from service.hardened.security.certificates import Pki, fingerprint, reject, thumbprint
+from service.hardened.security.trust_folders import Stamp, TrustFolders
 
-_log = bounded_logger(__name__)
+CHECK_HOST_NAME = "source.check_host_name"
 _Codes = ua.StatusCodes
-_MAX_CHAIN = 5
-_MAX_BYTES = 16 * 1024
-_MAX_KEY_BITS = 8_192
-_CLOCK_SKEW = dt.timedelta(minutes=5)
+_REMEMBERED = 1_000  # certificates that were accepted
+_LONGEST_CHANGE = 3  # looks at folders that change all the time, until they are believed
 
 
-class CertificateRefused(CertificateError):  # noqa: N818 - it says what happened
-    """A peer's certificate is not accepted; ``code`` is the OPC UA status code of the reason."""
+class PeerTrust:
+    """Who is let in by certificate: checks what peers show against the folders of a :class:`Pki`.
 
-    def __init__(self, code: int, sentence: str) -> None:
-        super().__init__(sentence)
-        self.code = code
-
-
-def check_peer(pki: Pki, der: bytes, application_uri: str | None = None) -> x509.Certificate:
-    """Check the certificate that a peer shows; an unknown one lands in ``rejected``.
+    The folders are looked at with every check, so that what is laid there, or taken away, holds
+    at once. :meth:`look_again` and :meth:`check_again` are for those who are in already.
 
     Parameters
     ----------
     pki
-        Whom we trust.
-    der
-        What the peer sent: its certificate, perhaps followed by those of its issuers.
-    application_uri
-        What the peer says it is, if it has said so.
+        Whom we trust; with None nobody is, but for users with a certificate of their own.
+    clock
+        The time by which certificates and revocation lists hold.
+    require_crl
+        Refuse certificates of an authority without a valid revocation list.
+    """
+
+    def __init__(
+        self, pki: Pki | None, clock: Clock | None = None, *, require_crl: bool = True
+    ) -> None:
+        self._pki = pki
+        self._clock = clock or SystemClock()
+        self._require_crl = require_crl
+        self._folders = None if pki is None else TrustFolders(pki)
+        self._lists = TrustLists()
+        self._stamp: Stamp = ()
+        self._changing = 0
+        self._accepted: dict[tuple[bytes, Use, frozenset[str]], dt.datetime] = {}
+
+    def check(
+        self,
+        der: bytes,
+        use: Use,
+        application_uri: str | None = None,
+        anchors: frozenset[str] = frozenset(),
+    ) -> x509.Certificate:
+        """Check a certificate; an unknown application's lands in ``rejected``.
+
+        Parameters
+        ----------
+        der
+            What the peer sent: its certificate, perhaps followed by those of its issuers.
+        use
+            What it is shown as.
+        application_uri
+            What the peer says it is, if it has said so.
+        anchors
+            Of a user: thumbprints of what alone makes the certificate trusted.
+
+        Raises
+        ------
+        CertificateRefused
+            with a sentence that names the certificate and the reason.
+        """
+        self._read()
+        certificate = self.check_again(der, use, anchors)
+        if application_uri is not None and application_uri not in application_uris(certificate):
+            raise CertificateRefused(
+                _Codes.BadCertificateUriInvalid,
+                f"the certificate {name_of(certificate)} does not name the application "
+                f"{application_uri!r}",
+            )
+        return certificate
+
+    def look_again(self) -> bool:
+        """Look whether the folders have changed; tell whether they may be believed now.
+
+        They may not while they are being changed: half a file is not yet a reason to part.
+        """
+        if self._folders is None:
+            return True
+        stamp = self._folders.stamp()
+        if stamp != self._stamp and self._changing < _LONGEST_CHANGE:
+            self._stamp = stamp
+            self._changing += 1
+            return False
+        self._changing = 0
+        self._read()
+        return True
+
+    def check_again(
+        self,
+        der: bytes,
+        use: Use,
+        anchors: frozenset[str] = frozenset(),
+    ) -> x509.Certificate:
+        """Check a certificate against the folders as they were last read.
+
+        Raises
+        ------
+        CertificateRefused
+        """
+        certificate, shown = parse(der)
+        now = dt.datetime.fromtimestamp(self._clock.now() * 1e-9, dt.UTC)
+        key = (der, use, anchors)
+        if now < self._accepted.get(key, now):
+            return certificate
+        check_own_rules(certificate, use)
+        lists = self._lists
+
+        def is_trusted(link: x509.Certificate) -> bool:
+            if use is Use.USER:
+                return fingerprint(link) in anchors or thumbprint(link) in anchors
+            return link in lists.trusted
+
+        try:
+            until = check_path(
+                certificate, shown, lists, is_trusted, use, now, require_crl=self._require_crl
+            )
+        except CertificateRefused as refused:
+            self._accepted.pop(key, None)
+            if refused.code == _Codes.BadCertificateUntrusted and use is not Use.USER:
+                raise self._kept(certificate) from refused
+            raise
+        if len(self._accepted) >= _REMEMBERED:
+            self._accepted.clear()
+        self._accepted[key] = until
+        return certificate
+
+    def _read(self) -> None:
+        lists = TrustLists() if self._folders is None else self._folders.lists()
+        if lists is not self._lists:
+            self._lists = lists
+            self._accepted.clear()
+
+    def _kept(self, certificate: x509.Certificate) -> CertificateRefused:
+        place = ""
+        if self._pki is not None:
+            reject(self._pki, certificate.public_bytes(serialization.Encoding.DER))
+            place = f"; it lies in {self._pki.rejected}"
+        return CertificateRefused(
+            _Codes.BadCertificateUntrusted,
+            f"the certificate {name_of(certificate)} is not trusted{place}",
+        )
+
+
+def check_host_name(certificate: x509.Certificate, host: str) -> None:
+    """Check that a server's certificate names the host under which we reach it.
 
     Raises
     ------
     CertificateRefused
-        with a sentence that names the certificate and the reason.
+        BadCertificateHostNameInvalid.
     """
-    certificate, chain = _parse(der)
-    name = f"{certificate.subject.rfc4514_string()} ({thumbprint(certificate)[:16]})"
-    _check_key(certificate, name)
-    path = _path(certificate, [*chain, *_load(pki.trusted), *_load(pki.issuers)])
-    trusted = {thumbprint(known) for known in _load(pki.trusted)}
-    if not any(thumbprint(link) in trusted for link in path):
-        reject(pki, der)
+    names = extension(certificate, x509.SubjectAlternativeName) or x509.SubjectAlternativeName([])
+    try:
+        address = ipaddress.ip_address(host)
+        known = [str(name) for name in names.get_values_for_type(x509.IPAddress)]
+        found = address in names.get_values_for_type(x509.IPAddress)
+    except ValueError:
+        known = names.get_values_for_type(x509.DNSName)
+        found = _plain(host) in map(_plain, known)
+    if not found:
         raise CertificateRefused(
-            _Codes.BadCertificateUntrusted,
-            f"the certificate {name} is not trusted; it lies in {pki.rejected}",
+            _Codes.BadCertificateHostNameInvalid,
+            f"the certificate {name_of(certificate)} does not name the host {host}"
+            f"{_but(known)}; reach the server by a name of its certificate, or set "
+            f"{CHECK_HOST_NAME} = false",
         )
-    if not _is_complete(path) and thumbprint(certificate) not in trusted:
-        raise CertificateRefused(
-            _Codes.BadCertificateChainIncomplete,
-            f"an issuer of the certificate {name} is missing in {pki.issuers}",
-        )
-    _check_times(path, name)
-    _check_revocation(pki, path, name)
-    if application_uri is not None and application_uri not in application_uris(certificate):
-        raise CertificateRefused(
-            _Codes.BadCertificateUriInvalid,
-            f"the certificate {name} does not name the application {application_uri!r}",
-        )
-    return certificate
 
 
 def application_uris(certificate: x509.Certificate) -> list[str]:
     """Return the URIs in a certificate's SubjectAlternativeName."""
     try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (x509.ExtensionNotFound, ValueError):
+        names = extension(certificate, x509.SubjectAlternativeName)
+    except UNREADABLE:
         return []
-    return names.get_values_for_type(x509.UniformResourceIdentifier)
+    return [] if names is None else names.get_values_for_type(x509.UniformResourceIdentifier)
 
 
-def _parse(der: bytes) -> tuple[x509.Certificate, list[x509.Certificate]]:
-    if not der or len(der) > _MAX_BYTES:
-        raise CertificateRefused(_Codes.BadCertificateInvalid, "no certificate, or one too large")
-    found: list[x509.Certificate] = []
-    try:
-        while der and len(found) < _MAX_CHAIN:
-            size = _der_size(der)
-            found.append(x509.load_der_x509_certificate(der[:size]))
-            der = der[size:]
-    except (ValueError, IndexError) as error:
-        raise CertificateRefused(
-            _Codes.BadCertificateInvalid, "what the peer shows is no X.509 certificate"
-        ) from error
-    return found[0], found[1:]
+def _plain(host: str) -> str:
+    return host.lower().rstrip(".")
 
 
-def _der_size(der: bytes) -> int:
-    if der[0] != 0x30:
-        raise ValueError("not a DER sequence")
-    if der[1] < 0x80:
-        return 2 + der[1]
-    count = der[1] & 0x7F
-    return 2 + count + int.from_bytes(der[2 : 2 + count], "big")
-
-
-def _check_key(certificate: x509.Certificate, name: str) -> None:
-    try:
-        key = certificate.public_key()
-    except ValueError as error:
-        raise CertificateRefused(
-            _Codes.BadCertificateInvalid, f"the certificate {name} has no usable key"
-        ) from error
-    if not isinstance(key, rsa.RSAPublicKey) or not KEY_BITS <= key.key_size <= _MAX_KEY_BITS:
-        raise CertificateRefused(
-            _Codes.BadCertificatePolicyCheckFailed,
-            f"the certificate {name} needs an RSA key of {KEY_BITS} bits or more",
-        )
-    try:
-        usage = certificate.extensions.get_extension_for_class(x509.KeyUsage).value
-    except (x509.ExtensionNotFound, ValueError):
-        return
-    if not (usage.digital_signature and usage.key_encipherment):
-        raise CertificateRefused(
-            _Codes.BadCertificateUseNotAllowed,
-            f"the certificate {name} may not be used to sign and to encipher keys",
-        )
-
-
-def _path(
-    certificate: x509.Certificate, candidates: Iterable[x509.Certificate]
-) -> list[x509.Certificate]:
-    """Follow the issuers as far as they are known."""
-    known = list(candidates)
-    path = [certificate]
-    while len(path) < _MAX_CHAIN and path[-1].issuer != path[-1].subject:
-        issuer = next((other for other in known if _issued(other, path[-1])), None)
-        if issuer is None:
-            break
-        path.append(issuer)
-    return path
-
-
-def _issued(issuer: x509.Certificate, certificate: x509.Certificate) -> bool:
-    if issuer.subject != certificate.issuer:
-        return False
-    try:
-        if not issuer.extensions.get_extension_for_class(x509.BasicConstraints).value.ca:
-            return False
-        certificate.verify_directly_issued_by(issuer)
-    except (x509.ExtensionNotFound, InvalidSignature, ValueError, TypeError):
-        return False
-    return True
-
-
-def _is_complete(path: list[x509.Certificate]) -> bool:
-    return path[-1].issuer == path[-1].subject
-
-
-def _check_times(path: list[x509.Certificate], name: str) -> None:
-    now = dt.datetime.now(dt.UTC)
-    own, issuers = path[0], path[1:]
-    if not own.not_valid_before_utc - _CLOCK_SKEW <= now <= own.not_valid_after_utc:
-        raise CertificateRefused(
-            _Codes.BadCertificateTimeInvalid,
-            f"the certificate {name} is valid from {own.not_valid_before_utc:%Y-%m-%d} "
-            f"to {own.not_valid_after_utc:%Y-%m-%d}",
-        )
-    for link in issuers:
-        if not link.not_valid_before_utc - _CLOCK_SKEW <= now <= link.not_valid_after_utc:
-            raise CertificateRefused(
-                _Codes.BadCertificateIssuerTimeInvalid,
-                f"an issuer of the certificate {name} has expired or is not yet valid",
-            )
-
-
-def _check_revocation(pki: Pki, path: list[x509.Certificate], name: str) -> None:
-    lists = _revocation_lists(pki)
-    for number, link in enumerate(path):
-        for revoked in lists:
-            if revoked.issuer == link.issuer and revoked.get_revoked_certificate_by_serial_number(
-                link.serial_number
-            ):
-                code = (
-                    _Codes.BadCertificateIssuerRevoked if number else _Codes.BadCertificateRevoked
-                )
-                raise CertificateRefused(code, f"the certificate {name} was revoked")
-
-
-def _revocation_lists(pki: Pki) -> list[x509.CertificateRevocationList]:
-    lists = []
-    for folder in (pki.trusted, pki.issuers):
-        for file in sorted(folder.glob("*.crl")) if folder.is_dir() else ():
-            try:
-                content = file.read_bytes()
-                is_pem = content.startswith(b"-----BEGIN")
-                load = x509.load_pem_x509_crl if is_pem else x509.load_der_x509_crl
-                lists.append(load(content))
-            except (OSError, ValueError) as error:
-                # whom it revokes is unknown: better to say so and let nobody in by it
-                raise CertificateRefused(
-                    _Codes.BadCertificateRevocationUnknown, f"{file}: no revocation list: {error}"
-                ) from error
-    return lists
-
-
-def _load(folder: Path) -> tuple[x509.Certificate, ...]:
-    stamps = tuple(
-        (file, status.st_mtime_ns, status.st_size)
-        for file in certificate_files(folder)
-        for status in (file.stat(),)
-    )
-    return _parsed(stamps)
-
-
-@functools.lru_cache(maxsize=16)
-def _parsed(stamps: tuple[tuple[Path, int, int], ...]) -> tuple[x509.Certificate, ...]:
-    found = []
-    for file, _, _ in stamps:
-        try:
-            found.append(load_certificate(file))
-        except CertificateError as error:
-            _log.warning("%s", error)
-    return tuple(found)
+def _but(known: list[str]) -> str:
+    return f" but {escaped(', '.join(known[:5]))}" if known else ""

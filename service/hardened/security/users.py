@@ -4,24 +4,34 @@ import base64
 import hashlib
 import hmac
 import json
-import os
+import re
 import secrets
 import sys
 from collections import OrderedDict
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Self
 
+from cryptography import x509
+from cryptography.x509.oid import NameOID
+
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import ConfigurationError, StorageError
+from service.hardened.logs import bounded_logger
+from service.hardened.security.certificate_rules import UNREADABLE, extension
+from service.hardened.security.certificates import fingerprint, thumbprint
 from service.hardened.security.lock_out import Failures
+from service.hardened.security.owner_only import write_owner_only
+
+_log = bounded_logger(__name__)
 
 _SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and some 40 ms a guess
 _SCRYPT_MEMORY = 64 * 1024 * 1024
 _REMEMBERED_STRANGERS = 1_000  # names that nobody has
 _REMEMBERED_ORIGINS = 100  # addresses from which a user has logged in
 _DUMMY_SALT = bytes(16)
+_HEX = re.compile("([0-9a-f]{40}|[0-9a-f]{64})?")
 
 
 class Role(IntEnum):
@@ -39,10 +49,12 @@ class Role(IntEnum):
 
 @dataclass(frozen=True)
 class Account:
-    """One user as stored: the password only as a salted scrypt hash, or a certificate.
+    """One user as stored: the password only as a salted scrypt hash, a certificate, or both.
 
-    ``password_hash`` and ``salt`` are base64; ``thumbprint`` is the SHA-1 of the user
-    certificate in hex, as OPC UA counts it. Either may be empty.
+    ``password_hash`` and ``salt`` are base64. ``thumbprint`` is the SHA-256 of the user's
+    certificate in hex, or its SHA-1 where an earlier version stored it. ``authority`` is the
+    SHA-256 of an authority that certifies the user under the common name ``name``. All may be
+    empty, but not together.
     """
 
     name: str
@@ -50,9 +62,15 @@ class Account:
     salt: str = ""
     password_hash: str = ""
     thumbprint: str = ""
+    authority: str = ""
     n: int = _SCRYPT_N
     r: int = _SCRYPT_R
     p: int = _SCRYPT_P
+
+    @property
+    def anchors(self) -> frozenset[str]:
+        """Thumbprints of what the user logs in with: a certificate, or who issued it."""
+        return frozenset({self.thumbprint, self.authority} - {""})
 
 
 class UserStore:
@@ -79,6 +97,8 @@ class UserStore:
         clock: Clock | None = None,
     ) -> None:
         self._accounts: dict[str, Account] = {}
+        self._file: Path | None = None
+        self._stamp: tuple[int, ...] = ()
         self._failures_of_users = Failures(sys.maxsize, lock_seconds)
         self._failures_of_strangers = Failures(_REMEMBERED_STRANGERS, lock_seconds)
         self._origins: dict[str, OrderedDict[str, None]] = {}  # where each user has logged in
@@ -127,10 +147,29 @@ class UserStore:
         )
 
     def add_certificate(self, name: str, role: Role, certificate: bytes) -> None:
-        """Add a user who shows an X.509 certificate (DER), or replace it."""
+        """Let a user log in with a certificate (DER); one who is there keeps the password.
+
+        An authority's certificate lets in whom it certifies under the common name ``name``.
+
+        Raises
+        ------
+        ConfigurationError
+            if the name is empty or longer than 64 characters, or it is no certificate.
+        """
         _check_name(name)
-        self._accounts[name] = Account(
-            name=name, role=Role(role), thumbprint=_thumbprint(certificate)
+        try:
+            constraints = extension(
+                x509.load_der_x509_certificate(certificate), x509.BasicConstraints
+            )
+        except UNREADABLE as error:
+            raise ConfigurationError(f"user {name}: not an X.509 certificate") from error
+        is_authority = constraints is not None and constraints.ca
+        own = fingerprint(certificate)
+        self._accounts[name] = replace(
+            self._accounts.get(name) or Account(name, role),
+            role=Role(role),
+            thumbprint="" if is_authority else own,
+            authority=own if is_authority else "",
         )
 
     def remove(self, name: str) -> None:
@@ -183,13 +222,15 @@ class UserStore:
         """Whether this user has logged in from this address since the start."""
         return origin in self._origins.get(name, ())
 
-    def certificate_role(self, certificate: bytes) -> tuple[str, Role] | None:
-        """Return name and role of the user with this certificate (DER), or None."""
-        thumbprint = _thumbprint(certificate)
+    def by_certificate(self, certificate: x509.Certificate) -> Account | None:
+        """Return the user who shows a certificate: whose it is, or whom its common name names."""
+        shown = {fingerprint(certificate), thumbprint(certificate)}
         for account in self._accounts.values():
-            if account.thumbprint and hmac.compare_digest(account.thumbprint, thumbprint):
-                return account.name, account.role
-        return None
+            if not account.anchors.isdisjoint(shown):
+                return account
+        names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        named = self._accounts.get(str(names[0].value)) if len(names) == 1 else None
+        return named if named is not None and named.authority else None
 
     def locked(self, name: str, origin: str = "") -> bool:
         """Whether this name is locked for this peer now.
@@ -230,6 +271,27 @@ class UserStore:
             if the file is missing, not JSON, or a field is wrong: names file and user.
         """
         store = cls(clock=clock)
+        store._file = file
+        store._read(file)
+        return store
+
+    def refresh(self) -> bool:
+        """Read the file again if it has changed; tell whether the users are others now.
+
+        What cannot be read changes nothing, and is said.
+        """
+        if self._file is None or _stamp(self._file) == self._stamp:
+            return False
+        before = self._accounts
+        try:
+            self._read(self._file)
+        except ConfigurationError as error:
+            _log.warning("%s; the users stay as they were", error)
+        return self._accounts != before
+
+    def _read(self, file: Path) -> None:
+        self._stamp = _stamp(file)
+        accounts: dict[str, Account] = {}
         try:
             entries = json.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
@@ -244,29 +306,13 @@ class UserStore:
                 _check_account(account)
             except (TypeError, KeyError, ValueError, ConfigurationError) as error:
                 raise ConfigurationError(f"{file}: user {number + 1}: {error}") from error
-            store._accounts[account.name] = account
-        return store
+            accounts[account.name] = account
+        self._accounts = accounts
 
     def _failures_of(self, name: str) -> Failures:
         """Names that nobody has are counted apart: however many, they flush no user's."""
         known = name in self._accounts
         return self._failures_of_users if known else self._failures_of_strangers
-
-
-def write_owner_only(file: Path, content: bytes) -> None:
-    """Write a file that only its owner can read (POSIX mode 0600), whole or not at all."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    draft = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
-    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        draft.replace(file)
-    except OSError:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 def _hash(
@@ -286,8 +332,12 @@ def _hash(
     )
 
 
-def _thumbprint(certificate: bytes) -> str:
-    return hashlib.sha1(certificate, usedforsecurity=False).hexdigest()
+def _stamp(file: Path) -> tuple[int, ...]:
+    try:
+        held = file.stat()
+    except OSError:
+        return ()
+    return held.st_mtime_ns, held.st_ctime_ns, held.st_size, held.st_ino
 
 
 def _check_name(name: str) -> None:
@@ -299,7 +349,9 @@ def _check_account(account: Account) -> None:
     _check_name(account.name)
     if account.n > 2**16 or account.n < 2**14 or account.r != 8 or not 1 <= account.p <= 4:
         raise ConfigurationError(f"{account.name}: scrypt cost out of range")
-    if not account.thumbprint and not account.password_hash:
+    if not (account.thumbprint or account.authority or account.password_hash):
         raise ConfigurationError(f"{account.name}: neither password_hash nor thumbprint")
+    if not _HEX.fullmatch(account.thumbprint) or not _HEX.fullmatch(account.authority):
+        raise ConfigurationError(f"{account.name}: a thumbprint has 40 or 64 digits 0-9, a-f")
     base64.b64decode(account.salt, validate=True)
     base64.b64decode(account.password_hash, validate=True)

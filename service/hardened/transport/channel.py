@@ -10,15 +10,14 @@ from asyncua.crypto.security_policies import SecurityPolicyNone
 from typing_extensions import override
 
 from service.hardened.clock import Clock
-from service.hardened.security.certificates import Pki
-from service.hardened.security.peer_certificates import CertificateRefused, check_peer
+from service.hardened.security.certificate_rules import CertificateRefused, Use, first_certificate
+from service.hardened.security.identity import Refused
+from service.hardened.security.peer_certificates import PeerTrust
 
 _Codes = ua.StatusCodes
 _SHORTEST_LIFETIME_MS, _LONGEST_LIFETIME_MS = 10_000, 3_600_000
 _MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer has proven anything
 _NONE = ua.MessageSecurityMode.None_
-
-Refused = Callable[[bytes, int, str], None]  # certificate (DER), status code, sentence
 
 
 class ChannelIds(Protocol):
@@ -35,18 +34,18 @@ class Channel(SecureConnection):
         self,
         limits: TransportLimits,
         policies: list[Any],
-        pki: Pki | None,
+        trust: PeerTrust,
         refused: Refused,
         clock: Clock,
     ) -> None:
         super().__init__(SecurityPolicyNone(), limits)
         self.limits = limits
         self.discovery_only = False
-        self._pki = pki
+        self._trust = trust
         self._refused = refused
         self._clock = clock
         self._expires = 0.0
-        self._trusted: bytes | None = None
+        self._shown = b""  # the certificate, perhaps followed by those of its issuers
         self.set_policy_factories(policies)
 
     @property
@@ -68,7 +67,7 @@ class Channel(SecureConnection):
         """Check an OpenSecureChannel before anything of it is decrypted, by its size in bytes."""
         if self.is_open() and shown.SecurityPolicyURI != self.security_policy.URI:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
-        if self.is_open() and (shown.SenderCertificate or None) != self.peer_certificate:
+        if self.is_open() and (shown.SenderCertificate or b"") != self._shown:
             raise ServiceError(_Codes.BadSecurityChecksFailed)
         if not str(shown.SecurityPolicyURI).endswith("#None") and encrypted > (
             _MAX_ASYMMETRIC_BLOCKS * 256
@@ -81,7 +80,8 @@ class Channel(SecureConnection):
     ) -> None:
         offered = any(policy.matches(uri, mode) for policy in self._policies)
         if offered and not uri.endswith("#None"):
-            self._check_certificate(peer_certificate or b"")
+            self._shown = peer_certificate or b""
+            self._check(self._trust.check)
         if offered:
             super().select_policy(uri, peer_certificate, mode)
         elif uri.endswith("#None") and mode in (None, _NONE):
@@ -98,6 +98,8 @@ class Channel(SecureConnection):
             raise ServiceError(_Codes.BadRequestTypeInvalid)
         if params.SecurityMode != self.security_policy.Mode:
             raise ServiceError(_Codes.BadSecurityModeRejected)
+        if renews and not self.is_plain:
+            self._check(self._trust.check)
         if not self.is_plain and len(params.ClientNonce or b"") != (
             self.security_policy.secure_channel_nonce_length
         ):
@@ -108,14 +110,20 @@ class Channel(SecureConnection):
         self._expires = self._clock.monotonic() + 1.25e-3 * params.RequestedLifetime
         return result
 
-    def _check_certificate(self, der: bytes) -> None:
-        if self._pki is None:
-            raise ServiceError(_Codes.BadSecurityChecksFailed)
-        if der == self._trusted:
-            return
+    def check_again(self) -> None:
+        """Check that the peer is still trusted, by the folders as they were last read.
+
+        Raises
+        ------
+        ServiceError
+            with the reason's code; it is audited.
+        """
+        if self.is_open() and not self.is_plain:
+            self._check(self._trust.check_again)
+
+    def _check(self, check: Callable[[bytes, Use], object]) -> None:
         try:
-            check_peer(self._pki, der)
-            self._trusted = der
+            check(self._shown, Use.CLIENT)
         except CertificateRefused as refused:
-            self._refused(der, refused.code, str(refused))
+            self._refused(first_certificate(self._shown), refused.code, str(refused))
             raise ServiceError(refused.code) from refused

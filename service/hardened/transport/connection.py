@@ -98,6 +98,11 @@ class Connection(asyncio.BufferedProtocol):
         """Bytes that the peer has not yet read."""
         return self._transport.get_write_buffer_size()
 
+    @property
+    def is_closing(self) -> bool:
+        """Whether it was closed, even if the peer has not noticed."""
+        return self._transport.is_closing()
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start, unless there are too many connections."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - TCP gives nothing else
@@ -117,7 +122,7 @@ class Connection(asyncio.BufferedProtocol):
                 max_message_size=limits.handshake_bytes,
             ),
             self._shared.own.policies,
-            self._shared.pki,
+            self._shared.trust,
             partial(self._shared.audit.certificate_refused, self.host),
             self._shared.clock,
         )

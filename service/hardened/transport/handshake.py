@@ -3,6 +3,7 @@
 import contextlib
 import re
 from collections.abc import Awaitable, Iterator
+from functools import partial
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlparse
 
@@ -13,6 +14,7 @@ from cryptography.exceptions import InvalidSignature
 
 from service.hardened.audit import Actor
 from service.hardened.binary.bounded_decoding import Budget, Reader, decode
+from service.hardened.security.certificate_rules import first_certificate
 from service.hardened.security.identity import Challenge, identify
 from service.hardened.security.peer_certificates import application_uris
 from service.hardened.sessions.session import Line, Session
@@ -152,7 +154,7 @@ class Handshake:
         policy = channel.security_policy
         certificate = channel.peer_certificate
         if certificate is not None:
-            if params.ClientCertificate != certificate:
+            if first_certificate(params.ClientCertificate or b"") != certificate:
                 raise ServiceError(_Codes.BadSecurityChecksFailed)
             if len(params.ClientNonce or b"") < _SMALLEST_NONCE:
                 raise ServiceError(_Codes.BadNonceInvalid)
@@ -196,6 +198,8 @@ class Handshake:
                 shared.users,
                 session.host,
                 shared.logins,
+                shared.trust,
+                partial(shared.audit.certificate_refused, session.host),
                 anonymous_allowed=shared.anonymous_allowed,
             )
         )

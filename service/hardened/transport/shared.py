@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 
 from service.hardened.audit import Audit
 from service.hardened.clock import Clock
-from service.hardened.security.certificates import Pki
 from service.hardened.security.login_queue import LoginQueue
+from service.hardened.security.peer_certificates import PeerTrust
 from service.hardened.security.users import UserStore
 from service.hardened.sessions.services import Services
 from service.hardened.sessions.session import Sessions
@@ -78,7 +78,7 @@ class Shared:
     limits: Limits
     clock: Clock
     users: UserStore
-    pki: Pki | None
+    trust: PeerTrust
     sessions: Sessions
     services: Services
     audit: Audit
