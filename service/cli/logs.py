@@ -2,11 +2,12 @@
 
 import logging
 import sys
-from typing import Literal
+from typing import Any, Literal
 
 import structlog
 
 from service.config.models import LogConfig
+from service.hardened.logs import IS_ESCAPED, escaped
 
 _QUIET = ("asyncua", "numba", "matplotlib")
 
@@ -28,6 +29,7 @@ def set_up_logs(config: LogConfig | None = None) -> None:
         structlog.stdlib.ProcessorFormatter(
             foreign_pre_chain=shared,
             processors=[
+                _in_one_line,
                 structlog.stdlib.ProcessorFormatter.remove_processors_meta,
                 structlog.processors.JSONRenderer()
                 if config.format == "json"
@@ -40,6 +42,19 @@ def set_up_logs(config: LogConfig | None = None) -> None:
     root.setLevel(_level(config.level))
     for name in _QUIET:
         logging.getLogger(name).setLevel(logging.ERROR)
+
+
+def _in_one_line(
+    _logger: Any,  # noqa: ANN401 - structlog's signature
+    _method: str,
+    event: structlog.typing.EventDict,
+) -> structlog.typing.EventDict:
+    """Escape what others may have said, so that it looks like no further line."""
+    if getattr(event.get("_record"), IS_ESCAPED, False):
+        return event
+    return {
+        key: escaped(value) if isinstance(value, str) else value for key, value in event.items()
+    }
 
 
 def _level(name: Literal["debug", "info", "warning", "error"]) -> int:

@@ -65,6 +65,13 @@ def rig(
         ),
     ] = Limits.publishing_interval_ms,
     *,
+    require_crl: Annotated[
+        bool,
+        typer.Option(
+            envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
+            help="Certificates of an authority need its revocation list.",
+        ),
+    ] = True,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
     ] = False,
@@ -85,7 +92,18 @@ def rig(
         return
     set_up_logs(LogConfig(level="error" if under_demo else "info"))
     limits = Limits(publishing_interval_ms=publishing_interval)
-    asyncio.run(_serve(loaded, url, data, host or [], record, limits, under_demo=under_demo))
+    asyncio.run(
+        _serve(
+            loaded,
+            url,
+            data,
+            host or [],
+            record,
+            limits,
+            require_crl=require_crl,
+            under_demo=under_demo,
+        )
+    )
 
 
 def record_offline(scenario: Scenario, file: Path | None) -> None:
@@ -123,6 +141,7 @@ async def _serve(
     record: Path | None,
     limits: Limits,
     *,
+    require_crl: bool,
     under_demo: bool,
 ) -> None:
     from service.storage.recordings import RecordingWriter
@@ -140,6 +159,7 @@ async def _serve(
         application_name=APPLICATION_NAME,
         namespace_uri=APPLICATION_URI,
         pki=None if under_demo else Pki(data / "pki" / "rig"),
+        require_crl=require_crl,
         users=users,
         none_on_loopback=under_demo,
         host_names=tuple(hosts),

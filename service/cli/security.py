@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI
 from service.cli import rig
@@ -19,11 +20,16 @@ from service.hardened import (
     Role,
     UserStore,
     ensure_certificate,
+    load_certificate,
     rejected,
+    thumbprint,
 )
+from service.hardened.security.certificate_rules import Use, name_of
 from service.hardened.security.certificates import trust as trust_certificate
+from service.hardened.security.peer_certificates import PeerTrust
 
 _HOSTS = ["localhost", "127.0.0.1"]
+_ROLES = {role.name.lower().replace("_", "-"): role for role in Role}
 
 
 def init(
@@ -58,14 +64,58 @@ def trust(
     ] = None,
     data: FolderOption = Path("data"),
     of: Annotated[str, typer.Option(help="Who shall trust it: service or rig.")] = "service",
+    user: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Let this user log in with it.")
+    ] = None,
+    role: Annotated[
+        str | None, typer.Option(help=f"What the user may do: {', '.join(_ROLES)}.")
+    ] = None,
 ) -> None:
-    """Trust a certificate, or list the rejected."""
+    """Trust a certificate, of an application or of a user, or list the rejected."""
     pki = Pki(data / "pki" / of)
+    if user is not None or role is not None:
+        if user is None or role is None or certificate is None:
+            raise typer.BadParameter("a user's certificate needs --user NAME, --role ROLE and FILE")
+        typer.echo(_trust_user(pki, data / "users.json", user, _role(role), Path(certificate)))
+        return
     if certificate is None:
         for file in rejected(pki):
             typer.echo(file.name)
         return
     typer.echo(f"trusted: {trust_certificate(pki, certificate)}")
+
+
+def _trust_user(pki: Pki, users_file: Path, user: str, role: Role, file: Path) -> str:
+    """Let a user log in with a certificate, or with those of an authority; say so."""
+    certificate = load_certificate(file)
+    der = certificate.public_bytes(Encoding.DER)
+    users = UserStore.load(users_file)
+    users.add_certificate(user, role, der)
+    account = users.account(user)
+    assert account is not None  # noqa: S101 - it was just added
+    # revocation lists are the server's matter, and may come later
+    trusted = PeerTrust(pki, require_crl=False)
+    which = f"the certificate {name_of(certificate)}"
+    if account.authority:
+        trusted.check_authority(certificate, Use.USER)
+        pki.make_folders()
+        target = pki.issuers / f"{thumbprint(certificate)}.der"
+        with _naming(target):
+            target.write_bytes(der)
+        which = (
+            f"certificates of {name_of(certificate)} for CN={user}; its .crl goes beside {target}"
+        )
+    else:
+        trusted.check(der, Use.USER, anchors=account.anchors)
+    users.save(users_file)
+    return f"user {user} ({role.name.lower()}) logs in with {which}"
+
+
+def _role(text: str) -> Role:
+    known = _ROLES.get(text.lower().replace("_", "-"))
+    if known is None:
+        raise typer.BadParameter(f"role {text!r}: allowed is one of {', '.join(_ROLES)}")
+    return known
 
 
 def _certificate(

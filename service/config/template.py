@@ -21,6 +21,7 @@ security = "Basic256Sha256" # or Aes256Sha256RsaPss; None only where the wire is
 user = "service"
 password_file = {quoted(data / "source-password")}
 publishing_interval_ms = 100
+# check_host_name = false # where the source's certificate does not name its host
 
 [server] # our own, with the results
 url = "opc.tcp://127.0.0.1:4841/valvemap/service/"
@@ -30,6 +31,7 @@ results_interval_ms = 0 # single variables at most as often, e.g. 1000 for SCADA
 [security]
 pki = {quoted(data / "pki" / "service")}
 users = {quoted(data / "users.json")}
+# require_crl = false # where authorities publish no revocation lists; self-signed ones need none
 
 [state] # survives a restart
 file = {quoted(data / "state.sqlite")}

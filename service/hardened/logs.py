@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 AUDIT = "opcua.audit"  # name of the logger of what users do
 WINDOW_S = 10.0
+IS_ESCAPED = "is_escaped"  # attribute of a record that formatters need not escape again
 _LINES, _AUDIT_LINES = 10, 200
 _OF_ASYNCUA = (
     "asyncua.uaprotocol",
@@ -102,6 +103,7 @@ _serves_a_peer: ContextVar[bool] = ContextVar("serves_a_peer", default=False)
 
 def _escape(record: logging.LogRecord) -> None:
     record.msg, record.args = escaped(record.getMessage()), None
+    setattr(record, IS_ESCAPED, True)
     if record.exc_info and record.exc_info[0] is not None:
         # indented, so that no line of it looks like one of the log
         lines = "".join(traceback.format_exception(*record.exc_info)).splitlines()

@@ -117,6 +117,23 @@ def check_path(
     )
 
 
+def check_time(certificate: x509.Certificate, now: dt.datetime, code: int) -> None:
+    """Check that a certificate holds now.
+
+    Raises
+    ------
+    CertificateRefused
+        with the code.
+    """
+    begins, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if not begins - CLOCK_SKEW <= now <= ends:
+        raise CertificateRefused(
+            code,
+            f"the certificate {name_of(certificate)} is valid from {begins:%Y-%m-%d} "
+            f"to {ends:%Y-%m-%d}",
+        )
+
+
 def _paths(certificate: x509.Certificate, pool: Sequence[x509.Certificate]) -> Iterator[Path]:
     """All ways up from a certificate, each as far as issuers are known."""
     by_name: dict[x509.Name, dict[x509.Certificate, None]] = defaultdict(dict)
@@ -181,9 +198,9 @@ def _check_links(
     path: Path, lists: TrustLists, use: Use, now: dt.datetime, *, require_crl: bool
 ) -> dt.datetime:
     own, issuers = path[0], path[1:]
-    _check_time(own, now, _Codes.BadCertificateTimeInvalid)
+    check_time(own, now, _Codes.BadCertificateTimeInvalid)
     for issuer in issuers:
-        _check_time(issuer, now, _Codes.BadCertificateIssuerTimeInvalid)
+        check_time(issuer, now, _Codes.BadCertificateIssuerTimeInvalid)
     for number, issuer in enumerate(issuers):
         check_issuer_rules(issuer, use)
         _check_length(issuer, issuers[:number])
@@ -198,16 +215,6 @@ def _check_links(
         raise CertificateRefused(_Codes.BadCertificateRevocationUnknown, lists.unreadable[0])
     until = check_revocation(path, lists.revocations, now, require_crl=require_crl)
     return min(until, *(link.not_valid_after_utc for link in path))
-
-
-def _check_time(certificate: x509.Certificate, now: dt.datetime, code: int) -> None:
-    begins, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    if not begins - CLOCK_SKEW <= now <= ends:
-        raise CertificateRefused(
-            code,
-            f"the certificate {name_of(certificate)} is valid from {begins:%Y-%m-%d} "
-            f"to {ends:%Y-%m-%d}",
-        )
 
 
 def _check_length(issuer: x509.Certificate, below: Path) -> None:

@@ -9,11 +9,12 @@ from cryptography.hazmat.primitives import serialization
 
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.logs import escaped
-from service.hardened.security.certificate_paths import TrustLists, check_path
+from service.hardened.security.certificate_paths import TrustLists, check_path, check_time
 from service.hardened.security.certificate_rules import (
     UNREADABLE,
     CertificateRefused,
     Use,
+    check_issuer_rules,
     check_own_rules,
     extension,
     name_of,
@@ -91,6 +92,16 @@ class PeerTrust:
             )
         return certificate
 
+    def check_authority(self, authority: x509.Certificate, use: Use) -> None:
+        """Check what must hold of an authority by itself, before somebody is told to trust it.
+
+        Raises
+        ------
+        CertificateRefused
+        """
+        check_time(authority, self._now(), _Codes.BadCertificateIssuerTimeInvalid)
+        check_issuer_rules(authority, use)
+
     def look_again(self) -> bool:
         """Look whether the folders have changed; tell whether they may be believed now.
 
@@ -120,7 +131,7 @@ class PeerTrust:
         CertificateRefused
         """
         certificate, shown = parse(der)
-        now = dt.datetime.fromtimestamp(self._clock.now() * 1e-9, dt.UTC)
+        now = self._now()
         key = (der, use, anchors)
         if now < self._accepted.get(key, now):
             return certificate
@@ -145,6 +156,9 @@ class PeerTrust:
             self._accepted.clear()
         self._accepted[key] = until
         return certificate
+
+    def _now(self) -> dt.datetime:
+        return dt.datetime.fromtimestamp(self._clock.now() * 1e-9, dt.UTC)
 
     def _read(self) -> None:
         lists = TrustLists() if self._folders is None else self._folders.lists()

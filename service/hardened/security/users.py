@@ -158,12 +158,12 @@ class UserStore:
         """
         _check_name(name)
         try:
-            constraints = extension(
-                x509.load_der_x509_certificate(certificate), x509.BasicConstraints
-            )
+            shown = x509.load_der_x509_certificate(certificate)
+            constraints = extension(shown, x509.BasicConstraints)
+            usage = extension(shown, x509.KeyUsage)
         except UNREADABLE as error:
             raise ConfigurationError(f"user {name}: not an X.509 certificate") from error
-        is_authority = constraints is not None and constraints.ca
+        is_authority = bool(constraints and constraints.ca and usage and usage.key_cert_sign)
         own = fingerprint(certificate)
         self._accounts[name] = replace(
             self._accounts.get(name) or Account(name, role),
