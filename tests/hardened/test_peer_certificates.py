@@ -304,3 +304,21 @@ class TestUsers:
     def test_a_users_own_certificate_is_good_in_its_time_and_use(self, trust, wishes, code):
         user = self_signed("anna", **wishes)
         assert self.code(trust, user, user) == code
+
+
+def test_authorities_that_certify_each_other_cost_no_more_than_a_few_signatures(pki, monkeypatch):
+    """A stranger may send four authorities of one name, each certified by all others."""
+    from service.hardened.security import certificate_paths
+
+    checked = []
+    issued = certificate_paths._issued
+
+    def counted(issuer, certificate):
+        checked.append((issuer, certificate))
+        return issued(issuer, certificate)
+
+    monkeypatch.setattr(certificate_paths, "_issued", counted)
+    same = [root(issuer=root()) for _ in range(4)]
+    assert code_of(pki, same[0].issue(), same) == Codes.BadCertificateUntrusted
+    assert len(checked) <= 60
+    assert len(set(checked)) == len(checked)

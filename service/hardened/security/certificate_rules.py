@@ -18,7 +18,7 @@ _Codes = ua.StatusCodes
 E = TypeVar("E", bound=x509.ExtensionType)
 _MAX_SHOWN = 5  # certificates that a peer may send: its own and those of its issuers
 _MAX_BYTES = 16 * 1024
-_MAX_KEY_BITS = 8_192  # a longer key costs more to check than it protects
+MAX_KEY_BITS = 8_192  # a longer key costs more to check than it protects
 _MIN_CURVE_BITS = 256  # as strong as the symmetric keys of the security policies
 _STRONG_HASHES = (hashes.SHA256, hashes.SHA384, hashes.SHA512)
 _CRITICAL_UNDERSTOOD = {
@@ -183,8 +183,8 @@ def check_strength(certificate: x509.Certificate, name: str) -> None:
     try:
         key = certificate.public_key()
         if isinstance(key, rsa.RSAPublicKey):
-            if not KEY_BITS <= key.key_size <= _MAX_KEY_BITS:
-                reason = f"needs an RSA key of {KEY_BITS} to {_MAX_KEY_BITS} bits"
+            if not KEY_BITS <= key.key_size <= MAX_KEY_BITS:
+                reason = f"needs an RSA key of {KEY_BITS} to {MAX_KEY_BITS} bits"
         elif not isinstance(key, ec.EllipticCurvePublicKey) or key.key_size < _MIN_CURVE_BITS:
             reason = "has a key of another kind than RSA, or a curve that is too small"
         if not is_strong(certificate.signature_hash_algorithm):
@@ -216,6 +216,8 @@ def extension(certificate: x509.Certificate, kind: type[E]) -> E | None:
 
 
 def _check_critical(certificate: x509.Certificate, name: str) -> None:
+    if certificate.version is not x509.Version.v3:
+        raise CertificateRefused(_Codes.BadCertificateInvalid, f"{name} is not of version 3")
     unknown = [
         held.oid.dotted_string
         for held in certificate.extensions
