@@ -1,28 +1,23 @@
-"""Every certificate case on the wire: peers of our server, servers of our client, users."""
+"""Every certificate case on the wire: peers of our server, and its users."""
 
 import asyncio
 import logging
-from dataclasses import replace
 
 import pytest
 import pytest_asyncio
 from asyncua import ua
 from support import certificate_cases as cases
 from support.certificates import EMAIL, name, root, self_signed
-from support.impostor import Impostor
 from support.secure_peer import SecurePeer
 
-from service.errors import SourceLost, SourceRejected
 from service.hardened import (
     HardenedServer,
     Pki,
     Role,
     ServerSettings,
     UserStore,
-    ensure_certificate,
 )
 from service.hardened.logs import AUDIT
-from service.opcua.connection import Security, SourceSettings, open_connection
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -101,70 +96,6 @@ class TestPeersOfOurServer:
         await peer.renew()
         assert await peer.read_state() == 0
         peer.close()
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def impostor():
-    async with Impostor().listening() as impostor:
-        yield impostor
-
-
-@pytest.fixture(scope="module")
-def ours(tmp_path_factory):
-    pki = Pki(tmp_path_factory.mktemp("client"))
-    own = ensure_certificate(pki, "urn:test:client", ("localhost",), "client")
-    return SourceSettings(
-        "opc.tcp://127.0.0.1:4840/",
-        security=Security.BASIC256_SHA256,
-        pki=pki,
-        own=own,
-        timeout_s=2.0,
-    )
-
-
-async def meeting(impostor, settings, identity, chain=()):
-    """Let our client meet a server; return why it refused, '' if it went on."""
-    impostor.shown = identity.der + b"".join(link.der for link in chain)
-    believed = impostor.believed
-    reason = ""
-    try:
-        await open_connection(replace(settings, url=impostor.url))
-    except SourceRejected as rejected:
-        reason = str(rejected)
-    except SourceLost:
-        pass  # it hangs up on who believes it
-    assert (impostor.believed > believed) == (reason == "")
-    return reason
-
-
-class TestServersOfOurClient:
-    @pytest.mark.parametrize("case", cases.REFUSED, ids=named)
-    async def test_refused_is(self, impostor, ours, case):
-        identity, chain = cases.shown(case, ours.pki)
-        assert await meeting(impostor, ours, identity, chain)
-
-    @pytest.mark.parametrize("case", cases.ACCEPTED, ids=named)
-    async def test_accepted_is(self, impostor, ours, case):
-        identity, chain = cases.shown(case, ours.pki)
-        settings = replace(ours, check_host_name="constraints" not in case.__name__)
-        assert await meeting(impostor, settings, identity, chain) == ""
-
-    @pytest.mark.parametrize(
-        "hosts", [(), ("plant.example",), ("127.0.0.2",), ("localhost",)], ids=str
-    )
-    async def test_a_certificate_of_another_host_is_refused_and_the_setting_named(
-        self, impostor, ours, hosts
-    ):
-        identity = cases.shown(lambda pki: cases.trusted_itself(pki, hosts=hosts), ours.pki)[0]
-        reason = await meeting(impostor, ours, identity)
-        assert "does not name the host 127.0.0.1" in reason
-        assert "source.check_host_name = false" in reason
-        assert await meeting(impostor, replace(ours, check_host_name=False), identity) == ""
-
-    async def test_a_missing_revocation_list_names_its_setting(self, impostor, ours):
-        identity, _ = cases.shown(cases.one_without_a_revocation_list, ours.pki)
-        assert "security.require_crl = false" in await meeting(impostor, ours, identity)
-        assert await meeting(impostor, replace(ours, require_crl=False), identity) == ""
 
 
 def add_user(server, user, login="anna", role=Role.ENGINEER):
@@ -313,43 +244,6 @@ class TestTrustTakenAway:
                 await asyncio.sleep(0.05)
         assert code == Codes.BadSessionIdInvalid
         peer.close()
-
-    async def test_our_client_hangs_up_on_a_server_that_is_trusted_no_more(
-        self, server, pki, tmp_path
-    ):
-        ours = Pki(tmp_path)
-        own = ensure_certificate(ours, "urn:test:client", ("localhost",), "client")
-        (pki.trusted / "client.der").write_bytes(own.certificate.read_bytes())
-        theirs = ours.trusted / "server.der"
-        theirs.write_bytes(server._listener._shared.own.certificate)
-        users = UserStore.load(server.users_file)
-        users.add("bert", Role.OBSERVER, "correct horse")
-        users.save(server.users_file)
-        server.settings.users.refresh()
-        settings = SourceSettings(
-            server.url,
-            security=Security.BASIC256_SHA256,
-            pki=ours,
-            own=own,
-            user="bert",
-            password="correct horse",
-        )
-        connection = await open_connection(settings)
-        theirs.unlink()
-        state = ua.NodeId(ua.ObjectIds.Server_ServerStatus_State)
-        read = ua.ReadParameters(NodesToRead=[ua.ReadValueId(state, ua.AttributeIds.Value)])
-
-        async def read_until_lost():
-            while True:
-                with connection.errors("reading"):
-                    await connection.session.read(read)
-                await asyncio.sleep(0.05)
-
-        with pytest.raises(SourceLost):
-            await asyncio.wait_for(read_until_lost(), GONE_WITHIN_S)
-        await connection.close()
-        with pytest.raises(SourceRejected, match="is not trusted"):
-            await open_connection(settings)
 
 
 async def test_a_line_break_in_a_subject_forges_no_line_in_the_console_log(server, pki, capfd):
