@@ -40,7 +40,7 @@ class Holding:
 
     def has_room(self) -> bool:
         """Whether one more notification fits."""
-        return self.room() > 0
+        return self._ledger.queued < self._ledger.capacity or self.room() > 0
 
     def room(self) -> int:
         """Return how many more notifications fit."""

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -60,6 +61,17 @@ def test_a_row_beyond_a_bar_misses_it(changes, missed):
 def test_a_number_that_never_came_is_lost():
     loaded = felt(first=10, last=20, got=9)
     assert hostile.row_of(row()["quiet"], loaded, 100, 120, 0.0)["lost"] == 2
+
+
+@pytest.mark.parametrize("load", ["triggering", "delete_subscriptions"])
+async def test_the_others_hardly_notice_who_asks_for_all_that_the_limits_allow(load):
+    row = await hostile.measured("ours", load, 2.0)
+    assert not {"gap", "lost"} & set(row["missed"]), row
+
+
+def test_each_load_has_a_name_and_a_line_in_the_page():
+    page = (Path(hostile.__file__).parents[1] / "docs" / "hostile.md").read_text(encoding="utf-8")
+    assert [load for load in hostile.LOADS if f"`{load}`" not in page] == []
 
 
 @pytest.mark.soak

@@ -24,9 +24,11 @@ class RawPeer:
         self.number = 0
 
     @classmethod
-    async def connect(cls, url):
+    async def connect(cls, url, source=None):
+        """Connect, from another address of this machine if ``source`` names one."""
         host, port = url.removeprefix("opc.tcp://").split("/")[0].rsplit(":", 1)
-        return cls(*await asyncio.open_connection(host, int(port)))
+        local = None if source is None else (source, 0)
+        return cls(*await asyncio.open_connection(host, int(port), local_addr=local))
 
     async def hello(self, **changes):
         values = {

@@ -38,8 +38,8 @@ _PLAIN_MASK = VALUE | SOURCE | SERVER
 DATA_CHANGE = 811
 EVENTS = 916
 STATUS_CHANGE = 820
-# measured: a number, one more in an array, and what asyncua encodes
-_PLAIN_S, _ELEMENT_S, _GENERIC_S = 1.5e-6, 0.05e-6, 20e-6
+# measured, from queue to message: a number, one more in an array, and what asyncua encodes
+_PLAIN_S, _ELEMENT_S, _GENERIC_S = 8e-6, 0.05e-6, 25e-6
 _NO_DIAGNOSTICS = b"\xff\xff\xff\xff"
 
 

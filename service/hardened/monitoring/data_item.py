@@ -26,6 +26,7 @@ class DataItem:
 
     __slots__ = (
         "_due",
+        "_loss_before_first",
         "_pending",
         "_queue",
         "_reported",
@@ -60,6 +61,7 @@ class DataItem:
         self._reported: ua.DataValue | None = None
         self._pending: ua.DataValue | None = None
         self._due = 0.0
+        self._loss_before_first = False  # of the queue: it is flagged when it is taken
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -125,6 +127,7 @@ class DataItem:
         while len(self._queue) > monitoring.queue_size:
             if monitoring.discard_oldest:
                 self._queue.popleft()
+                self._loss_before_first = False
             else:
                 self._queue.pop()
             self._subscription.holding.add(-1)
@@ -137,6 +140,9 @@ class DataItem:
         stamps = monitoring.stamps
         count = min(most, len(queue))
         self._subscription.holding.add(-count)
+        if self._loss_before_first and count:
+            queue[0] = _overflown(queue[0])
+            self._loss_before_first = False
         return [handle + encode_data_value(queue.popleft()[1], stamps) for _ in range(count)]
 
     def adopt(self, queue: Iterable[Queued], reported: ua.DataValue | None) -> None:
@@ -149,6 +155,7 @@ class DataItem:
         self._subscription.holding.add(-len(self._queue))
         self._queue.clear()
         self._pending = None
+        self._loss_before_first = False
 
     def _sample(self, value: ua.DataValue) -> None:
         interval = self.monitoring.interval_s
@@ -182,11 +189,12 @@ class DataItem:
             holding.add(1)
         elif len(queue) == 1 == size:
             queue[0] = new  # a queue of one holds the newest value; no overflow is flagged
+            self._loss_before_first = False
         elif self.monitoring.discard_oldest:
             holding.lose(1)
             queue.popleft()
             queue.append(new)
-            queue[0] = _overflown(queue[0])
+            self._loss_before_first = True
         else:
             holding.lose(1)
             queue[-1] = _overflown(new)

@@ -14,7 +14,7 @@ from service.hardened.monitoring.block_queue import Notifications
 from service.hardened.monitoring.data_item import DataItem
 from service.hardened.monitoring.event_item import EventItem, QueuedEvent
 
-_MESSAGE_S = 0.02  # processor time that the encoding of one message may take
+_MESSAGE_S = 0.01  # processor time that the encoding of one message may take
 
 
 class _Queued(NamedTuple):
