@@ -11,7 +11,6 @@ from enum import StrEnum
 from urllib.parse import urlsplit
 
 from asyncua import Client, ua
-from asyncua.client.ua_session import UaSession
 from asyncua.crypto import security_policies, uacrypto
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
@@ -31,6 +30,9 @@ from service.hardened.security.peer_certificates import (
     application_uris,
     check_host_name,
 )
+from service.opcua.responses import Senseless
+from service.opcua.session import BatchSession
+from service.opcua.transport import BoundedClient
 
 _log = logging.getLogger(__name__)
 _DER = serialization.Encoding.DER
@@ -39,6 +41,8 @@ _SESSION_TIMEOUT_MS = 120_000
 _CHANNEL_LIFETIME_MS = 3_600_000
 _FAREWELL_S = 2.0
 _LOOK_AT_TRUST_S = 1.0
+_SHORTEST_RENEWAL_S = 5.0  # a channel that lives shorter is renewed too late
+_LINE = 300  # characters of a server's wording
 
 
 class Security(StrEnum):
@@ -135,20 +139,6 @@ class SourceSettings:
             )
 
 
-class BatchSession(UaSession):
-    """A session whose publish responses are taken as bytes; see :mod:`service.opcua.subscription`.
-
-    Private seam of asyncua: ``UaSession._send_request`` and ``ensure_publish_loop``.
-    """
-
-    def ensure_publish_loop(self) -> None:
-        """Do nothing: the subscription publishes by itself."""
-
-    async def request(self, request: object, *, timeout: float | None = None) -> bytes:  # noqa: ASYNC109 - asyncua's way
-        """Send a request and return the response's body from its TypeId on."""
-        return bytes(await self._send_request(request, timeout=timeout))
-
-
 class Connection:
     """An open channel and session; made by :func:`open_connection`, used once."""
 
@@ -191,7 +181,8 @@ class Connection:
     async def _renew_for_ever(self) -> None:
         """Renew the channel's keys after three quarters of their life (Part 4, 5.6.2)."""
         while True:
-            await asyncio.sleep(0.75e-3 * self._client.secure_channel_timeout)
+            lifetime_s = 1e-3 * self._client.secure_channel_timeout
+            await asyncio.sleep(max(0.75 * lifetime_s, _SHORTEST_RENEWAL_S))
             if self._server is not None and not self._is_trusted(self._server.check):
                 return
             await self._client.open_secure_channel(renew=True)
@@ -253,8 +244,10 @@ async def open_connection(settings: SourceSettings) -> Connection:
     client.product_uri = "urn:valvemap"
     client.session_timeout = _SESSION_TIMEOUT_MS
     client.secure_channel_timeout = _CHANNEL_LIFETIME_MS
-    session = BatchSession(client.uaclient)
-    client.uaclient.session = session
+    transport = BoundedClient(settings.timeout_s)
+    transport.pre_request_hook = client.uaclient.pre_request_hook
+    transport.session = session = BatchSession(transport)
+    client.uaclient = transport
     if settings.user is not None:
         client.set_user(settings.user)
         client.set_password(settings.password or "")
@@ -290,10 +283,25 @@ def source_errors(url: str, doing: str) -> Iterator[None]:
         if error.code in _FINAL:
             raise SourceRejected(f"{url}: {name} while {doing}: {_FINAL[error.code]}") from error
         raise SourceLost(f"{url}: {name} while {doing}") from error
+    except Senseless as error:
+        raise SourceLost(f"{url}: sent {error} while {doing}") from error
     except ua.UaError as error:
-        raise SourceLost(f"{url}: {error} while {doing}") from error
+        raise SourceLost(f"{url}: {in_one_line(error)} while {doing}") from error
+    except uacrypto.InvalidSignature as error:
+        raise SourceLost(f"{url}: a wrong signature while {doing}") from error
     except (ValueError, TypeError, LookupError, AttributeError, struct.error) as error:
-        raise SourceLost(f"{url}: an answer that makes no sense while {doing}: {error}") from error
+        reason = in_one_line(error)
+        raise SourceLost(f"{url}: an answer that makes no sense while {doing}: {reason}") from error
+
+
+def in_one_line(text: object) -> str:
+    r"""Return what a server may have worded as one line of bounded length.
+
+    >>> in_one_line("No such\npolicy")
+    'No such policy'
+    """
+    printable = "".join(c if c.isprintable() else " " for c in str(text)[: _LINE + 1])
+    return printable if len(printable) <= _LINE else f"{printable[:_LINE]} …"
 
 
 def status_name(code: int) -> str:
@@ -335,7 +343,7 @@ async def _secure(client: Client, settings: SourceSettings) -> TrustedServer | N
     else:
         raise SourceRejected(
             f"{settings.url}: does not offer {settings.security}/SignAndEncrypt; "
-            f"it offers {', '.join(offered)}"
+            f"it offers {in_one_line(', '.join(offered))}"
         )
     server = TrustedServer(
         PeerTrust(settings.pki, require_crl=settings.require_crl),

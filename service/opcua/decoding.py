@@ -43,6 +43,7 @@ _MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _SMALLEST_RECORD = 5
+_ELEMENTS_PER_RECORD = 2  # to pass over a record costs as much as to walk so many elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _NO_NUMBER = 255
 
@@ -124,7 +125,7 @@ def decode_publish_response(data: bytes) -> PublishResponse:
     more = reader.u1() != 0
     message = _message(reader)
     acknowledged = reader.u4_array()
-    for _ in range(reader.count(1)):
+    for _ in reader.one_by_one(1):
         reader.skip_diagnostic_info()
     return PublishResponse(service_result, subscription_id, available, more, message, acknowledged)
 
@@ -166,7 +167,7 @@ def _enter_response(reader: Reader, expected: int) -> int:
     reader.skip(12)  # Timestamp, RequestHandle
     service_result = reader.u4()
     reader.skip_diagnostic_info()
-    for _ in range(reader.count(4)):
+    for _ in reader.one_by_one(4):
         reader.skip_string()
     reader.extension_object()
     return service_result
@@ -177,8 +178,8 @@ def _message(reader: Reader) -> Message:
     publish_time = ns_from_ticks(reader.i8())
     batches: list[_Batch] = []
     status_change = None
-    notifications = reader.count(3)
-    for _ in range(notifications):
+    notifications = reader.one_by_one(3)
+    for _ in notifications:
         kind, body = reader.extension_object()
         if kind == _DATA_CHANGE_NOTIFICATION:
             batches.append(_data_changes(body, publish_time))
@@ -192,7 +193,7 @@ def _message(reader: Reader) -> Message:
             if len(batches) == 1
             else DataChanges.concatenate([batch.changes for batch in batches])
         ),
-        keep_alive=notifications == 0,
+        keep_alive=len(notifications) == 0,
         status_change=status_change,
         overflows=sum(batch.overflows for batch in batches),
         not_numeric=sum(batch.not_numeric for batch in batches),
@@ -221,6 +222,7 @@ def _data_changes(reader: Reader, publish_time: int) -> _Batch:
         reader.position = position
         if row == n:
             break
+        reader.spend(_ELEMENTS_PER_RECORD)
         _pass_over(reader, row, publish_time, *columns)
         row += 1
     return _Batch(

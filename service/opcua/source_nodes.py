@@ -9,7 +9,7 @@ from uuid import UUID
 from asyncua import ua
 
 from service.errors import ConfigurationError, SourceRejected
-from service.opcua.connection import Connection, status_name
+from service.opcua.connection import Connection, in_one_line, status_name
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
 
@@ -137,7 +137,7 @@ def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.Node
         if match["uri"] not in namespaces:
             raise SourceRejected(
                 f"node '{text}': the server has no namespace {match['uri']}; "
-                f"it has {', '.join(namespaces)}"
+                f"it has {in_one_line(', '.join(namespaces))}"
             )
         index = list(namespaces).index(match["uri"])
     try:
@@ -172,6 +172,17 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
         answers = await in_chunks(
             ids, max(limit // len(_ATTRIBUTES), 1), lambda chunk: _read(connection, chunk)
         )
+        return _checked(url, valves, wanted, ids, answers)
+
+
+def _checked(
+    url: str,
+    valves: Sequence[ValveNodes],
+    wanted: Sequence[_Wanted],
+    ids: Sequence[ua.NodeId],
+    answers: Sequence[Sequence[ua.DataValue]],
+) -> CheckedNodes:
+    """Refuse what cannot be used."""
     monitored, writable, faults = [], {}, []
     for node, node_id, answer in zip(wanted, ids, answers, strict=True):
         label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
@@ -224,7 +235,11 @@ async def in_chunks(
     results: list[_Out] = []
     while len(results) < len(items):
         try:
-            results += await call(items[len(results) : len(results) + size])
+            chunk = items[len(results) : len(results) + size]
+            answers = await call(chunk)
+            if len(answers) != len(chunk):
+                raise ValueError(f"{len(answers)} results for {len(chunk)} operations")
+            results += answers
         except ua.uaerrors.BadTooManyOperations:
             if size == 1:
                 raise
@@ -257,7 +272,7 @@ async def _namespaces(connection: Connection) -> list[str]:
             ]
         )
         (answer,) = await connection.session.read(parameters)
-        return [uri or "" for uri in answer.Value.Value]
+        return [str(uri or "") for uri in answer.Value.Value]
 
 
 async def _read(connection: Connection, ids: Sequence[ua.NodeId]) -> list[list[ua.DataValue]]:
@@ -271,6 +286,8 @@ async def _read(connection: Connection, ids: Sequence[ua.NodeId]) -> list[list[u
     )
     answers = await connection.session.read(parameters)
     width = len(_ATTRIBUTES)
+    if len(answers) != width * len(ids):
+        raise ValueError(f"{len(answers)} values for {width * len(ids)} attributes")
     return [answers[i * width : (i + 1) * width] for i in range(len(ids))]
 
 

@@ -6,7 +6,6 @@ handed on. Every response is acknowledged with the next request.
 """
 
 import asyncio
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +13,7 @@ from asyncua import ua
 
 from service.clock import Clock
 from service.errors import SourceError, SourceLost, SourceRejected
+from service.hardened.logs import bounded_logger
 from service.opcua.connection import Connection, status_name
 from service.opcua.decoding import (
     DecodeError,
@@ -22,17 +22,20 @@ from service.opcua.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
+from service.opcua.responses import Senseless
 from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 
-_log = logging.getLogger(__name__)
+_log = bounded_logger(__name__)
 
 _STALL_S = 1.0  # a wait that lasts so much too long tells of our own standstill
 _LOST_KEEP_ALIVES = 3
 _LIFETIME_KEEP_ALIVES = 10
 _LIFETIME_S = 60.0
 _MAX_REPUBLISH = 100
+_LONGEST_SILENCE_S = 86_400.0  # whoever may be silent for longer cannot be watched
 _NOTIFICATIONS_PER_PUBLISH = 100_000
+_MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers count generously
 _ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
 _GOOD_TRANSFERRED = 0x002D0000
 
@@ -156,8 +159,7 @@ class Subscription:
             response = decode_publish_response(data)
         except DecodeError as error:
             self._tally.undecodable += 1
-            _log.warning("%s: a publish response is not understood: %s", self._settings.url, error)
-            return
+            raise Senseless(f"a publish response that is not understood: {error}") from error
         if response.service_result >> 31:
             raise ua.UaStatusCodeError(response.service_result)
         if response.subscription_id != self._id:
@@ -199,7 +201,9 @@ class Subscription:
         request.Parameters.RetransmitSequenceNumber = number
         try:
             return decode_republish_response(await self._session.request(request))
-        except (DecodeError, ua.uaerrors.BadMessageNotAvailable, TimeoutError):
+        except DecodeError as error:
+            raise Senseless(f"a message again that is not understood: {error}") from error
+        except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
             return None
 
     def _acknowledge(self, number: int) -> None:
@@ -211,6 +215,10 @@ class Subscription:
         changes = message.changes
         if not len(changes):
             return
+        if len(changes) > _MOST_CHANGES:
+            raise Senseless(
+                f"{len(changes)} changes at once, {_NOTIFICATIONS_PER_PUBLISH} were asked"
+            )
         self._tally.notifications += len(changes)
         self._tally.overflows += message.overflows
         self._tally.undecodable += message.not_numeric
@@ -249,9 +257,9 @@ async def subscribe(
                 RequestedMaxKeepAliveCount=keep_alive,
                 MaxNotificationsPerPublish=_NOTIFICATIONS_PER_PUBLISH,
                 PublishingEnabled=True,
-            ),
-            _unused,
+            )
         )
+        _check_pace(result)
     subscription = Subscription(connection, result, tally, clock)
     subscription.start()
     try:
@@ -267,6 +275,14 @@ async def subscribe(
         await subscription.stop()
         raise
     return subscription
+
+
+def _check_pace(created: ua.CreateSubscriptionResult) -> None:
+    """Refuse a revised publishing that would keep us busy, or waiting, for ever."""
+    interval_ms, count = created.RevisedPublishingInterval, created.RevisedMaxKeepAliveCount
+    silence_ms = _LOST_KEEP_ALIVES * count * interval_ms
+    if not (interval_ms > 0.0 and count and silence_ms <= _LONGEST_SILENCE_S * 1e3):
+        raise ValueError(f"keep-alives every {count} times {interval_ms:g} ms")
 
 
 async def _create_items(
@@ -345,7 +361,3 @@ def _ahead(number: int, steps: int) -> int:
     for _ in range(steps):
         number = _after(number)
     return number
-
-
-def _unused(_: object) -> None:
-    """Stand in for asyncua's callback: our publish requests bypass it."""

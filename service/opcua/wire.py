@@ -4,9 +4,13 @@ Lengths are believed only as far as there are bytes, nesting only to :data:`MAX_
 """
 
 import struct
+from dataclasses import dataclass
 
 MAX_DEPTH = 16
 """Variants, DataValues and DiagnosticInfos may contain themselves; ours may not for ever."""
+
+MAX_ELEMENTS = 50_000
+"""Elements of a message that are walked one by one (2 to 5 µs each); numbers never are."""
 
 _U2 = struct.Struct("<H")
 _U4 = struct.Struct("<I")
@@ -45,6 +49,13 @@ class DecodeError(ValueError):
     """The bytes are no valid OPC UA binary message."""
 
 
+@dataclass
+class _Walked:
+    """How many elements of a message were walked one by one."""
+
+    elements: int = 0
+
+
 class Reader:
     """A position in some bytes; every read checks that there is something to read.
 
@@ -55,10 +66,17 @@ class Reader:
     (1, 255, True)
     """
 
-    def __init__(self, data: bytes, start: int = 0, stop: int | None = None) -> None:
+    def __init__(self, data: bytes) -> None:
         self.data = data
-        self.position = start
-        self.stop = len(data) if stop is None else stop
+        self.position = 0
+        self.stop = len(data)
+        self._walked = _Walked()
+
+    def part(self, start: int, stop: int) -> "Reader":
+        """Return a reader of some of the bytes; it shares the count of elements."""
+        part = Reader(self.data)
+        part.position, part.stop, part._walked = start, stop, self._walked
+        return part
 
     @property
     def at_end(self) -> bool:
@@ -101,6 +119,18 @@ class Reader:
         if count * smallest > self.stop - self.position:
             raise DecodeError(f"an array of {count} elements does not fit into what is left")
         return max(count, 0)
+
+    def spend(self, elements: int) -> None:
+        """Count elements that are walked one by one."""
+        self._walked.elements += elements
+        if self._walked.elements > MAX_ELEMENTS:
+            raise DecodeError(f"more than {MAX_ELEMENTS} elements that are no numbers")
+
+    def one_by_one(self, smallest: int) -> range:
+        """Read the length of an array, like :meth:`count`, whose elements are walked."""
+        count = self.count(smallest)
+        self.spend(count)
+        return range(count)
 
     def u4_array(self) -> tuple[int, ...]:
         """Read UInt32[]."""
@@ -154,12 +184,12 @@ class Reader:
         kind = self.node_id()
         encoding = self.u1()
         if encoding == 0:
-            return kind, Reader(self.data, self.position, self.position)
+            return kind, self.part(self.position, self.position)
         if encoding not in {1, 2}:
             raise DecodeError(f"ExtensionObject encoding {encoding} is unknown")
         size = max(self.i4(), 0)
         start = self.skip(size)
-        return (kind if encoding == 1 else None), Reader(self.data, start, start + size)
+        return (kind if encoding == 1 else None), self.part(start, start + size)
 
     def skip_variant(self, depth: int = 0) -> None:
         """Pass over a Variant of whatever type."""
@@ -174,12 +204,11 @@ class Reader:
             self._skip_element(kind, depth)
             return
         size = FIXED_SIZES.get(kind)
-        count = self.count(1 if size is None else size)
         if size is None:
-            for _ in range(count):
+            for _ in self.one_by_one(1):
                 self._skip_element(kind, depth)
         else:
-            self.skip(size * count)
+            self.skip(size * self.count(size))
         if encoding & _HAS_DIMENSIONS:
             self.skip(4 * self.count(4))
 
