@@ -30,7 +30,7 @@ from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
-from service.opcua.information_model import INVERSE
+from service.opcua.information_model import ARMED, FEED_FORWARD_STATUS, INVERSE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 
 _Codes = ua.StatusCodes
@@ -97,6 +97,12 @@ def discovery_values(
     yield Shown(f"{name}.ChangeTime", moment, code, t)
     yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
     yield Shown(f"{name}.Structure", structure or "", own, t)
+
+
+def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
+    """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
+    yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
+    yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
