@@ -16,6 +16,7 @@ from rich.table import Table
 from service.config.estimators import AutoConfig, RlsConfig
 from service.config.models import FeedForwardConfig, NodesConfig, ValveConfig
 from service.identification.samples import Samples
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.identification import Identification
 from virtual_rig.excitation import Scattered
 from virtual_rig.scenario import Scenario
@@ -131,10 +132,13 @@ class Course:
                 self._count(valve, t, Q - demand(t))
         self.t_s = float(t_s[-1])
         self._identification.demand(valve, demand(self.t_s + self._lead_s), float(samples.dp[-1]))
-        if valve == LIVING:
-            self._measure_lead(t_s.tolist(), samples.U.tolist())
-            U = commands(self._identification).get(LIVING, math.nan)
-            self._answers.append((self.t_s, U))
+        if valve != LIVING:
+            return
+        if self._is_held():  # U shows no answer, however old
+            self._answers.clear()
+            return
+        self._measure_lead(t_s.tolist(), samples.U.tolist())
+        self._answers.append((self.t_s, commands(self._identification).get(LIVING, math.nan)))
 
     def errors(self, phase: Phase) -> dict[str, float]:
         """Root mean square of each valve's flow error in a phase, l/min; NaN before it."""
@@ -171,6 +175,11 @@ class Course:
             cells = (errors[LIVING], errors[FIXED], errors[FROZEN], self.gain(phase))
             table.add_row(phase.name, *("" if math.isnan(x) else f"{x:.2f}" for x in cells))
         return table
+
+    def _is_held(self) -> bool:
+        names = [plan.name for plan in self._identification.plans]
+        status = self._identification.feed_forward(names.index(LIVING))
+        return status not in {FeedForwardStatus.DISARMED, FeedForwardStatus.WRITING}
 
     def _measure_lead(self, t_s: list[float], U: list[float]) -> None:
         for t, u in zip(t_s, U, strict=True):

@@ -278,6 +278,10 @@ class Identification:
         """Whether somebody has armed the valve's feed-forward since the start."""
         return bool(self._armed[valve])
 
+    def feed_forward(self, valve: int) -> FeedForwardStatus:
+        """Whether the answer was written to the valve when last looked at."""
+        return FeedForwardStatus(int(self._feed_forward[valve]))
+
     def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
         """Publish from now on that a valve's feed-forward stands so."""
         self._feed_forward[valve] = status

@@ -4,6 +4,7 @@ import asyncio
 import sys
 import time
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from pydantic import SecretStr
@@ -120,8 +121,17 @@ def feeding_config(rig_url, service_url, state, **feed_forward):
 def learnt(config):
     """An identification that knows the valve."""
     identification = build_identification(config)
-    commission(identification, SCENARIO)
+    _, refused = identification.restore(_kept())
+    assert not refused
     return identification
+
+
+@cache
+def _kept():
+    """What is learnt at commissioning."""
+    identification = build_identification(feeding_config("opc.tcp://rig:1", "opc.tcp://us:1", "-"))
+    commission(identification, SCENARIO)
+    return identification.checkpoints()
 
 
 def open_settings(config):
