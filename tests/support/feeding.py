@@ -22,7 +22,7 @@ from service.config.models import (
     StateConfig,
     ValveConfig,
 )
-from service.opcua.hardened import CommandRejected, Role, ServerSettings, UserStore
+from service.hardened import CommandRejected, Role, ServerSettings, UserStore
 from virtual_rig.excitation import External
 from virtual_rig.scenario import BUILTIN
 from virtual_rig.server import RigServer
@@ -52,7 +52,7 @@ class Heard:
 
 
 class ListeningRig(RigServer):
-    """A rig that notes what is written, and refuses commands when told to."""
+    """A rig that notes what is written, and refuses commands on demand."""
 
     heard: Heard
 
