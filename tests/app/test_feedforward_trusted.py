@@ -25,7 +25,7 @@ from support.feeding import (
     listening_rig,
     open_settings,
 )
-from support.processes import free_port, service_url
+from support.processes import READY_S, free_port, service_url
 
 from service.app.serve import serve
 from service.identification.inversion import InverseStatus
@@ -37,9 +37,9 @@ WITHIN_S = 1.0
 DEADLINE_S = 30.0
 
 
-async def until(condition, *alive):
+async def until(condition, *alive, deadline_s=DEADLINE_S):
     """Wait until a condition holds; return what it says."""
-    async with asyncio.timeout(DEADLINE_S):
+    async with asyncio.timeout(deadline_s):
         while not (found := condition()):
             for task in alive:
                 if task.done():
@@ -162,6 +162,55 @@ async def staged(folder, **feed_forward):
                 yield Stage(heard, identification, at_rig, at_service)
 
 
+async def test_a_killed_service_leaves_the_valve_to_the_rig_and_a_new_one_is_disarmed(tmp_path):
+    heard = Heard()
+    async with playing(heard) as rig:
+        url = service_url(free_port())
+        state = tmp_path / "state.sqlite"
+        command = (sys.executable, "-m", "support.feeding", rig.url, url, str(state))
+        tests = Path(__file__).parents[1]
+        process = await asyncio.create_subprocess_exec(*command, cwd=tests)
+        try:
+            await until(lambda: heard.U and heard.U[-1][1] > OWN_U + 10.0, deadline_s=READY_S)
+            process.kill()
+            since = time.monotonic()
+        finally:
+            if process.returncode is None:
+                process.kill()
+            await process.wait()
+        stage = Stage(heard, None, None, None)
+        assert await stage.is_the_rigs_own(since) < WITHIN_S
+        stage.kept_range_and_slew()
+        written = len(heard.commands)
+        config = feeding_config(rig.url, url, state)
+        identification = await asyncio.to_thread(learnt, config)
+        async with serving(config, identification) as task:
+            await until(lambda: identification.counters(0)["aligned"] > 10, task)
+            assert not identification.is_armed(0)
+        assert len(heard.commands) == written
+
+
+@pytest.mark.parametrize("fallback", ["hold", "hand_back"])
+async def test_the_other_fallbacks_hold_and_hand_back(tmp_path, fallback):
+    async with staged(tmp_path, fallback=fallback) as stage:
+        await stage.call("Arm")
+        wanted = await stage.at_the_answer()
+        since = time.monotonic()
+        await stage.of_rig(VALVE, f"{VALVE}.InjectFault", "drop_out.p1", 1.0, 60.0)
+        if fallback == "hand_back":
+            await stage.until_status(FeedForwardStatus.STALE)
+            assert await stage.is_the_rigs_own(since) < WITHIN_S
+        else:
+            await stage.demand(Q - 20.0, DP)
+            await stage.until_status(FeedForwardStatus.STALE)
+            beats = len(stage.heard.heartbeats)
+            written = len(stage.heard.commands)
+            await until(lambda: len(stage.heard.heartbeats) >= beats + 10)
+            assert len(stage.heard.commands) == written
+            assert stage.heard.U[-1][1] == stage.heard.commands[-1][1] <= wanted + 0.5
+        stage.kept_range_and_slew()
+
+
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def armed(tmp_path_factory):
     async with staged(tmp_path_factory.mktemp("ramp"), fallback="ramp") as stage:
@@ -253,52 +302,3 @@ async def test_disarming_gives_the_valve_back_to_the_rig(stage):
     assert not await (await stage.node("Inverse.Armed")).read_value()
     await stage.call("Arm")
     await stage.at_the_answer()
-
-
-@pytest.mark.parametrize("fallback", ["hold", "hand_back"])
-async def test_the_other_fallbacks_hold_and_hand_back(tmp_path, fallback):
-    async with staged(tmp_path, fallback=fallback) as stage:
-        await stage.call("Arm")
-        wanted = await stage.at_the_answer()
-        since = time.monotonic()
-        await stage.of_rig(VALVE, f"{VALVE}.InjectFault", "drop_out.p1", 1.0, 60.0)
-        if fallback == "hand_back":
-            await stage.until_status(FeedForwardStatus.STALE)
-            assert await stage.is_the_rigs_own(since) < WITHIN_S
-        else:
-            await stage.demand(Q - 20.0, DP)
-            await stage.until_status(FeedForwardStatus.STALE)
-            beats = len(stage.heard.heartbeats)
-            written = len(stage.heard.commands)
-            await until(lambda: len(stage.heard.heartbeats) >= beats + 10)
-            assert len(stage.heard.commands) == written
-            assert stage.heard.U[-1][1] == stage.heard.commands[-1][1] <= wanted + 0.5
-        stage.kept_range_and_slew()
-
-
-async def test_a_killed_service_leaves_the_valve_to_the_rig_and_a_new_one_is_disarmed(tmp_path):
-    heard = Heard()
-    async with playing(heard) as rig:
-        url = service_url(free_port())
-        state = tmp_path / "state.sqlite"
-        command = (sys.executable, "-m", "support.feeding", rig.url, url, str(state))
-        tests = Path(__file__).parents[1]
-        process = await asyncio.create_subprocess_exec(*command, cwd=tests)
-        try:
-            await until(lambda: heard.U and heard.U[-1][1] > OWN_U + 10.0)
-            process.kill()
-            since = time.monotonic()
-        finally:
-            if process.returncode is None:
-                process.kill()
-            await process.wait()
-        stage = Stage(heard, None, None, None)
-        assert await stage.is_the_rigs_own(since) < WITHIN_S
-        stage.kept_range_and_slew()
-        written = len(heard.commands)
-        config = feeding_config(rig.url, url, state)
-        identification = await asyncio.to_thread(learnt, config)
-        async with serving(config, identification) as task:
-            await until(lambda: identification.counters(0)["aligned"] > 10, task)
-            assert not identification.is_armed(0)
-        assert len(heard.commands) == written
