@@ -21,6 +21,7 @@ from service.identification.samples import Status
 
 MOST_STEP_S: Final = 0.2  # of slew in one command, however long ago the last one was
 HEARTBEAT_S: Final = 0.08  # asked every 0.1 s, that is at least five in a second
+STALLED_S: Final = 0.4  # without a heartbeat of ours, the source may have dropped the command
 RETRY_S: Final = 0.08  # a refused command is written again; asked every 0.1 s
 GIVE_UP_S: Final = 0.2  # refused for so long, the fallback acts: 0.5 s later the source's own
 RESTART_S: Final = 2.0  # handed back because of a refusal, the valve is asked for again
@@ -160,6 +161,10 @@ class FeedForwardState:
         """Whether the source goes by our command."""
         return not math.isnan(self.U)
 
+    def has_stalled(self, now: float) -> bool:
+        """Whether the last heartbeat is so long ago that the source may have its valve back."""
+        return math.isfinite(self.beaten) and now - self.beaten > STALLED_S
+
     def since_refusal(self, now: float) -> float:
         """Time since the last refusal, s."""
         return now - max(self.refused_U.last, self.refused_heartbeat.last)
@@ -199,6 +204,8 @@ def decide(
     given_up = max(state.refused_U.lasted(now), state.refused_heartbeat.lasted(now)) >= GIVE_UP_S
     status = FeedForwardStatus.REFUSED if given_up else reason
     writes = reason is FeedForwardStatus.WRITING
+    if state.has_stalled(now):
+        state = replace(state, U=math.nan, beaten=-math.inf)
     if not state.is_led:
         pause = RESTART_S if given_up and settings.fallback is not Fallback.HOLD else RETRY_S
         waits = state.since_refusal(now) < pause

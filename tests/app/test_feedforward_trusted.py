@@ -223,6 +223,7 @@ async def armed(tmp_path_factory):
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def stage(armed):
+    armed.heard.refuses = False
     await armed.at_the_answer()
     return armed
 
@@ -243,7 +244,7 @@ async def test_stale_data_lead_to_the_fallback(stage):
     since = time.monotonic()
     await stage.of_rig("TestRig", "Rig.StopScenario")
     assert await stage.ramps_down(since, wanted) < WITHIN_S
-    assert await stage.status() is FeedForwardStatus.STALE
+    await stage.until_status(FeedForwardStatus.STALE)
     await stage.of_rig("TestRig", "Rig.StartScenario", "external")
     await stage.at_the_answer()
 
@@ -253,7 +254,7 @@ async def test_bad_quality_leads_to_the_fallback(stage):
     since = time.monotonic()
     await stage.of_rig(VALVE, f"{VALVE}.InjectFault", "bad_quality.Q", 1.0, 3.0)
     assert await stage.ramps_down(since, wanted) < WITHIN_S
-    assert await stage.status() is FeedForwardStatus.BAD_SAMPLE
+    await stage.until_status(FeedForwardStatus.BAD_SAMPLE)
     await stage.at_the_answer()
 
 
@@ -268,7 +269,7 @@ async def test_an_extrapolated_answer_leads_to_the_fallback(stage, monkeypatch):
     since = time.monotonic()
     monkeypatch.setattr(stage.identification, "required", extrapolated)
     assert await stage.ramps_down(since, wanted) < WITHIN_S
-    assert await stage.status() is FeedForwardStatus.EXTRAPOLATED
+    await stage.until_status(FeedForwardStatus.EXTRAPOLATED)
     monkeypatch.undo()
     await stage.at_the_answer()
 
@@ -278,7 +279,7 @@ async def test_a_demand_above_reach_leads_to_the_fallback(stage):
     since = time.monotonic()
     await stage.demand(190.0, 30.0)
     assert await stage.ramps_down(since, wanted) < WITHIN_S
-    assert await stage.status() is FeedForwardStatus.ABOVE_REACH
+    await stage.until_status(FeedForwardStatus.ABOVE_REACH)
 
 
 async def test_a_refused_write_is_repeated_then_the_rig_has_its_valve_back(stage):
@@ -290,7 +291,7 @@ async def test_a_refused_write_is_repeated_then_the_rig_has_its_valve_back(stage
     assert await stage.is_the_rigs_own(since) < WITHIN_S
     again = [t for t, _ in heard.refused]
     assert len(again) >= 2
-    assert await stage.status() is FeedForwardStatus.REFUSED
+    await stage.until_status(FeedForwardStatus.REFUSED)
     heard.refuses = False
     await stage.at_the_answer()
 

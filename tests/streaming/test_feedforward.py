@@ -154,6 +154,14 @@ def test_what_was_handed_back_is_taken_again_where_the_valve_is_by_then():
     assert commands[1].heartbeat > state.heartbeat
 
 
+def test_after_a_standstill_of_ours_the_valve_is_led_from_where_it_is_by_then():
+    state = at_target(HOLD)
+    assert not state.has_stalled(10.2)
+    _, commands = run(HOLD, replace(GOOD, U=12.0), [10.5, 10.6], state)
+    assert commands[0] == Command(12.0)  # the source's watchdog may have acted: 60 % is no more
+    assert commands[1].heartbeat == state.heartbeat + 1
+
+
 def test_armed_without_a_demand_the_valve_is_held_where_it_is():
     waiting = replace(GOOD, answer=InverseStatus.NOT_FINITE, required_U=math.nan, width=math.nan)
     _, commands = run(HOLD, waiting, [0.0, 0.1, 0.2])
@@ -273,10 +281,11 @@ def test_whatever_comes_range_and_slew_are_never_left_and_the_fallback_acts_at_o
             assert low <= command.U <= high
             assert situation.armed
             assert situation.connected
-        if before.is_led and command.U is not None:  # as the source sees it, whenever it answered
+        begins = not before.is_led or before.has_stalled(now)
+        if not begins and command.U is not None:  # as the source sees it, whenever it answered
             U, at = taken
             assert abs(command.U - U) <= ground.slew_percent_per_s * (now - at) + 1e-9
-        if state.status is not FeedForwardStatus.WRITING and before.is_led:
+        if state.status is not FeedForwardStatus.WRITING and not begins:
             match ground.fallback:
                 case Fallback.HAND_BACK:
                     assert not state.is_led
