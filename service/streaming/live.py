@@ -25,6 +25,7 @@ from service.streaming.identification import Identification
 from service.streaming.ports import CheckpointStore, ResultSink, Source
 
 VALVES_AT_ONCE = 32
+FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
 
@@ -83,6 +84,7 @@ class LiveService:
         self._publish_due = now
         self._under_way = False
         self._connected = False
+        self._fed_at = now
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
         self._newest_U = np.full(len(identification.plans), np.nan)
         self._fed = {
@@ -125,7 +127,8 @@ class LiveService:
         now = self._clock.monotonic()
         stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
         await self._lose(np.flatnonzero(stale).tolist())
-        await self._feed_forward()
+        if now - self._fed_at >= FEED_AGAIN_S:
+            await self._feed_forward()
         await self._publish_in_turn()
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
@@ -193,6 +196,7 @@ class LiveService:
 
     async def _feed_forward(self) -> None:
         """Lead every valve that is armed a step on, all at once."""
+        self._fed_at = self._clock.monotonic()
         steps = (self._lead(valve) for valve in self._fed)
         for outcome in await asyncio.gather(*steps, return_exceptions=True):
             if isinstance(outcome, BaseException):
