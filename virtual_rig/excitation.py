@@ -92,7 +92,7 @@ class External(Parameters):
     """U comes from outside; p2 is swept up and down, or held if both its ends are equal."""
 
     kind: Literal["external"] = "external"
-    U_start_percent: Percent = Field(default=0.0, description="U until the first command")
+    U_start_percent: Percent = Field(default=0.0, description="U while none is commanded")
     sweep_s: Seconds = 20.0
     p2_low_bar: Bar = 100.0
     p2_high_bar: Bar = 100.0

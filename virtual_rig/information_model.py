@@ -20,6 +20,7 @@ from service.hardened import (
     add_variable,
 )
 from virtual_rig.circuit import largest_drop
+from virtual_rig.command import STANDSTILL_S
 from virtual_rig.faults import SIGNALS, FaultKind
 from virtual_rig.kernels import Floats
 from virtual_rig.scenario import BUILTIN, Scenario, ValveBench
@@ -32,18 +33,20 @@ StartScenario = Callable[[str], None]
 StopScenario = Callable[[], None]
 InjectFault = Callable[[str, str, float, float], None]
 CommandU = Callable[[str, float], None]
+Heartbeat = Callable[[str, int], None]
 Signals = tuple[list[Variable], Variable]  # U, p1, p2, Q, T; sequence
 Updates = list[tuple[Variable, object, int, int]]
 
 
 @dataclass(frozen=True)
 class Actions:
-    """What operators can do, by method call and by writing ``UCommand``."""
+    """What operators can do, by method call and by writing ``UCommand`` and ``Heartbeat``."""
 
     start_scenario: StartScenario
     stop_scenario: StopScenario
     inject_fault: InjectFault
     command_U: CommandU
+    heartbeat: Heartbeat
 
 
 @dataclass(frozen=True)
@@ -347,6 +350,17 @@ async def _add_valve(
         writable_by=Role.OPERATOR,
         on_write=lambda U: actions.command_U(name, U),
         description="Control signal from outside; taken by the scenario 'external'",
+    )
+    await add_variable(
+        server,
+        valve,
+        f"{name}.Heartbeat",
+        0,
+        type=ua.VariantType.UInt32,
+        writable_by=Role.OPERATOR,
+        on_write=lambda count: actions.heartbeat(name, count),
+        description="Counts while somebody stands behind UCommand; when it stands still for "
+        f"{STANDSTILL_S:g} s or goes back to 0, U is the rig's own again; 0 = UCommand by hand",
     )
     return await _add_signals(server, valve, name, bench)
 

@@ -14,6 +14,7 @@ from service.hardened import (
     Startable,
     SystemClock,
 )
+from virtual_rig.command import Command
 from virtual_rig.faults import Fault, FaultError, commanded_fault
 from virtual_rig.information_model import (
     GOOD,
@@ -35,6 +36,7 @@ from virtual_rig.simulation import (
     advance,
     initial,
     is_over,
+    own_command,
 )
 
 _log = logging.getLogger(__name__)
@@ -75,7 +77,7 @@ class RigServer(Startable):
         self._samples = 0
         self._late_ticks = 0
         self._report_due = 0.0
-        self._U: dict[str, float] = {}
+        self._commands = {bench.name: Command() for bench in scenario.valves}
         self._faults: list[tuple[str, Fault]] = []
         self._changed = asyncio.Event()
 
@@ -104,7 +106,9 @@ class RigServer(Startable):
         clock = clock or SystemClock()
         server = await HardenedServer.create(settings, clock)
         rig = cls(server, scenario, on_block, clock)
-        actions = Actions(rig.start_scenario, rig.stop_scenario, rig.inject_fault, rig.command_U)
+        actions = Actions(
+            rig.start_scenario, rig.stop_scenario, rig.inject_fault, rig.command_U, rig.heartbeat
+        )
         rig._nodes = await add_rig(server, scenario, actions)
         return rig
 
@@ -222,7 +226,12 @@ class RigServer(Startable):
 
     def command_U(self, valve: str, U: float) -> None:
         """Take a control signal (%) from outside, within a tenth of a second."""
-        self._U[valve] = U
+        self._commands[valve] = self._commands[valve].written(U)
+
+    def heartbeat(self, valve: str, count: int) -> None:
+        """Take the heartbeat of who writes the control signal; see :mod:`virtual_rig.command`."""
+        now = self._clock.monotonic()
+        self._commands[valve] = self._commands[valve].beaten(count, now)
 
     def _leave(self) -> None:
         self._sequence_offset += self._played
@@ -247,12 +256,22 @@ class RigServer(Startable):
         return max(ahead, min(_TICK_S, 1 / rate)) if ahead > 0 else 0.0
 
     def _compute(self, scenario: Scenario, rate: float) -> None:
-        commands = Commands(U=dict(self._U), faults=tuple(self._faults))
+        commands = Commands(U=self._U_in_force(scenario), faults=tuple(self._faults))
         self._faults.clear()
         n = min(max(round(rate * _AHEAD_S), 1), _SAMPLES_PER_TURN)
         self._state, self._block = advance(scenario, self._state, n, commands)
         self._columns = columns_of(self._block, self._sequence_offset)
         self._taken = 0
+
+    def _U_in_force(self, scenario: Scenario) -> dict[str, float]:
+        now, own = self._clock.monotonic(), own_command(scenario)
+        for valve, before in self._commands.items():
+            command = before.seen(now)
+            if command.dropped and not before.dropped:
+                _log.warning("%s: heartbeat stands still, U is the rig's own again", valve)
+            self._commands[valve] = command
+        given = {valve: command.in_force for valve, command in self._commands.items()}
+        return {valve: own if U is None else U for valve, U in given.items()}
 
     def _publish(self, n: int, lag_s: float) -> None:
         first, self._taken = self._taken, self._taken + n

@@ -107,11 +107,9 @@ class RigBlock:
 
 def initial(scenario: Scenario, start_ns: int) -> RigState:
     """State before the first sample, which belongs to ``start_ns`` (UTC; rounded to 100 ns)."""
-    excitation = scenario.excitation
-    U = excitation.U_start_percent if isinstance(excitation, External) else 0.0
     valves = {
         bench.name: ValveState(
-            U=U,
+            U=own_command(scenario),
             faults=tuple(
                 ActiveFault(fault, round(fault.start_s * scenario.sample_rate_hz))
                 for fault in scenario.faults
@@ -121,6 +119,12 @@ def initial(scenario: Scenario, start_ns: int) -> RigState:
         for bench in scenario.valves
     }
     return RigState(index=0, start_ns=start_ns // 100 * 100, valves=valves)
+
+
+def own_command(scenario: Scenario) -> float:
+    """The control signal (%) while none comes from outside."""
+    excitation = scenario.excitation
+    return excitation.U_start_percent if isinstance(excitation, External) else 0.0
 
 
 def advance(

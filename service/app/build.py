@@ -1,6 +1,7 @@
 """From the configuration's words to the objects that do the work."""
 
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from service.hardened import (
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
+from service.streaming.feedforward import Fallback, FeedForward
 from service.streaming.identification import Identification
 from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
@@ -30,6 +32,7 @@ APPLICATION_NAME = "valvemap service"
 PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 
 _AXIS_POINTS = 21
+_HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 
 def build_identification(config: Config) -> Identification:
@@ -93,21 +96,18 @@ def build_server_settings(config: Config) -> ServerSettings:
 
 
 def build_live_settings(config: Config) -> LiveSettings:
-    """When results are stale, when states are kept, whose U is written back."""
+    """When results are stale, when states are kept."""
     return LiveSettings(
         stale_after_s=config.alignment.stale_after_s,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
-        feed_forward=tuple(
-            number
-            for number, valve in enumerate(config.valves)
-            if valve.nodes.required_U is not None
-        ),
     )
 
 
 def build_supervisor_settings(config: Config) -> SupervisorSettings:
-    """How long the start may take."""
-    return SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
+    """How long the start may take, how often the service looks at its clock."""
+    feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
+    settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
+    return replace(settings, tick_s=_HEARTBEAT_TICK_S) if feeds_forward else settings
 
 
 def own_certificate(config: Config) -> OwnCertificate:
@@ -130,6 +130,22 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         inverse=valve.inverse or ("Auto" if "Auto" in estimators else valve.estimators[0].name),
         map_Q=_axis(*valve.Q_range_l_min),
         map_dp=_axis(*valve.dp_range_bar),
+        feed_forward=_feed_forward(valve),
+    )
+
+
+def _feed_forward(valve: ValveConfig) -> FeedForward | None:
+    if valve.nodes.required_U is None:
+        return None
+    given = valve.feed_forward
+    return FeedForward(
+        U_range=given.range_percent,
+        slew_percent_per_s=given.slew_percent_per_s,
+        fallback=Fallback(given.fallback),
+        fallback_U=given.fallback_percent,
+        max_age_s=given.max_age_s,
+        max_width_percent=given.max_width_percent,
+        has_heartbeat=valve.nodes.heartbeat is not None,
     )
 
 

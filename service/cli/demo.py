@@ -94,10 +94,11 @@ async def _feed_forward_demo(
         await asyncio.to_thread(feedforward.commission, identification, scenario)
         async with _rig_process(config.source.url, name, password) as rig_url:
             course = feedforward.Course(identification, SystemClock().now())
+            armed = feedforward.arm(identification)
             serving = asyncio.ensure_future(
                 serve(config, stop, _settings(config, users), identification, course.take)
             )
-            _say_where(console, config, rig_url, password)
+            _say_where(console, config, rig_url, password, armed)
             end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
             await _show(course, console, stop, serving, end)
     console.print(course.table())
@@ -115,11 +116,13 @@ def _settings(config: Config, users: UserStore) -> ServerSettings:
     )
 
 
-def _say_where(console: Console, config: Config, rig_url: str, password: str) -> None:
+def _say_where(console: Console, config: Config, rig_url: str, password: str, *more: str) -> None:
     console.print(f"rig       {rig_url}")
     console.print(f"service   {config.server.url}")
     console.print("security  None, on this machine only; anonymous may look")
     console.print(f"operator  user operator, password {password}")
+    for line in more:
+        console.print(line, soft_wrap=True)
     console.print("Ctrl-C ends it.\n")
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from rich.table import Table
 
 from service.config.estimators import AutoConfig, RlsConfig
-from service.config.models import NodesConfig, ValveConfig
+from service.config.models import FeedForwardConfig, NodesConfig, ValveConfig
 from service.identification.samples import Samples
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.identification import Identification
 from virtual_rig.excitation import Scattered
 from virtual_rig.scenario import Scenario
@@ -27,6 +28,7 @@ COMMISSIONING_S: Final = 40.0
 WINDOW_S: Final = 0.1
 INTERVAL_S: Final = 0.02
 LEAD_S, LEAD_PACE, MOST_LEAD_S = 0.05, 0.01, 1.0
+SLEW_PERCENT_PER_S: Final = 400.0  # the play of the hysteresis in a cycle of the rig
 REMEMBERED: Final = 64
 SAME_U: Final = 0.011
 
@@ -58,14 +60,14 @@ def demand(t_s: float) -> float:
 
 
 def valves() -> tuple[ValveConfig, ...]:
-    """The three valves; the answer to each one's demand goes to its UCommand."""
+    """The three valves; once armed, the answer to each one's demand goes to its UCommand."""
     eq_7 = RlsConfig(forgetting="exponential", lam=1.0)
+    written = FeedForwardConfig(slew_percent_per_s=SLEW_PERCENT_PER_S)
     return tuple(
         ValveConfig(
             name=name,
-            nodes=NodesConfig.of_rig(name).model_copy(
-                update={"required_U": f"nsu=urn:valvemap:rig;s={name}.UCommand"}
-            ),
+            nodes=NodesConfig.of_rig(name, commanded=True),
+            feed_forward=written,
             estimators=(estimator,),
         )
         for name, estimator in ((LIVING, AutoConfig()), (FIXED, AutoConfig()), (FROZEN, eq_7))
@@ -86,6 +88,14 @@ def commission(identification: Identification, scenario: Scenario) -> None:
         if plan.name != LIVING:
             identification.freeze(plan.name, plan.inverse)
     identification.refresh_maps()
+
+
+def arm(identification: Identification) -> str:
+    """Arm the feed-forward of all three, as an operator would; return a sentence that says so."""
+    names = [plan.name for plan in identification.plans]
+    for name in names:
+        identification.arm(name)
+    return f"armed     {', '.join(names)}: this demo has called Inverse.Arm of each"
 
 
 class Course:
@@ -122,10 +132,13 @@ class Course:
                 self._count(valve, t, Q - demand(t))
         self.t_s = float(t_s[-1])
         self._identification.demand(valve, demand(self.t_s + self._lead_s), float(samples.dp[-1]))
-        if valve == LIVING:
-            self._measure_lead(t_s.tolist(), samples.U.tolist())
-            U = commands(self._identification).get(LIVING, math.nan)
-            self._answers.append((self.t_s, U))
+        if valve != LIVING:
+            return
+        if self._is_held():  # U shows no answer, however old
+            self._answers.clear()
+            return
+        self._measure_lead(t_s.tolist(), samples.U.tolist())
+        self._answers.append((self.t_s, commands(self._identification).get(LIVING, math.nan)))
 
     def errors(self, phase: Phase) -> dict[str, float]:
         """Root mean square of each valve's flow error in a phase, l/min; NaN before it."""
@@ -163,6 +176,11 @@ class Course:
             table.add_row(phase.name, *("" if math.isnan(x) else f"{x:.2f}" for x in cells))
         return table
 
+    def _is_held(self) -> bool:
+        names = [plan.name for plan in self._identification.plans]
+        status = self._identification.feed_forward(names.index(LIVING))
+        return status not in {FeedForwardStatus.DISARMED, FeedForwardStatus.WRITING}
+
     def _measure_lead(self, t_s: list[float], U: list[float]) -> None:
         for t, u in zip(t_s, U, strict=True):
             ages = [t - at for at, answer in self._answers if abs(answer - u) <= SAME_U]
@@ -185,5 +203,5 @@ class Course:
 def commands(identification: Identification) -> dict[str, float]:
     """Answers to the standing demands, where there is one: what is written to the valves."""
     names = [plan.name for plan in identification.plans]
-    answers = {name: identification.required_U(number) for number, name in enumerate(names)}
+    answers = {name: identification.required(number)[0].U for number, name in enumerate(names)}
     return {name: U for name, U in answers.items() if not np.isnan(U)}

@@ -155,6 +155,17 @@ class NodesConfig(_Section):
     required_U: str | None = Field(
         None, description="where to write the feed-forward voltage, if at all"
     )
+    heartbeat: str | None = Field(
+        None,
+        description="UInt32 that counts while the voltage is written; the source takes its own "
+        "command when it stands still, or is 0",
+    )
+
+    @model_validator(mode="after")
+    def _heartbeat_is_of_a_command(self) -> Self:
+        if self.heartbeat is not None and self.required_U is None:
+            raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        return self
 
     @field_validator("*")
     @classmethod
@@ -166,8 +177,8 @@ class NodesConfig(_Section):
         return text
 
     @classmethod
-    def of_rig(cls, valve: str) -> Self:
-        """The virtual rig's nodes."""
+    def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:
+        """The virtual rig's nodes; with those that are written, where it is ``commanded``."""
         head = f"nsu={RIG_NAMESPACE};s={valve}."
         return cls(
             U=head + "U",
@@ -176,7 +187,51 @@ class NodesConfig(_Section):
             Q=head + "Q",
             T=head + "Temperature",
             sequence=head + "Sequence",
+            required_U=head + "UCommand" if commanded else None,
+            heartbeat=head + "Heartbeat" if commanded else None,
         )
+
+
+Percent = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+class FeedForwardConfig(_Section):
+    """How the answer to a demand is written to ``nodes.required_U``, once an operator has armed it.
+
+    It is written while the newest sample is fresh and good, the map is identified and the answer
+    within reach, range and certainty; otherwise the fallback acts.
+    """
+
+    range_percent: tuple[Percent, Percent] = Field(
+        (0.0, 100.0), description="lowest and highest U that is ever written"
+    )
+    slew_percent_per_s: float = Field(
+        100.0, gt=0.0, le=10_000.0, description="fastest change of U that is written"
+    )
+    fallback: Literal["hold", "ramp", "hand_back"] = Field(
+        "hold",
+        description="hold: keep the last U; ramp: go to fallback_percent; hand_back: let the "
+        "source take its own command",
+    )
+    fallback_percent: Percent = Field(0.0, description="U that the ramp goes to")
+    max_age_s: float = Field(
+        0.5, ge=0.01, le=60.0, description="oldest sample to go by, by arrival and by the clocks"
+    )
+    max_width_percent: float = Field(
+        10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        low, high = self.range_percent
+        if not low < high:
+            raise ValueError(f"range_percent = {[low, high]}: the first must be below the second")
+        if self.fallback == "ramp" and not low <= self.fallback_percent <= high:
+            raise ValueError(
+                f"fallback_percent = {self.fallback_percent:g}: must be within range_percent = "
+                f"{[low, high]}"
+            )
+        return self
 
 
 class ValveConfig(_Section):
@@ -184,6 +239,7 @@ class ValveConfig(_Section):
 
     name: Name = "Valvistor"
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
     U_range_percent: Range = (0.0, 100.0)
     dp_range_bar: Range = (0.0, 200.0)
@@ -206,6 +262,17 @@ class ValveConfig(_Section):
         if not bounds[0] < bounds[1]:
             raise ValueError(f"the first number must be below the second, not {list(bounds)}")
         return bounds
+
+    @model_validator(mode="after")
+    def _feed_forward_fits(self) -> Self:
+        if "feed_forward" in self.model_fields_set and self.nodes.required_U is None:
+            raise ValueError("feed_forward: nodes.required_U is needed; nothing is written without")
+        if self.feed_forward.fallback == "hand_back" and self.nodes.heartbeat is None:
+            raise ValueError(
+                "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed; the source would "
+                "not know"
+            )
+        return self
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
@@ -251,6 +318,18 @@ class Config(BaseSettings):
             raise ValueError("at least one valve is needed")
         _unique("valve", [valve.name for valve in valves])
         return valves
+
+    @model_validator(mode="after")
+    def _samples_come_often_enough(self) -> Self:
+        interval_s = self.source.publishing_interval_ms * 1e-3
+        for number, valve in enumerate(self.valves):
+            max_age_s = valve.feed_forward.max_age_s
+            if valve.nodes.required_U is not None and max_age_s <= interval_s:
+                raise ValueError(
+                    f"valves[{number}].feed_forward.max_age_s = {max_age_s:g}: must be longer than "
+                    f"source.publishing_interval_ms = {self.source.publishing_interval_ms:g}"
+                )
+        return self
 
     @classmethod
     def settings_customise_sources(

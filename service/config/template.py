@@ -54,6 +54,15 @@ Q = "nsu=urn:valvemap:rig;s=Valvistor.Q"
 T = "nsu=urn:valvemap:rig;s=Valvistor.Temperature" # optional
 sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running number per sample
 # required_U = "nsu=urn:valvemap:rig;s=Valvistor.UCommand" # feed-forward: U for FlowDemand
+# heartbeat = "nsu=urn:valvemap:rig;s=Valvistor.Heartbeat" # UInt32 that counts meanwhile
+
+# [valves.feed_forward] # once an operator has called Inverse.Arm
+# range_percent = [0, 100] # never left
+# slew_percent_per_s = 100 # never exceeded
+# fallback = "hold" # or ramp (to fallback_percent), hand_back (to the source; needs heartbeat)
+# fallback_percent = 0
+# max_age_s = 0.5 # of the newest sample
+# max_width_percent = 10 # of the 95 % interval of U
 
 # [valves.gate.Q] # off unless given
 # low = -5

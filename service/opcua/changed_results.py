@@ -8,12 +8,13 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.identification.samples import Times
-from service.opcua.information_model import INVERSE, counter_name
+from service.opcua.information_model import FEED_FORWARD_STATUS, INVERSE, counter_name
 from service.opcua.result_values import (
     Column,
     Shown,
     discovery_values,
     estimator_own_words,
+    feed_forward_values,
     inverse_codes,
     map_value,
     survey_values,
@@ -54,6 +55,7 @@ class ChangedResults:
         for m, table in enumerate(inverse.map_U):
             if self._is_new(valves[m], INVERSE, table, codes[m]):
                 yield valves[m], map_value(table, codes[m], t[m])
+        yield from self._feed_forward(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -66,6 +68,13 @@ class ChangedResults:
                 if self._is_new(valve, name, None, *discovery, code):
                     for new in discovery_values(name, *discovery, code, t[m]):
                         yield valve, new
+
+    def _feed_forward(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        armed, statuses = results.inverse.armed.tolist(), results.inverse.feed_forward.tolist()
+        for valve, is_armed, status in zip(_numbers(results.valves), armed, statuses, strict=True):
+            if self._is_new(valve, FEED_FORWARD_STATUS, None, is_armed, status):
+                for new in feed_forward_values(armed=is_armed, status=status, t=now):
+                    yield valve, new
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Tell whether it is another thing, or one of the facts is another than last time."""

@@ -13,7 +13,13 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
-from service.opcua.source_nodes import ValveNodes, WritableNode, check_nodes
+from service.opcua.source_nodes import (
+    HEARTBEAT,
+    REQUIRED_U,
+    ValveNodes,
+    WritableNode,
+    check_nodes,
+)
 from service.opcua.subscription import Subscription, Tally, subscribe
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import SourceCounters
@@ -56,7 +62,7 @@ class OpcUaSource:
         self._tally = Tally()
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
-        self._writable: dict[int, WritableNode] = {}
+        self._writable: dict[tuple[int, str], WritableNode] = {}
 
     @property
     def counters(self) -> SourceCounters:
@@ -110,12 +116,25 @@ class OpcUaSource:
         SourceRejected
             if the valve has no such node, or the server refuses the value.
         """
+        await self._write(valve, REQUIRED_U, float(U))
+
+    async def write_heartbeat(self, valve: int, count: int) -> None:
+        """Write the heartbeat (UInt32) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+            as :meth:`write_required_U`.
+        """
+        await self._write(valve, HEARTBEAT, count)
+
+    async def _write(self, valve: int, role: str, number: float) -> None:
         if self._connection is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        if valve not in self._writable:
-            raise SourceRejected(f"valve {self._valves[valve].valve} has no node required_U")
-        target = self._writable[valve]
-        value = round(U) if target.type not in _FLOATS else float(U)
+        target = self._writable.get((valve, role))
+        if target is None:
+            raise SourceRejected(f"valve {self._valves[valve].valve} has no node {role}")
+        value = round(number) if target.type not in _FLOATS else number
         with self._connection.errors(f"writing {target.label}"):
             (status,) = await self._connection.session.write(
                 ua.WriteParameters(
@@ -130,7 +149,7 @@ class OpcUaSource:
             )
         if not status.is_good():
             raise SourceRejected(
-                f"{target.label} does not take {U:g} at {self._settings.url}: "
+                f"{target.label} does not take {number:g} at {self._settings.url}: "
                 f"{status_name(status.value)}"
             )
 

@@ -19,6 +19,7 @@ from service.errors import ConfigurationError
 from service.hardened import Unit
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
 NAMESPACE = "urn:valvemap:service"
@@ -26,6 +27,7 @@ ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
+ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 
 U_RANGE = (0.0, 100.0)
 YEAR_S = 3.15e7
@@ -48,7 +50,7 @@ class VariableNode:
     unit: Unit | None = None
     range: _Range | None = None
     dimensions: tuple[int, ...] | None = None
-    statuses: type[Status] | type[InverseStatus] | None = None
+    statuses: type[Status] | type[InverseStatus] | type[FeedForwardStatus] | None = None
     writable: bool = False
 
     @property
@@ -269,6 +271,18 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             f"How far RequiredU can be used. {_sentences(InverseStatus)}",
             ua.VariantType.Int32,
             statuses=InverseStatus,
+        ),
+        VariableNode(
+            f"{prefix}.{ARMED}",
+            "Whether RequiredU is written to the valve while it may be; see Arm and Disarm.",
+            ua.VariantType.Boolean,
+        ),
+        VariableNode(
+            f"{prefix}.{FEED_FORWARD_STATUS}",
+            "Whether RequiredU is written to the valve, and if not, why; the configured fallback "
+            f"acts meanwhile. {_sentences(FeedForwardStatus)}",
+            ua.VariantType.Int32,
+            statuses=FeedForwardStatus,
         ),
         VariableNode(
             f"{prefix}.MapQ",

@@ -7,6 +7,8 @@ inputs without news, parameters held   UncertainSubNormal
 the newest sample is unusable          BadSensorFailure
 no samples any more                    BadNoCommunication
 RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
+RequiredU where nothing was measured   UncertainSubNormal
+U beyond what an estimator can do      UncertainEngineeringUnitsExceeded
 nothing demanded                       BadNoData
 the map falls with U                   BadInvalidState
 =====================================  ==========================================================
@@ -28,7 +30,7 @@ from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
-from service.opcua.information_model import INVERSE
+from service.opcua.information_model import ARMED, FEED_FORWARD_STATUS, INVERSE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 
 _Codes = ua.StatusCodes
@@ -95,6 +97,12 @@ def discovery_values(
     yield Shown(f"{name}.ChangeTime", moment, code, t)
     yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
     yield Shown(f"{name}.Structure", structure or "", own, t)
+
+
+def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
+    """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
+    yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
+    yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
@@ -185,6 +193,7 @@ def _of_estimator(t: int, quality: Quality, status: Status) -> int:
 _UNCERTAIN_BECAUSE: dict[Status, int] = {
     Status.WARMING_UP: _Codes.UncertainInitialValue,
     Status.UNEXCITED: _Codes.UncertainSubNormal,
+    Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
 }
 _OF_INVERSE: dict[Quality, int] = {
     Quality.GOOD: _Codes.Good,
@@ -198,6 +207,8 @@ _OF_ANSWER: dict[InverseStatus, int] = {
     InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
     InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
     InverseStatus.NOT_FINITE: _Codes.BadNoData,
+    InverseStatus.OUTSIDE: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
 }
 
 # By "nothing known yet" (0 or 1), quality, status.

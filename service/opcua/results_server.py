@@ -32,7 +32,9 @@ from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
+    ARMED,
     DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
     FRAME,
     INVERSE,
     NAMESPACE,
@@ -53,6 +55,7 @@ from service.opcua.information_model import (
 from service.opcua.result_blocks import Place, ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.opcua.result_values import columns_of
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, Operator, Results, ValveDescription
 
 __all__ = ["NAMESPACE", "ResultsServer"]
@@ -280,6 +283,8 @@ class ResultsServer(Startable):
         start: dict[str, Any] = {
             f"{prefix}.MapQ": list(valve.map_Q),
             f"{prefix}.MapDp": list(valve.map_dp),
+            f"{prefix}.{ARMED}": False,
+            f"{prefix}.{FEED_FORWARD_STATUS}": int(FeedForwardStatus.NOT_CONFIGURED),
         }
         on_write = {
             f"{prefix}.FlowDemand": partial(self._demand_flow, valve.name),
@@ -289,11 +294,22 @@ class ResultsServer(Startable):
             variable = await self._add_variable(
                 server, parent, node, start.get(node.id), on_write.get(node.id)
             )
-            if node.dimensions is None and not node.writable:
+            if node.dimensions is None and not node.writable and node.id not in start:
                 name = node.id.removeprefix(f"{valve.name}.")
                 self._places.append(Place(number, name, variable, None))
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
+        command = partial(_add_command, server, parent, prefix)
+        await command(
+            "Arm",
+            partial(self._arm, valve.name),
+            "Write RequiredU to the valve while FeedForwardStatus lets it; a restart disarms.",
+        )
+        await command(
+            "Disarm",
+            partial(self._disarm, valve.name),
+            "Write nothing to the valve any more: it is the source's own.",
+        )
         await add_method(
             server,
             parent,
@@ -370,6 +386,20 @@ class ResultsServer(Startable):
     def _demand(self, valve: str, Q: float, dp: float) -> None:
         self._operator.demand(valve, Q, dp)
         self._demands[valve] = (Q, dp)
+
+    def _arm(self, valve: str) -> None:
+        self._operator.arm(valve)
+        self._show_armed(valve, armed=True)
+
+    def _disarm(self, valve: str) -> None:
+        self._operator.disarm(valve)
+        self._show_armed(valve, armed=False)
+
+    def _show_armed(self, valve: str, *, armed: bool) -> None:
+        """At once: who has called may read."""
+        if self._server is not None:
+            variable = self._variables[f"{valve}.{INVERSE}.{ARMED}"]
+            self._server.write([(variable, armed, ua.StatusCodes.Good, self._clock.now())])
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
         if not 0.0 < lam <= 1.0:

@@ -13,6 +13,8 @@ from service.opcua.connection import Connection, in_one_line, status_name
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
 
+REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
+
 _In = TypeVar("_In")
 _Out = TypeVar("_Out")
 
@@ -38,8 +40,9 @@ _SCALARS = {-3, -2, -1}  # ScalarOrOneDimension, Any, Scalar
 class ValveNodes:
     """Where one valve's signals are; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
 
-    ``T``, ``sequence`` (a counter that grows by one with each sample) and ``required_U`` (where
-    the feed-forward voltage is written) may be missing.
+    ``T``, ``sequence`` (a counter that grows by one with each sample), ``required_U`` (where the
+    feed-forward voltage is written) and ``heartbeat`` (UInt32, where the source sees that it still
+    is) may be missing.
     """
 
     valve: str
@@ -50,6 +53,7 @@ class ValveNodes:
     T: str | None = None
     sequence: str | None = None
     required_U: str | None = None
+    heartbeat: str | None = None
 
     def __post_init__(self) -> None:
         """Check the form of the NodeIds.
@@ -73,7 +77,7 @@ class ValveNodes:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """One node as configured; ``item`` is None for the one that is written."""
+    """One node as configured; ``item`` is None for those that are written."""
 
     item: int | None
     valve: int
@@ -101,10 +105,10 @@ class WritableNode:
 
 @dataclass(frozen=True)
 class CheckedNodes:
-    """What can be subscribed to and, by valve, written to."""
+    """What can be subscribed to and, by valve and role, written to."""
 
     monitored: tuple[MonitoredNode, ...]
-    writable: dict[int, WritableNode]
+    writable: dict[tuple[int, str], WritableNode]
 
 
 def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.NodeId:
@@ -187,10 +191,12 @@ def _checked(
     for node, node_id, answer in zip(wanted, ids, answers, strict=True):
         label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
         fault = _fault(answer, write=node.item is None)
+        if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
+            fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
         if fault:
             faults.append(f"{label} {fault.format(url=url)}")
         elif node.item is None:
-            writable[node.valve] = WritableNode(node_id, _type_of(answer), label)
+            writable[node.valve, node.role] = WritableNode(node_id, _type_of(answer), label)
         else:
             monitored.append(MonitoredNode(node.item, node_id, label))
     if faults:
@@ -250,8 +256,10 @@ async def in_chunks(
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
     for signal, name, text in nodes.signals():
         yield _Wanted(number * SIGNALS_PER_VALVE + signal, number, text, name)
-    if nodes.required_U is not None:
-        yield _Wanted(None, number, nodes.required_U, "required_U")
+    for role in (REQUIRED_U, HEARTBEAT):
+        text = getattr(nodes, role)
+        if text is not None:
+            yield _Wanted(None, number, text, role)
 
 
 def _uint32(text: str) -> int:

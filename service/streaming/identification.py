@@ -20,8 +20,9 @@ from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, ByValve
 from service.streaming.data_changes import DataChanges
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import Fleet
-from service.streaming.pipeline import Forgetful, Lane, ValvePlan, ValveState
+from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
 from service.streaming.ports import (
     Checkpoint,
     EstimatorDescription,
@@ -36,6 +37,8 @@ from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 MAPS_AT_ONCE = 100
 COUNTERS = (*OF_ALIGNMENT, *OF_GATE)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
+
+_DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 
 
 class Identification:
@@ -53,6 +56,10 @@ class Identification:
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
         self._maps = self._first_maps()
         self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
+        self._armed = np.zeros(len(self.plans), np.bool_)
+        self._feed_forward = np.array(
+            [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
+        )
         self._next_survey = self._next_map = 0
 
     def take(self, changes: DataChanges) -> ByValve:
@@ -151,9 +158,16 @@ class Identification:
         demanded = np.isfinite(fleet.demands(self._member_of[valves])).all(axis=1)
         for k in np.flatnonzero(demanded):
             valve = int(valves[k])
-            U[k], status[k] = pipeline.required(self.plans[valve], self.state(valve))
-        maps = [self._maps[valve] for valve in valves]
-        return InverseResults(t=t, quality=quality, required_U=U, status=status, map_U=maps)
+            U[k], _, status[k] = pipeline.required(self.plans[valve], self.state(valve))
+        return InverseResults(
+            t=t,
+            quality=quality,
+            required_U=U,
+            status=status,
+            map_U=[self._maps[valve] for valve in valves],
+            armed=self._armed[valves],
+            feed_forward=self._feed_forward[valves],
+        )
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._member_of[valves]]
@@ -242,9 +256,35 @@ class Identification:
         fleet, m = self._at(self._numbers[valve])
         fleet.demand(m, Q, dp)
 
-    def required_U(self, valve: int) -> float:
-        """The answer to a valve's standing demand; NaN where there is none."""
-        return pipeline.required(self.plans[valve], self.state(valve))[0]
+    def required(self, valve: int) -> tuple[Required, Status]:
+        """The answer to a valve's standing demand, and how its estimator stands."""
+        state = self.state(valve)
+        status = state.lanes[self.plans[valve].inverse].status
+        answer = pipeline.required(self.plans[valve], state)
+        return answer, Status.WARMING_UP if status is None else status
+
+    def arm(self, valve: str) -> None:
+        """Have the answer to the standing demand written to the valve, while it may be."""
+        number = self._numbers[valve]
+        if self.plans[number].feed_forward is None:
+            raise CommandRejected(f"{valve}: nodes.required_U is not configured")
+        self._armed[number] = True
+
+    def disarm(self, valve: str) -> None:
+        """Write nothing to the valve any more."""
+        self._armed[self._numbers[valve]] = False
+
+    def is_armed(self, valve: int) -> bool:
+        """Whether somebody has armed the valve's feed-forward since the start."""
+        return bool(self._armed[valve])
+
+    def feed_forward(self, valve: int) -> FeedForwardStatus:
+        """Whether the answer was written to the valve when last looked at."""
+        return FeedForwardStatus(int(self._feed_forward[valve]))
+
+    def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
+        """Publish from now on that a valve's feed-forward stands so."""
+        self._feed_forward[valve] = status
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Every estimator's state as bytes, of some valves or of all."""

@@ -1,6 +1,8 @@
 """The live service: data changes in, results, feed-forward and checkpoints out."""
 
-from collections.abc import Callable, Iterable
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from itertools import islice
 
@@ -11,10 +13,19 @@ from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
 from service.identification.samples import Samples
 from service.streaming.data_changes import DataChanges
+from service.streaming.feedforward import (
+    FeedForwardState,
+    FeedForwardStatus,
+    Refusals,
+    Situation,
+    decide,
+    written,
+)
 from service.streaming.identification import Identification
 from service.streaming.ports import CheckpointStore, ResultSink, Source
 
 VALVES_AT_ONCE = 32
+FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
 
@@ -35,8 +46,6 @@ class LiveSettings:
     publish_share : float
         Most of the time that goes into publishing as long as there is more to publish than that:
         samples that come in go before results that go out.
-    feed_forward : tuple of int
-        Valves (by number) whose required U is written to the source.
     """
 
     stale_after_s: float = 2.0
@@ -44,7 +53,6 @@ class LiveSettings:
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
     publish_share: float = 0.25
-    feed_forward: tuple[int, ...] = ()
 
 
 class LiveService:
@@ -75,7 +83,15 @@ class LiveService:
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
         self._under_way = False
-        self._written = np.full(len(identification.plans), np.nan)
+        self._connected = False
+        self._fed_at = now
+        self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
+        self._newest_U = np.full(len(identification.plans), np.nan)
+        self._fed = {
+            number: FeedForwardState()
+            for number, plan in enumerate(identification.plans)
+            if plan.feed_forward is not None
+        }
 
     async def start(self) -> None:
         """Take up what was kept before, and show that nothing is known of the present yet."""
@@ -89,24 +105,30 @@ class LiveService:
 
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
+        self._connected = True
         samples = self.identification.take(changes)
-        self._last_sample[samples.segments.members] = self._clock.monotonic()
-        self._lost[samples.segments.members] = False
+        members, _, stops = samples.segments
+        self._last_sample[members] = self._clock.monotonic()
+        self._newest[members] = samples.samples.t[stops - 1]
+        self._newest_U[members] = samples.samples.U[stops - 1]
+        self._lost[members] = False
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
+        await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
             self._under_way = True
             log.info("first results published")
-        await self._feed_forward(samples)
 
     async def tick(self) -> None:
         """Look after what is due by the clock."""
         now = self._clock.monotonic()
         stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
         await self._lose(np.flatnonzero(stale).tolist())
+        if now - self._fed_at >= FEED_AGAIN_S:
+            await self._feed_forward()
         await self._publish_in_turn()
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
@@ -115,7 +137,8 @@ class LiveService:
 
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""
-        self._written[:] = np.nan
+        self._connected = False
+        await self._feed_forward()
         await self._lose(np.flatnonzero(~self._lost).tolist())
 
     def keep(self) -> None:
@@ -171,14 +194,66 @@ class LiveService:
             if self._clock.monotonic() >= end:
                 break
 
-    async def _feed_forward(self, valves: Iterable[int]) -> None:
-        chosen = set(self._settings.feed_forward).intersection(valves)
-        for valve in sorted(chosen):
-            U = self.identification.required_U(valve)
-            if np.isnan(U) or self._written[valve] == U:
-                continue
-            try:
-                await self._source.write_required_U(valve, U)
-            except SourceRejected as error:
-                log.warning("required U not written", reason=str(error))
-            self._written[valve] = U
+    async def _feed_forward(self) -> None:
+        """Lead every valve that is armed a step on, all at once."""
+        self._fed_at = self._clock.monotonic()
+        steps = (self._lead(valve) for valve in self._fed)
+        for outcome in await asyncio.gather(*steps, return_exceptions=True):
+            if isinstance(outcome, BaseException):
+                raise outcome
+
+    async def _lead(self, valve: int) -> None:
+        settings = self.identification.plans[valve].feed_forward
+        assert settings is not None  # noqa: S101 - these valves are fed
+        before, situation = self._fed[valve], self._situation(valve)
+        state, command = decide(settings, before, situation, self._clock.monotonic())
+        if state.status is not before.status:
+            self._say(valve, state.status)
+        self._fed[valve] = state
+        U_taken = command.U is None or await _is_taken(
+            self._source.write_required_U(valve, command.U), state.refused_U
+        )
+        heartbeat_taken = command.heartbeat is None or await _is_taken(
+            self._source.write_heartbeat(valve, command.heartbeat), state.refused_heartbeat
+        )
+        self._fed[valve] = written(
+            state,
+            command,
+            self._clock.monotonic(),
+            U_refused=not U_taken,
+            heartbeat_refused=not heartbeat_taken,
+        )
+
+    def _situation(self, valve: int) -> Situation:
+        armed = self.identification.is_armed(valve)
+        if not (armed and self._connected):
+            return Situation(armed, self._connected)
+        waited = self._clock.monotonic() - self._last_sample[valve]
+        behind = (self._clock.now() - int(self._newest[valve])) * 1e-9
+        answer, status = self.identification.required(valve)
+        return Situation(
+            armed=armed,
+            connected=True,
+            age_s=max(float(waited), behind),
+            U=float(self._newest_U[valve]),
+            map=status,
+            required_U=answer.U,
+            width=answer.width,
+            answer=answer.status,
+        )
+
+    def _say(self, valve: int, status: FeedForwardStatus) -> None:
+        self.identification.note_feed_forward(valve, status)
+        self._unpublished[valve] = None
+        name = self.identification.plans[valve].name
+        log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
+
+
+async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:
+    try:
+        await write
+    except SourceRejected as error:
+        if math.isinf(refused.last):
+            log.warning("not written", reason=str(error))
+        return False
+    return True

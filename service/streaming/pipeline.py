@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import TWO_SIDED_95, ResidualSpread
 from service.identification.samples import Floats, Samples, Status
 from service.identification.survey import Survey, survey
+from service.streaming.feedforward import FeedForward
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
 
@@ -59,7 +60,8 @@ class ValvePlan:
     """What is done with one valve's samples.
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
-    are the axes of the published table.
+    are the axes of the published table; ``feed_forward`` says how its answer may be written to the
+    valve, if at all.
     """
 
     name: str
@@ -68,6 +70,7 @@ class ValvePlan:
     inverse: str
     map_Q: tuple[float, ...] = tuple(float(q) for q in range(0, 201, 10))
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
+    feed_forward: FeedForward | None = None
 
 
 @dataclass(frozen=True)
@@ -127,16 +130,25 @@ def inverse_map(plan: ValvePlan, state: ValveState) -> Floats:
     return inverse_table(lane.estimator, lane.state, *axes, state.T)
 
 
-def required(plan: ValvePlan, state: ValveState) -> tuple[float, InverseStatus]:
-    """U for the standing demand, hysteresis passed through, and its status."""
+class Required(NamedTuple):
+    """The answer to a standing demand: U and the width of its 95 % interval, %, and the status."""
+
+    U: float
+    width: float
+    status: InverseStatus
+
+
+def required(plan: ValvePlan, state: ValveState) -> Required:
+    """U for the standing demand, hysteresis passed through."""
     if np.isnan(state.demand_Q) or np.isnan(state.demand_dp):
-        return np.nan, InverseStatus.NOT_FINITE
+        return Required(np.nan, np.nan, InverseStatus.NOT_FINITE)
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
     moving = answer.status[0] == InverseStatus.OK and not lane.frozen
     if moving and isinstance(lane.estimator, PathDependent):
         U = lane.estimator.approached(lane.state, U)
-    return float(U[0]), InverseStatus(int(answer.status[0]))
+    width = float(answer.upper[0] - answer.lower[0])
+    return Required(float(U[0]), width, InverseStatus(int(answer.status[0])))
 
 
 def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) -> Inversion:

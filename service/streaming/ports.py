@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Codes, Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.streaming.data_changes import DataChanges
+from service.streaming.feedforward import FeedForwardStatus
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,14 @@ class Source(Protocol):
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+
+    async def write_heartbeat(self, valve: int, count: int) -> None:
+        """Write the heartbeat (UInt32) of one valve to its node at the source.
 
         Raises
         ------
@@ -126,7 +136,8 @@ class EstimatorResult:
 class InverseResult:
     """Answer to the standing demand (FlowDemand, PressureDrop), and the map as a table.
 
-    ``map_U`` has shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver.
+    ``map_U`` has shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver. ``armed``
+    and ``feed_forward`` say whether the answer is written to the valve.
     """
 
     t: int
@@ -134,6 +145,8 @@ class InverseResult:
     required_U: float
     status: int
     map_U: Floats
+    armed: bool = False
+    feed_forward: FeedForwardStatus = FeedForwardStatus.NOT_CONFIGURED
 
 
 @dataclass(frozen=True)
@@ -177,6 +190,8 @@ class InverseResults:
     required_U: Floats
     status: Codes
     map_U: Sequence[Floats]
+    armed: NDArray[np.bool_]
+    feed_forward: Codes
 
 
 @dataclass(frozen=True)
@@ -220,6 +235,8 @@ class Results:
                 required_U=float(self.inverse.required_U[m]),
                 status=int(self.inverse.status[m]),
                 map_U=self.inverse.map_U[m],
+                armed=bool(self.inverse.armed[m]),
+                feed_forward=FeedForwardStatus(int(self.inverse.feed_forward[m])),
             ),
             counters=dict(zip(self.counter_names, self.counters[m].tolist(), strict=True)),
         )
@@ -266,6 +283,12 @@ class Operator(Protocol):
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
+
+    def arm(self, valve: str) -> None:
+        """Have the answer to the standing demand written to the valve, while it may be."""
+
+    def disarm(self, valve: str) -> None:
+        """Write nothing to the valve any more."""
 
 
 class CheckpointStore(Protocol):

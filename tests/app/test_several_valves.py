@@ -70,9 +70,7 @@ async def test_the_required_voltage_reaches_the_valve(
     config, open_server, port, start_rig, quick_scenario
 ):
     (valve,) = config.valves
-    nodes = NodesConfig.of_rig("Valvistor").model_copy(
-        update={"required_U": "nsu=urn:valvemap:rig;s=Valvistor.UCommand"}
-    )
+    nodes = NodesConfig.of_rig("Valvistor", commanded=True)
     operator = {"user": "operator", "password": SecretStr("password")}
     config = config.model_copy(
         update={
@@ -84,6 +82,7 @@ async def test_the_required_voltage_reaches_the_valve(
 
     def demanding(identification):
         identification.demand("Valvistor", 60.0, 100.0)
+        identification.arm("Valvistor")
         required = identification.result(0).inverse.required_U
         return U and U[-1] > 5.0 and abs(U[-1] - required) < 1.0
 

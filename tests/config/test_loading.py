@@ -3,6 +3,9 @@ import pytest
 from service.config.loading import load_config
 from service.errors import ConfigurationError
 
+NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=p1'\np2 = 's=p2'\nQ = 's=Q'\n"
+FED = f"[[valves]]\n{NODES}required_U = 's=C'\n[valves.feed_forward]\n"
+
 
 def write(tmp_path, text):
     file = tmp_path / "service.toml"
@@ -54,6 +57,22 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         ("[[valves]]\nestimators = []\n", "at least one is needed"),
         ("[[valves]]\n[valves.nodes]\nU = 'x'\n", "valves[0].nodes.U = 'x': a node id looks like"),
         ("[[valves]]\n[valves.gate.Q]\nlow = 5\nhigh = 1\n", "low 5 must be below high 1"),
+        (
+            FED + "range_percent = [90, 10]\n",
+            "range_percent = [90.0, 10.0]: the first must be below the second",
+        ),
+        (FED + "range_percent = [0, 101]\n", "range_percent[1] = 101: input should be less than"),
+        (FED + "slew_percent_per_s = 0\n", "slew_percent_per_s = 0: input should be greater"),
+        (FED + "fallback = 'pray'\n", "fallback = 'pray': input should be 'hold', 'ramp' or"),
+        (FED + "fallback = 'hand_back'\n", "fallback = 'hand_back': nodes.heartbeat is needed"),
+        (
+            FED + "fallback = 'ramp'\nrange_percent = [5, 95]\n",
+            "fallback_percent = 0: must be within range_percent = [5.0, 95.0]",
+        ),
+        (FED + "max_age_s = 0.1\n", "valves[0].feed_forward.max_age_s = 0.1: must be longer than"),
+        (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
+        ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),
+        ("[[valves]]\n" + NODES + "heartbeat = 's=B'\n", "heartbeat: required_U is needed, too"),
         ("[source\n", "not valid TOML"),
         ("[source]\ntimeout_s = nan\n", "source.timeout_s"),
     ],
@@ -62,7 +81,7 @@ def test_a_mistake_is_one_line_that_names_file_field_and_value(tmp_path, text, s
     message = complaint(tmp_path, text)
     assert message.startswith(str(tmp_path / "service.toml"))
     assert said in message
-    assert "\n" not in message or "nodes" in text
+    assert "\n" not in message or "nodes]\nU = 'x'" in text
 
 
 def test_a_mistake_in_the_environment_names_the_variable(monkeypatch):

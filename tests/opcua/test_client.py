@@ -94,6 +94,9 @@ async def plant_on(settings, password=""):
         value_range=(0.0, 100.0),
         writable_by=Role.OPERATOR,
     )
+    await add_variable(
+        server, valve, "V1.Beat", 0, type=ua.VariantType.UInt32, writable_by=Role.OPERATOR
+    )
     kinds = {"Sequence": ua.VariantType.UInt32, "p2": ua.VariantType.Float}
     names = ("U", "p1", "p2", "Q", "T", "Sequence")
     variables = [
@@ -251,6 +254,24 @@ async def test_required_U_is_written_to_its_node(plant, source):
     await source.write_required_U(0, 42.5)
     node = plant.server.ua.get_node(ua.NodeId("V1.Command", plant.server.namespace_index))
     assert await node.read_value() == 42.5
+
+
+async def test_a_heartbeat_is_written_to_its_node(plant, source):
+    with pytest.raises(SourceRejected, match="V1 has no node heartbeat"):
+        await source.write_heartbeat(0, 1)
+    nodes = replace(NODES, heartbeat="nsu=urn:plant;s=V1.Beat")
+    other = OpcUaSource(plant.settings, [nodes])
+    await other.connect()
+    await other.write_heartbeat(0, 2**32 - 1)
+    await other.close()
+    node = plant.server.ua.get_node(ua.NodeId("V1.Beat", plant.server.namespace_index))
+    assert await node.read_value() == 2**32 - 1
+
+
+async def test_a_heartbeat_that_is_no_UInt32_is_named(plant):
+    nodes = replace(NODES, heartbeat=NODES.required_U)
+    with pytest.raises(SourceRejected, match=r"heartbeat of valve V1.*Double.*a UInt32 is needed"):
+        await OpcUaSource(plant.settings, [nodes]).connect()
 
 
 async def test_a_refused_value_is_named(source):

@@ -14,6 +14,7 @@ from service.opcua.information_model import (
     inverse_variables,
     map_variable,
 )
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
 RLS = EstimatorDescription(
@@ -72,6 +73,9 @@ def test_enumerations_name_every_value():
     assert all(member.sentence in status.description for member in Status)
     required = by_name(inverse_variables(VALVE))["RequiredUStatus"]
     assert required.enum_strings == tuple(member.name for member in InverseStatus)
+    written = by_name(inverse_variables(VALVE))["FeedForwardStatus"]
+    assert written.enum_strings == tuple(member.name for member in FeedForwardStatus)
+    assert all(member.sentence in written.description for member in FeedForwardStatus)
 
 
 def test_only_the_demand_is_writable():

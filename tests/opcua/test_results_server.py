@@ -15,6 +15,7 @@ from service.identification.recursive_least_squares import Change
 from service.identification.samples import Quality, Status
 from service.identification.survey import Survey
 from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResult,
@@ -122,6 +123,14 @@ class Operator:
     def demand(self, valve, Q, dp):
         self.told.append(("demand", valve, Q, dp))
 
+    def arm(self, valve):
+        if valve != "Valvistor":
+            raise CommandRejected(f"{valve}: nodes.required_U is not configured")
+        self.told.append(("arm", valve))
+
+    def disarm(self, valve):
+        self.told.append(("disarm", valve))
+
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served(tmp_path_factory):
@@ -194,6 +203,10 @@ async def test_before_any_result_everything_waits(observer):
         "Identification/Valvistor/Inverse/FlowDemand",
         "Identification/Valvistor/Inverse/Map",
         "Identification/Valvistor/Inverse/Invert",
+        "Identification/Valvistor/Inverse/Armed",
+        "Identification/Valvistor/Inverse/FeedForwardStatus",
+        "Identification/Valvistor/Inverse/Arm",
+        "Identification/Valvistor/Inverse/Disarm",
         "Identification/V2/Inverse/RequiredU",
     ],
 )
@@ -316,6 +329,37 @@ async def test_an_observer_commands_nothing(observer, operator, method):
     with pytest.raises(ua.uaerrors.BadUserAccessDenied):
         await called(observer, "Valvistor.RLS", method)
     assert operator.told == []
+
+
+async def test_arming_is_the_operators_and_shows_at_once(client, observer, operator):
+    assert (await value(observer, "Valvistor.Inverse.Armed"))[:2] == (False, Codes.Good)
+    for method, armed in (("Arm", True), ("Disarm", False)):
+        with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+            await called(observer, "Valvistor.Inverse", method)
+        assert operator.told == []
+        await called(client, "Valvistor.Inverse", method)
+        assert operator.told == [(method.lower(), "Valvistor")]
+        assert (await value(observer, "Valvistor.Inverse.Armed"))[0] is armed
+        operator.told.clear()
+    with pytest.raises(ua.uaerrors.BadInvalidState):
+        await called(client, "V2.Inverse", "Arm")
+    assert (await value(observer, "V2.Inverse.Armed"))[0] is False
+    with pytest.raises(ua.uaerrors.BadNotWritable):
+        await (await node(client, "Valvistor.Inverse.Armed")).write_value(value=True)
+
+
+async def test_why_nothing_is_written_is_good_though_the_sensors_are_lost(server, observer):
+    lost = replace(INVERSE, quality=Quality.BAD, armed=True, feed_forward=FeedForwardStatus.STALE)
+    await server.publish(result(inverse=lost))
+    status = await value(observer, "Valvistor.Inverse.FeedForwardStatus")
+    assert status[:2] == (FeedForwardStatus.STALE, Codes.Good)
+    assert (await value(observer, "Valvistor.Inverse.Armed"))[:2] == (True, Codes.Good)
+    texts = await (await node(observer, "Valvistor.Inverse.FeedForwardStatus")).get_child(
+        "0:EnumStrings"
+    )
+    assert [text.Text for text in await texts.read_value()][5] == "STALE"
+    await server.publish(result())
+    assert (await value(observer, "Valvistor.Inverse.Armed"))[0] is False
 
 
 async def test_a_forgetting_factor_is_checked_and_passed_on(client, operator):

@@ -6,11 +6,12 @@ import pytest
 from support.plant import START
 
 from service.clock import ManualClock
-from service.errors import SourceLost
+from service.errors import SourceLost, SourceRejected
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.feedforward import FeedForward
 from service.streaming.identification import Identification
 from service.streaming.pipeline import ValvePlan
 from service.streaming.ports import SourceCounters
@@ -28,6 +29,7 @@ def plan():
             "RBF": RbfNetwork(),
         },
         inverse="RLS",
+        feed_forward=FeedForward(slew_percent_per_s=50.0, has_heartbeat=True),
     )
 
 
@@ -48,6 +50,8 @@ class FakeSource:
     script: list = field(default_factory=list)
     connects: list = field(default_factory=list)
     written: list = field(default_factory=list)
+    heartbeats: list = field(default_factory=list)
+    refuses: bool = False
     closed: int = 0
     counters: SourceCounters = field(default_factory=SourceCounters)
 
@@ -66,7 +70,12 @@ class FakeSource:
         return step
 
     async def write_required_U(self, valve, U):
+        if self.refuses:
+            raise SourceRejected("not now")
         self.written.append((valve, U))
+
+    async def write_heartbeat(self, valve, count):
+        self.heartbeats.append((valve, count))
 
     async def close(self):
         self.closed += 1

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from support.plant import as_changes, plant
 
-from service.errors import SourceLost, SourceRejected, StorageError
+from service.errors import CommandRejected, SourceLost, SourceRejected, StorageError
 from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
+from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.identification import Identification
 from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
@@ -19,8 +20,7 @@ QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))
 
 @pytest.fixture
 def live(identification, source, sink, store, clock):
-    settings = LiveSettings(feed_forward=(0,))
-    return LiveService(identification, source, sink, store, clock, settings)
+    return LiveService(identification, source, sink, store, clock, LiveSettings())
 
 
 async def run_until_the_script_ends(source, live, clock, settings=QUICK):
@@ -92,18 +92,107 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
     assert [r.estimators["RLS"].quality for r in sink.published] == [Quality.GOOD, Quality.BAD]
 
 
-async def test_a_demand_is_fed_forward_once_per_answer(live, source):
+async def leading(live, source, clock):
+    """A service that has led its valve to the answer; returns the samples taken so far."""
     await live.take(as_changes(plant(1000)))
-    assert source.written == []
-    live.identification.demand("Valvistor", 50.0, 100.0)
-    await live.take(as_changes(plant(1, seed=2, first=1000)))
-    ((valve, U),) = source.written
-    assert valve == 0
-    assert 0 < U < 100
     live.identification.freeze("Valvistor", "RLS")
-    await live.take(as_changes(plant(1, seed=3, first=1001)))
-    await live.take(as_changes(plant(1, seed=4, first=1002)))
-    assert len(source.written) <= 2
+    live.identification.demand("Valvistor", 50.0, 100.0)
+    live.identification.arm("Valvistor")
+    clock.advance(10.0)  # the plant's clock: a sample for every 10 ms of the 1,000
+    for first in range(1000, 1030):
+        clock.advance(0.1)
+        await live.take(as_changes(now(plant(1, seed=2, first=first), clock)))
+    assert source.written[-1] == (0, live.identification.required(0)[0].U)
+    return 1030
+
+
+def now(samples, clock):
+    return replace(samples, t=np.array([clock.now()]))
+
+
+async def test_nothing_is_written_before_somebody_arms(live, source):
+    live.identification.demand("Valvistor", 50.0, 100.0)
+    await live.take(as_changes(plant(1000)))
+    await live.tick()
+    assert source.written == source.heartbeats == []
+
+
+async def test_an_armed_valve_is_led_from_where_it_stands_at_the_slew(live, source, clock):
+    await leading(live, source, clock)
+    U = [U for _, U in source.written]
+    assert U[0] == plant(1, seed=2, first=1000).U[0]
+    assert np.abs(np.diff(U)).max() <= 50.0 * 0.1 + 1e-9
+    counts = [count for _, count in source.heartbeats]
+    assert counts == list(range(1, len(counts) + 1))
+    assert len(counts) >= 25
+
+
+async def test_an_answer_that_stays_is_written_once_and_the_heartbeat_goes_on(live, source, clock):
+    first = await leading(live, source, clock)
+    written, beats = len(source.written), len(source.heartbeats)
+    for k in range(5):
+        clock.advance(0.1)
+        await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
+    assert len(source.written) == written
+    assert len(source.heartbeats) == beats + 5
+
+
+async def test_a_refused_write_is_repeated_and_why_nothing_is_written_is_published(
+    live, source, clock, sink
+):
+    first = await leading(live, source, clock)
+    source.refuses = True
+    live.identification.demand("Valvistor", 60.0, 100.0)
+    for k in range(5):
+        clock.advance(0.1)
+        await live.take(as_changes(now(plant(1, seed=3, first=first + k), clock)))
+    assert live.identification.result(0).inverse.feed_forward is FeedForwardStatus.REFUSED
+    assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.REFUSED
+    written, source.refuses = len(source.written), False
+    clock.advance(0.1)
+    await live.take(as_changes(now(plant(1, seed=3, first=first + 5), clock)))
+    assert len(source.written) == written + 1
+    assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.REFUSED
+    clock.advance(0.1)
+    await live.tick()
+    assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.WRITING
+
+
+async def test_samples_of_long_ago_are_stale_though_they_have_just_come(live, source, clock, sink):
+    first = await leading(live, source, clock)
+    clock.advance(0.1)
+    late = now(plant(1, seed=3, first=first), clock)
+    clock.advance(0.6)
+    await live.take(as_changes(late))
+    assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.STALE
+
+
+async def test_a_lost_source_is_not_written_to_and_the_valve_stays_armed(live, source, clock, sink):
+    await leading(live, source, clock)
+    await live.lost(SourceLost("cut"))
+    assert sink.published[-1].inverse.feed_forward is FeedForwardStatus.SOURCE_LOST
+    written, beats = len(source.written), len(source.heartbeats)
+    clock.advance(0.1)
+    await live.tick()
+    assert (len(source.written), len(source.heartbeats)) == (written, beats)
+    assert sink.published[-1].inverse.armed
+
+
+async def test_a_restart_disarms(live, store, fresh):
+    live.identification.arm("Valvistor")
+    live.keep()
+    again = fresh()
+    again.restore(store.load())
+    assert not again.is_armed(0)
+
+
+async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
+    bare = replace(plan, feed_forward=None)
+    identification = Identification([bare], Alignment(AlignmentSettings(), has_T=(True,)))
+    with pytest.raises(CommandRejected, match=r"nodes\.required_U"):
+        identification.arm("Valvistor")
+    inverse = identification.result(0).inverse
+    assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 
 
 async def test_states_are_kept_at_their_interval(live, store, clock):

@@ -85,7 +85,17 @@ async def record(client, names, seconds):
 
 async def test_the_namespace_and_the_browse_paths_are_those_of_the_contract(observer):
     assert (await observer.get_namespace_array())[NS] == "urn:valvemap:rig"
-    for name in ("U", "p1", "p2", "Q", "Temperature", "Sequence", "UCommand", "InjectFault"):
+    for name in (
+        "U",
+        "p1",
+        "p2",
+        "Q",
+        "Temperature",
+        "Sequence",
+        "UCommand",
+        "Heartbeat",
+        "InjectFault",
+    ):
         found = await observer.nodes.objects.get_child(
             [f"{NS}:TestRig", f"{NS}:Valvistor", f"{NS}:{name}"]
         )
