@@ -288,7 +288,6 @@ async def outcome(liar, settings):
 async def check(liar, settings, caplog, lie):
     liar.lie = lie
     error, seconds, peak = await outcome(liar, settings)
-    print(f"OUTCOME {seconds:.2f} s {peak / 2**20:.1f} MiB {error}")
     assert lie.told, "the lie was not told"
     if lie.kind != CLOSE:
         assert isinstance(error, SourceLost)

@@ -6,9 +6,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from asyncua import Client, ua
+from support.clocks import TurnedClock
 from support.results import results_of, results_settings
 
-from service.clock import ManualClock
 from service.identification.samples import Quality, Status
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
@@ -39,7 +39,7 @@ INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, np.zeros((0, 0)))
 
 @pytest.fixture
 def clock():
-    return ManualClock(T)
+    return TurnedClock(T)
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from support.clocks import TurnedClock
 from support.results import results_of, results_settings
 
-from service.clock import ManualClock
 from service.errors import CommandRejected
 from service.hardened import Role, ServerError, ServerSettings, UserStore
 from service.identification.inversion import Inversion
@@ -139,7 +139,7 @@ async def served(tmp_path_factory):
         users=users, none_on_loopback=True, cache=tmp_path_factory.mktemp("cache")
     )
     operator = Operator()
-    async with ResultsServer(settings, VALVES, operator, ManualClock(T)) as server:
+    async with ResultsServer(settings, VALVES, operator, TurnedClock(T)) as server:
         yield server, operator, password
 
 
