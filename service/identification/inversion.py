@@ -15,6 +15,8 @@ class InverseStatus(IntEnum):
     NOT_MONOTONE = 3
     UNIDENTIFIED = 4
     NOT_FINITE = 5
+    OUTSIDE = 6
+    EXTRAPOLATING = 7
 
     @property
     def sentence(self) -> str:
@@ -29,6 +31,9 @@ _INVERSE_SENTENCES = {
     InverseStatus.NOT_MONOTONE: "The map falls with U here; no U can be trusted.",
     InverseStatus.UNIDENTIFIED: "The map is not identified here yet.",
     InverseStatus.NOT_FINITE: "The demand, the pressure drop or the temperature is not a number.",
+    InverseStatus.OUTSIDE: "The pressure drop is outside the table; U is that of its nearest end.",
+    InverseStatus.EXTRAPOLATING: "Nothing was measured near this U, pressure drop and temperature; "
+    "U is a guess.",
 }
 
 
@@ -39,8 +44,8 @@ class Inversion:
     Attributes
     ----------
     U : float64
-        Control voltage, %; within [0, 100], at the nearer end out of reach; NaN where the status
-        is NOT_MONOTONE, UNIDENTIFIED or NOT_FINITE.
+        Control voltage, %; within [0, 100], at the nearer end out of reach; a guess where the
+        status is EXTRAPOLATING; NaN where it is NOT_MONOTONE, UNIDENTIFIED or NOT_FINITE.
     lower, upper : float64
         95 % interval of U, % (clipped to [0, 100]); NaN where unknown.
     status : uint8

@@ -17,7 +17,6 @@ WITHIN: Final = np.array([1e-6, 0.15, 0.35, 0.5, 0.65, 0.85, 1.0 - 1e-6])
 EDGES: Final = np.array([1e-6, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3])
 MARGIN: Final = 1.25
 ROUNDING: Final = 1e-4
-OUTSIDE: Final = 6
 
 
 @dataclass(frozen=True)
@@ -57,9 +56,9 @@ class LookupTable:
     error_Q: float = np.nan
 
     def interpolate(self, Q: Floats, dp: Floats) -> tuple[Floats, Codes]:
-        """U (N,) within 0 … 100 %, and status: :class:`InverseStatus`, or 6 outside the axis of dp.
+        """U (N,) within 0 … 100 %, and status: :class:`InverseStatus`.
 
-        Outside the axis the answer is that of its nearest end.
+        Outside the axis of dp the answer is that of its nearest end.
         """
         inside = np.clip(dp, self.dp[0], self.dp[-1])
         j, v = _place(self.dp, inside)
@@ -73,7 +72,7 @@ class LookupTable:
             [~np.isfinite(Q + dp), inside != dp, r > 1.0, r < 0.0, np.isnan(U)],
             [
                 InverseStatus.NOT_FINITE,
-                OUTSIDE,
+                InverseStatus.OUTSIDE,
                 InverseStatus.ABOVE_REACH,
                 InverseStatus.BELOW_REACH,
                 InverseStatus.UNIDENTIFIED,

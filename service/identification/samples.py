@@ -30,6 +30,7 @@ class Status(IntEnum):
     REJECTED = 3
     FROZEN = 4
     HELD = 5
+    EXTRAPOLATING = 6
 
     @property
     def sentence(self) -> str:
@@ -44,6 +45,8 @@ _STATUS_SENTENCES = {
     Status.REJECTED: "The sample is not finite or of bad quality; the state was not touched.",
     Status.FROZEN: "Adaptation is switched off; the sample was predicted only.",
     Status.HELD: "The update would have left the range of numbers; the state was not touched.",
+    Status.EXTRAPOLATING: "Nothing was measured near this point, or it lies beyond what the "
+    "estimator can describe; nothing was learnt from it.",
 }
 
 

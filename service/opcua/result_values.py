@@ -7,6 +7,8 @@ inputs without news, parameters held   UncertainSubNormal
 the newest sample is unusable          BadSensorFailure
 no samples any more                    BadNoCommunication
 RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
+RequiredU where nothing was measured   UncertainSubNormal
+U beyond what an estimator can do      UncertainEngineeringUnitsExceeded
 nothing demanded                       BadNoData
 the map falls with U                   BadInvalidState
 =====================================  ==========================================================
@@ -185,6 +187,7 @@ def _of_estimator(t: int, quality: Quality, status: Status) -> int:
 _UNCERTAIN_BECAUSE: dict[Status, int] = {
     Status.WARMING_UP: _Codes.UncertainInitialValue,
     Status.UNEXCITED: _Codes.UncertainSubNormal,
+    Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
 }
 _OF_INVERSE: dict[Quality, int] = {
     Quality.GOOD: _Codes.Good,
@@ -198,6 +201,8 @@ _OF_ANSWER: dict[InverseStatus, int] = {
     InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
     InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
     InverseStatus.NOT_FINITE: _Codes.BadNoData,
+    InverseStatus.OUTSIDE: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
 }
 
 # By "nothing known yet" (0 or 1), quality, status.

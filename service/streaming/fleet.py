@@ -282,6 +282,7 @@ for _status, _quality in {
     Status.WARMING_UP: Quality.UNCERTAIN,
     Status.UNEXCITED: Quality.UNCERTAIN,
     Status.HELD: Quality.UNCERTAIN,
+    Status.EXTRAPOLATING: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality

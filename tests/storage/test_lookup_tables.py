@@ -13,7 +13,7 @@ from service.identification.auto import Auto
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.linear_map import LinearMap, LinearMapState
-from service.identification.lookup_table import OUTSIDE, LookupTable, lookup_table
+from service.identification.lookup_table import LookupTable, lookup_table
 from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -89,7 +89,7 @@ def test_the_compiled_table_is_within_its_stated_error_of_the_services_inverse(e
 def test_outside_the_axes_and_for_no_numbers_the_compiled_table_says_so(exported, tmp_path):
     _, _, table = exported
     ask = compiled(table, tmp_path)
-    assert ask(50.0, 1.0)[1] == OUTSIDE
+    assert ask(50.0, 1.0)[1] == InverseStatus.OUTSIDE
     assert ask(50.0, 1.0)[0] == pytest.approx(ask(50.0, 5.0)[0])
     assert ask(1e9, 100.0) == (100.0, InverseStatus.ABOVE_REACH)
     assert ask(-1e9, 100.0) == (0.0, InverseStatus.BELOW_REACH)
