@@ -197,7 +197,7 @@ def _check_lane(lane: Lane, samples: Samples) -> _Check:
     feasible = inverse.status == InverseStatus.OK
     U, dp, T = (x[feasible] for x in (inverse.U, samples.dp, samples.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
-    _, half = pipeline.predicted_measurement(lane, samples.U, samples.dp, samples.T)
+    _, half, _ = pipeline.predicted_measurement(lane, samples.U, samples.dp, samples.T)
     return _Check(
         covered=int((np.abs(trace.residual) <= half).sum()),
         score=Score.none().add(samples, trace),
