@@ -127,7 +127,9 @@ def distances(
     """
     for i in range(len(U)):
         whole[i] = _distance(every_box, U[i], dp[i], T[i])
-        level[i] = whole[i] if np.isnan(T[i]) else _distance(every_box, U[i], dp[i], np.nan)
+        level[i] = whole[i]
+        if whole[i] > 0.0 and not np.isnan(T[i]):
+            level[i] = _distance(every_box, U[i], dp[i], np.nan)
 
 
 @inner
@@ -141,8 +143,13 @@ def _distance(every_box: Floats, U: float, dp: float, T: float) -> float:
     of_first, of_second, expected = 0.0, 0.0, 0.0
     for k in range(len(every_box)):
         box = every_box[k]
-        d = max(_gap(U, box, U_LOW) / NEAR_U, _gap(dp, box, DP_LOW) / NEAR_DP)
-        if d < third and not np.isnan(T) and not np.isnan(box[T_LOW]):
+        d = _gap(U, box, U_LOW) / NEAR_U
+        if d > max(third, 1.0):
+            continue
+        d = max(d, _gap(dp, box, DP_LOW) / NEAR_DP)
+        if d > max(third, 1.0):
+            continue
+        if not np.isnan(T) and not np.isnan(box[T_LOW]):
             d = max(d, _gap_T(T, box) / NEAR_T)
         if d <= 1.0:
             share = _share(U, box, U_LOW, NEAR_U) * _share(dp, box, DP_LOW, NEAR_DP)
