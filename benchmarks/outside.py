@@ -134,11 +134,11 @@ def near(samples: Samples, U: Floats, dp: Floats) -> NDArray[np.bool_]:
     return np.array(close) >= 3
 
 
-def figures(lane: Lane, samples: Samples, valve: Valve, seed: int) -> Figures:
+def figures(lane: Lane, samples: Samples, valve: Valve, seed: int, points: int = POINTS) -> Figures:
     """Ask a map everywhere."""
     rng = np.random.default_rng(seed + 1000)
-    U, dp = rng.uniform(0, 100, POINTS), rng.uniform(0, 200, POINTS)
-    at = np.full(POINTS, T)
+    U, dp = rng.uniform(0, 100, points), rng.uniform(0, 200, points)
+    at = np.full(points, T)
     inside = near(samples, U, dp)
     Q, std, status = predicted(lane, U, dp, at)
     called = status == Status.EXTRAPOLATING

@@ -44,7 +44,7 @@ def trusted(
     of eq. (7) that sufficed for its samples keeps the std that its parameters give, half as much
     again, as long as the interval stays narrow: that is no extrapolation in our sense. Any other
     map is extrapolated, and its std grows with the distance from the samples. Of a map of eq. (7)
-    that did not suffice, the misfit is in its std, too.
+    that is refuted the misfit is in its std, too, wherever it is asked.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def trusted(
     outside, suffices = far > 1.0, False
     if is_eq7(estimator, state):
         suffices = support.is_eq7_enough
-        if not suffices:
+        if support.is_eq7_refuted:
             std = np.hypot(std, support.misfit(U, dp, Q))
     if not (far > SURE).any():
         return std, outside

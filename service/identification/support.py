@@ -11,6 +11,7 @@ from service.identification.samples import Codes, Floats, Samples, Segments, Tra
 
 SIGNIFICANT: Final = np.array([3.3] * 2 + [3.9] * 4)  # standard deviations: suspects 1 map of 400
 DECIDED: Final = 128.0  # blocks: fewer cannot show a misfit in noise of any colour
+FEW, BEYOND_DOUBT = 8.0, 10.0  # blocks, std: drift and coloured noise come to 7, misfit to 30
 DOUBT: Final = 4.0  # standard deviations that a bend too small to be seen may have
 BENDS: Final = 2  # of U and of s: what extrapolation takes from eq. (7)
 
@@ -139,14 +140,27 @@ class Support:
     @cached_property
     def is_eq7_enough(self) -> bool:
         """Whether no further term explains more of Q than the noise would."""
-        white, long_run = np.empty((2, lack_of_fit.TERMS - lack_of_fit.FIVE))
-        variance = lack_of_fit.judge(self.fit, white, long_run)
+        variance, white, long_run = self._contrasts
         if np.isnan(variance) or np.isnan(white[:BENDS]).any():
             return False
-        if not (np.abs(white) > SIGNIFICANT).any():
+        if not (white > SIGNIFICANT).any():
             return True
         decided = self.fit[lack_of_fit.BLOCKS] >= DECIDED
-        return bool(decided and not (np.abs(long_run) > SIGNIFICANT).any())
+        return bool(decided and not (long_run > SIGNIFICANT).any())
+
+    @cached_property
+    def is_eq7_refuted(self) -> bool:
+        """Whether a further term explains more of Q than noise of any colour, or drift, would."""
+        _, white, long_run = self._contrasts
+        counts = self.fit[lack_of_fit.BLOCKS] >= FEW
+        return bool(counts and (np.minimum(white, long_run) > BEYOND_DOUBT).any())
+
+    @cached_property
+    def _contrasts(self) -> tuple[float, Floats, Floats]:
+        """Variance of the noise; what each further term explains, if it is white, and if not."""
+        white, long_run = np.empty((2, lack_of_fit.TERMS - lack_of_fit.FIVE))
+        variance = float(lack_of_fit.judge(self.fit, white, long_run))
+        return variance, np.abs(white), np.abs(long_run)
 
     def misfit(self, U: Floats, dp: Floats, Q: Floats) -> Floats:
         """How far a map of eq. (7) that says ``Q`` is off at N points, by all terms (N,), l/min."""
@@ -157,8 +171,7 @@ class Support:
 
     def may_hide(self, U: Floats, dp: Floats) -> Floats:
         """What bends of eq. (7) that are too small to be seen may come to at N points, l/min."""
-        white, long_run = np.empty((2, lack_of_fit.TERMS - lack_of_fit.FIVE))
-        variance = lack_of_fit.judge(self.fit, white, long_run)
+        variance, _, _ = self._contrasts
         out = np.empty(len(U))
         U, dp = (np.require(x, np.float64, ["C", "A"]) for x in (U, dp))
         lack_of_fit.hidden(self.fit, U, dp, BENDS, out)

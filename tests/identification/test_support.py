@@ -120,7 +120,7 @@ def test_the_memory_is_small():
 def test_eq_7_suffices_for_itself_alone(name):
     for seed in range(4):
         support = resting_on(*noisy(VALVES[name], seed, 5000))
-        assert support.is_eq7_enough == (name == "eq. (7)")
+        assert support.is_eq7_enough == (name == "eq. (7)") == (not support.is_eq7_refuted)
 
 
 def test_too_few_samples_or_too_alike_prove_nothing():
@@ -135,8 +135,14 @@ def test_too_few_samples_or_too_alike_prove_nothing():
 def test_coloured_noise_on_a_cycle_does_not_look_like_misfit_and_misfit_there_does():
     N = 40_000
     U, dp, noise = ramps(1, N, 0, 100), ramps(2, N, 3, 195), ar(3, N)
-    assert resting_on(U, dp, eq_7(U, dp) + noise).is_eq7_enough
-    assert not resting_on(U, dp, ordinary(U, dp) + noise).is_eq7_enough
+    exact, bent = (resting_on(U, dp, valve(U, dp) + noise) for valve in (eq_7, ordinary))
+    assert exact.is_eq7_enough
+    assert bent.is_eq7_refuted
+    drifting = eq_7(U, dp) * (1.0 - 0.15 * np.arange(N) / 360_000) + noise
+    assert not resting_on(U, dp, drifting).is_eq7_refuted
+    few = resting_on(U[:4000], dp[:4000], eq_7(U, dp)[:4000] + noise[:4000])
+    assert not few.is_eq7_enough  # nobody can tell yet
+    assert not few.is_eq7_refuted
 
 
 def test_a_narrow_window_could_hide_a_bend_and_says_how_much():
