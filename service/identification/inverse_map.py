@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import Estimator, State
-from service.identification.extrapolation import U_range_of, trusted
+from service.identification.extrapolation import U_range_of, is_eq7, trusted
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.kernels import inverse as kernel
 from service.identification.kernels.surface import T_REFERENCE, Surface
@@ -25,6 +25,7 @@ from service.identification.support import Support
 U_MAX: Final = 100.0
 TWO_SIDED_95: Final = 1.959963984540054
 ROUNDING: Final = 1e-12
+LEVELS, CHUNK = 41, 256  # of U, where an answer is in doubt; answers at once
 
 S = TypeVar("S", bound=State)
 
@@ -99,9 +100,12 @@ def invert(
         points = U, drop, temperature
         std, guessed = trusted(estimator, state, support, points, demand, std)
         answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
-        guessed &= answer.status <= InverseStatus.BELOW_REACH
-        status = np.where(guessed, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
-        return replace(answer, status=status)
+        has_U = answer.status <= InverseStatus.BELOW_REACH
+        status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
+        answer = replace(answer, status=status)
+        bent = is_eq7(estimator, state) and support.is_eq7_refuted
+        doubtful = np.flatnonzero(has_U & (guessed | bent))
+        return _widened(estimator, state, support, (demand, drop, temperature), answer, doubtful)
 
 
 def inverse_table(
@@ -215,6 +219,36 @@ def _spread(
                 at, warm = dp[lacking], np.full(int(lacking.sum()), T_REFERENCE)
                 lacking[lacking] = np.isfinite(estimator.predict(state, 0.0 * at, at, warm)[0])
             return np.where(unknown, np.inf, std), lacking
+
+
+def _widened(
+    estimator: Estimator[S],
+    state: S,
+    support: Support,
+    points: tuple[Floats, Floats, Floats],
+    answer: Inversion,
+    doubtful: NDArray[np.intp],
+) -> Inversion:
+    """Have the intervals of doubtful answers hold every level of U whose flow may be the demanded.
+
+    Where a map is a guess, or bends less than the valve, its slope says nothing of the valve's.
+    """
+    lower, upper = answer.lower.copy(), answer.upper.copy()
+    levels = np.linspace(*U_range_of(estimator), LEVELS)
+    for start in range(0, len(doubtful), CHUNK):
+        rows = doubtful[start : start + CHUNK]
+        Q, dp, T = (np.repeat(x[rows], LEVELS) for x in points)
+        where = np.tile(levels, len(rows)), dp, T
+        flow, std = estimator.predict(state, *where)
+        std, _ = trusted(estimator, state, support, where, flow, std)
+        possible = ~(np.abs(flow - Q) > TWO_SIDED_95 * std).reshape(-1, LEVELS)
+        above = levels >= answer.U[rows, None]
+        up = np.logical_and.accumulate(possible | ~above, axis=1) & above
+        down = np.logical_and.accumulate((possible | above)[:, ::-1], axis=1)[:, ::-1] & ~above
+        lowest = np.where(down, levels, np.inf).min(axis=1)
+        highest = np.where(up, levels, -np.inf).max(axis=1)
+        lower[rows], upper[rows] = np.fmin(lower[rows], lowest), np.fmax(upper[rows], highest)
+    return replace(answer, lower=lower, upper=upper)
 
 
 def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:

@@ -125,7 +125,7 @@ class Support:
         a point outside, else that from all temperatures seen anywhere. A temperature that is NaN,
         or was never measured, makes no difference.
         """
-        U, dp, T = (np.require(x, np.float64, ["C", "A"]) for x in (U, dp, T))
+        U, dp, T = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp, T))
         far, level = np.empty((2, len(U)))
         support.distances(self.boxes, U, dp, T, far, level)
         measured = self.boxes[~np.isnan(self.boxes[:, support.T_LOW])]
@@ -165,7 +165,7 @@ class Support:
     def misfit(self, U: Floats, dp: Floats, Q: Floats) -> Floats:
         """How far a map of eq. (7) that says ``Q`` is off at N points, by all terms (N,), l/min."""
         out = np.empty(len(U))
-        U, dp = (np.require(x, np.float64, ["C", "A"]) for x in (U, dp))
+        U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
         lack_of_fit.bent(self.fit, U, dp, out)
         return np.minimum(np.abs(out - Q), self.Q_max)
 
@@ -173,7 +173,7 @@ class Support:
         """What bends of eq. (7) that are too small to be seen may come to at N points, l/min."""
         variance, _, _ = self._contrasts
         out = np.empty(len(U))
-        U, dp = (np.require(x, np.float64, ["C", "A"]) for x in (U, dp))
+        U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
         lack_of_fit.hidden(self.fit, U, dp, BENDS, out)
         return np.asarray(np.where(np.isfinite(out), DOUBT * np.sqrt(variance) * out, np.inf))
 
