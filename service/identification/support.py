@@ -31,7 +31,7 @@ class Support:
 
     Attributes
     ----------
-    cells : (748, 9), uint8
+    cells : (484, 9), uint8
         See :mod:`service.identification.kernels.support`.
     fit : (225,)
         See :mod:`service.identification.kernels.lack_of_fit`.

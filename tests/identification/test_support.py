@@ -113,7 +113,7 @@ def test_any_cutting_into_batches_gives_the_same_bits():
 
 def test_the_memory_is_small():
     support = Support.none()
-    assert support.cells.nbytes + support.fit.nbytes + support.ranges.nbytes < 8_700
+    assert support.cells.nbytes + support.fit.nbytes + support.ranges.nbytes < 6_300
 
 
 @pytest.mark.parametrize("name", VALVES)

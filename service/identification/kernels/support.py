@@ -9,7 +9,7 @@ import numpy as np
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Codes, Floats, Segments
 
-INNER_U, INNER_DP = 20, 32
+INNER_U, INNER_DP = 20, 20
 CELLS_U, CELLS_DP = INNER_U + 2, INNER_DP + 2
 
 # Places in a cell; the boxes in 1/256 of the cell, temperatures as `T_LOWEST` and `T_STEP` say.
@@ -41,7 +41,7 @@ def learn(
 
     Parameters
     ----------
-    every_cells : (M, 748, 9)
+    every_cells : (M, 484, 9)
         See `NUMBER` and what follows it; a cell without samples is all nought, one without a
         temperature has T_LOW > T_HIGH.
     every_ranges : (M, 5)
