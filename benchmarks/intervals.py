@@ -62,7 +62,7 @@ def asked(estimator: Estimator[Any], samples: Samples, ahead: int = AHEAD) -> tu
     for start in range(0, len(samples), ahead):
         batch = samples[start : start + ahead]
         if start >= LEARNT:
-            Q, half = predicted_measurement(lane, batch.U, batch.dp, batch.T)
+            Q, half, _ = predicted_measurement(lane, batch.U, batch.dp, batch.T)
             errors.append(batch.Q - Q)
             halves.append(half)
         state, trace = estimator.update(lane.state, batch)

@@ -128,6 +128,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         ),
         estimators=estimators,
         inverse=valve.inverse or ("Auto" if "Auto" in estimators else valve.estimators[0].name),
+        U_range=valve.U_range_percent,
         map_Q=_axis(*valve.Q_range_l_min),
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),

@@ -57,6 +57,7 @@ def open_model(
         T=found.T,
         t=found.lane.t,
         samples=found.lane.spread.weights,
+        support=found.lane.support,
     )
 
 
@@ -90,7 +91,8 @@ def save_models(target: Path, report: Report) -> list[Path]:
 def _save(file: Path, report: Report, valve: str, name: str) -> Path:
     found = report[valve][name]
     lane = found.lane
-    save_model(file, valve, name, lane.estimator, lane.state, lane.spread, lane.t, found.T)
+    rests_on = lane.spread, lane.support
+    save_model(file, valve, name, lane.estimator, lane.state, *rests_on, lane.t, found.T)
     return file
 
 

@@ -20,7 +20,7 @@ from service.identification.samples import Quality, Samples, Segments, Trace
 from service.identification.survey import Survey
 from service.storage.recordings import read_recording
 from service.streaming import pipeline
-from service.streaming.fleet import Fleet
+from service.streaming.fleet import COUNTER_NAMES, Fleet
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
 from service.streaming.ports import EstimatorResults
 from service.streaming.score import Score
@@ -41,7 +41,8 @@ class EstimatorReport:
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
     inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
     spread of measurements about the map of late, ``covered`` the share of the samples tried that
-    lay within their 95 % interval, ``survey`` what the map does not know, ``T`` (°C) the oil
+    lay within their 95 % interval, ``survey`` what the map does not know, ``beyond_range`` how many
+    samples had a U that some estimator of the valve cannot describe, ``T`` (°C) the oil
     temperature measured last, ``change`` the last change of the valve that was found, and
     ``structure`` what `Auto` has chosen.
     """
@@ -56,6 +57,7 @@ class EstimatorReport:
     noise_std: float
     covered: float
     survey: Survey
+    beyond_range: int
     T: float
     change: Change | None
     structure: str | None
@@ -170,6 +172,10 @@ class _Learnt:
     def state(self) -> ValveState:
         return self._fleet.state(0)
 
+    @property
+    def beyond_range(self) -> int:
+        return int(self._fleet.rejections()[0, COUNTER_NAMES.index("beyond_range")])
+
 
 @dataclass(frozen=True)
 class _Check:
@@ -197,7 +203,7 @@ def _check_lane(lane: Lane, samples: Samples) -> _Check:
     feasible = inverse.status == InverseStatus.OK
     U, dp, T = (x[feasible] for x in (inverse.U, samples.dp, samples.T))
     Q_back, _ = estimator.predict(state, U, dp, T)
-    _, half = pipeline.predicted_measurement(lane, samples.U, samples.dp, samples.T)
+    _, half, _ = pipeline.predicted_measurement(lane, samples.U, samples.dp, samples.T)
     return _Check(
         covered=int((np.abs(trace.residual) <= half).sum()),
         score=Score.none().add(samples, trace),
@@ -238,6 +244,7 @@ def _report(
             noise_std=float(result.noise_std[0]),
             covered=check.covered / check.score.n if check and check.score.n else np.nan,
             survey=pipeline.survey_of(valve.plan, state, name),
+            beyond_range=valve.beyond_range,
             T=state.T,
             change=result.change[0],
             structure=result.structure[0],

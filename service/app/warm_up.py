@@ -58,6 +58,9 @@ def _compile(config: Config) -> None:
         identification.take_samples(valve, _samples())
         for estimator in plan.estimators:
             identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
+            support, one = identification.lane(plan.name, estimator).support, np.full(1, 50.0)
+            support.misfit(one, one, one)  # which kernels a map needs, its samples decide
+            support.may_hide(one, one)
         identification.result(valve)
     identification.refresh_maps()
 

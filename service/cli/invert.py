@@ -65,7 +65,7 @@ def invert(
         T = np.full_like(Q, np.nan)
     model = open_model(file, valve, estimator, loaded)
     T = np.where(np.isnan(T), model.T if temperature is None else temperature, T)
-    answer = run(model.estimator, model.state, Q, dp, T)
+    answer = run(model.estimator, model.state, Q, dp, T, support=model.support)
     if out is not None:
         write_answers(out, (Q, dp, T), answer)
         typer.echo(f"written: {out}")
@@ -106,7 +106,15 @@ def export(
     T = 40.0 if np.isnan(T) else T
     size = points_Q, points_dp
     try:
-        table = lookup_table(model.estimator, model.state, dp_max, T, points=size, dp_min=dp_min)
+        table = lookup_table(
+            model.estimator,
+            model.state,
+            dp_max,
+            T,
+            points=size,
+            dp_min=dp_min,
+            support=model.support,
+        )
     except ValueError as error:
         raise ConfigurationError(f"{file}: {error}") from None
     write_table(out, table, f"{model.valve} by {model.name}")
@@ -114,6 +122,9 @@ def export(
         f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {table.error_U:.2g} % "
         f"of U and {table.error_Q:.2g} l/min of the map"
     )
+    share = float(np.mean(table.guessed))
+    if share > 0.0:
+        typer.echo(f"{share:.0%} of the points are extrapolated, and marked so in the table")
 
 
 def _numbers(option: str, text: str) -> list[float]:

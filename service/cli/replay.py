@@ -1,6 +1,7 @@
 """``valvemap replay``: recordings through the live pipeline, with a verdict."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,6 +69,8 @@ def replay(
         verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
         console.print(verification_table(f"Verified on {verify.name}, no adaptation", verified))
     console.print(_trust_table(report))
+    for line in _not_learnt_from(report):
+        console.print(line)
     if json_out is not None:
         write_json(json_out, as_json(report))
     if save is not None:
@@ -77,6 +80,17 @@ def replay(
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         for written in plots.write(lanes):
             console.print(f"written: {written}")
+
+
+def _not_learnt_from(report: "Report") -> Iterator[str]:
+    """A line per valve whose U lay beyond what an estimator can describe."""
+    for valve, estimators in report.items():
+        beyond = max(r.beyond_range for r in estimators.values())
+        if beyond:
+            yield (
+                f"{valve}: not learnt from, because U lay beyond what an estimator can describe "
+                f"(0 … 100 %): {beyond} samples"
+            )
 
 
 def _trust_table(report: "Report") -> Table:

@@ -4,10 +4,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SecretStr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.config.estimators import EstimatorConfig, default_estimators
+from service.identification.extrapolation import ONE_EDGE
 from service.streaming.data_changes import Signal
 from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
 
@@ -241,10 +250,10 @@ class ValveConfig(_Section):
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
+    estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     U_range_percent: Range = (0.0, 100.0)
     dp_range_bar: Range = (0.0, 200.0)
     Q_range_l_min: Range = (0.0, 200.0)
-    estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     inverse: str | None = Field(
         None, description="name of the estimator whose map is inverted; none = Auto or the first"
     )
@@ -261,6 +270,19 @@ class ValveConfig(_Section):
     def _low_below_high(cls, bounds: Range) -> Range:
         if not bounds[0] < bounds[1]:
             raise ValueError(f"the first number must be below the second, not {list(bounds)}")
+        return bounds
+
+    @field_validator("U_range_percent")
+    @classmethod
+    def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
+        estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
+        unable = [e.name for e in estimators if e.kind != "RBF"]
+        if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
+            raise ValueError(
+                f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
+                f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
+                'estimators of the kind "RBF" alone'
+            )
         return bounds
 
     @model_validator(mode="after")

@@ -25,6 +25,7 @@ from service.identification.map_search import (
     variety,
 )
 from service.identification.map_shapes import NODES_T, Shape, Variety, dp_top
+from service.identification.model_structures import FiveTerms, Structure
 from service.identification.samples import Floats, Quality, Samples, Trace
 
 CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
@@ -252,6 +253,10 @@ class Auto:
     def describe(self, state: AutoState) -> str:
         """Which structure speaks now."""
         return _shape(state, CHAMPION).describe()
+
+    def structure_now(self, state: AutoState) -> Structure | None:
+        """Eq. (7), where it speaks alone; None for a spline, known only where samples were."""
+        return None if _shape(state, CHAMPION).cells else FiveTerms()
 
     def _refit(self, state: AutoState) -> AutoState:
         """Promote the challenger if it did well, let it climb, fit both; a pure function."""

@@ -4,13 +4,14 @@ The printed inverse of eq. (7), U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), is 
 and turns round behind it; here a status says so, and U never leaves [0, 100] %.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.estimator import Estimator, State
+from service.identification.extrapolation import U_range_of, is_eq7, trusted
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.kernels import inverse as kernel
 from service.identification.kernels.surface import T_REFERENCE, Surface
@@ -19,10 +20,12 @@ from service.identification.model_structures import Polynomial, Structure, Tenso
 from service.identification.monotone_search import search
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Codes, Floats
+from service.identification.support import Support
 
 U_MAX: Final = 100.0
 TWO_SIDED_95: Final = 1.959963984540054
 ROUNDING: Final = 1e-12
+LEVELS, CHUNK = 41, 256  # of U, where an answer is in doubt; answers at once
 
 S = TypeVar("S", bound=State)
 
@@ -42,6 +45,7 @@ def invert(
     dp: ArrayLike,
     T: ArrayLike,
     direction: ArrayLike = 0.0,
+    support: Support | None = None,
 ) -> Inversion:
     """Control voltage that delivers the demanded flow, at N points at once.
 
@@ -56,6 +60,9 @@ def invert(
     direction : (N,) or scalar
         Where U comes from, if the map has a hysteresis: 1 from below, -1 from above, 0 in the
         middle of the loop. Other maps do not mind.
+    support
+        What the map rests on: where it is a guess, the interval grows with the distance from the
+        samples, and the status is EXTRAPOLATING. None: the map is taken at its word.
 
     Returns
     -------
@@ -87,7 +94,18 @@ def invert(
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
         std, lacking = _spread(estimator, state, np.nan_to_num(found.U), drop, temperature)
-        return _answer(found, std, finite & ~lacking)
+        if support is None:
+            return _answer(found, std, finite & ~lacking, U_range_of(estimator))
+        U = np.nan_to_num(found.U)
+        points = U, drop, temperature
+        std, guessed = trusted(estimator, state, support, points, demand, std)
+        answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
+        has_U = answer.status <= InverseStatus.BELOW_REACH
+        status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
+        answer = replace(answer, status=status)
+        bent = is_eq7(estimator, state) and support.is_eq7_refuted
+        doubtful = np.flatnonzero(has_U & (guessed | bent))
+        return _widened(estimator, state, support, (demand, drop, temperature), answer, doubtful)
 
 
 def inverse_table(
@@ -172,7 +190,7 @@ def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats)
     def flow(U: Floats, points: NDArray[np.intp]) -> Floats:
         return estimator.predict(state, U, dp[points], T[points])[0]
 
-    U, slope, status = search(flow, Q)
+    U, slope, status = search(flow, Q, U_range_of(estimator))
     # Out of reach, the tangent at the end tells how far the demand lies behind it.
     beyond = (Q - flow(np.nan_to_num(U), np.arange(len(Q)))) / slope
     outside = (status == InverseStatus.ABOVE_REACH) | (status == InverseStatus.BELOW_REACH)
@@ -203,13 +221,45 @@ def _spread(
             return np.where(unknown, np.inf, std), lacking
 
 
+def _widened(
+    estimator: Estimator[S],
+    state: S,
+    support: Support,
+    points: tuple[Floats, Floats, Floats],
+    answer: Inversion,
+    doubtful: NDArray[np.intp],
+) -> Inversion:
+    """Have the intervals of doubtful answers hold every level of U whose flow may be the demanded.
+
+    Where a map is a guess, or bends less than the valve, its slope says nothing of the valve's.
+    """
+    lower, upper = answer.lower.copy(), answer.upper.copy()
+    levels = np.linspace(*U_range_of(estimator), LEVELS)
+    for start in range(0, len(doubtful), CHUNK):
+        rows = doubtful[start : start + CHUNK]
+        Q, dp, T = (np.repeat(x[rows], LEVELS) for x in points)
+        where = np.tile(levels, len(rows)), dp, T
+        flow, std = estimator.predict(state, *where)
+        std, _ = trusted(estimator, state, support, where, flow, std)
+        possible = ~(np.abs(flow - Q) > TWO_SIDED_95 * std).reshape(-1, LEVELS)
+        above = levels >= answer.U[rows, None]
+        up = np.logical_and.accumulate(possible | ~above, axis=1) & above
+        down = np.logical_and.accumulate((possible | above)[:, ::-1], axis=1)[:, ::-1] & ~above
+        lowest = np.where(down, levels, np.inf).min(axis=1)
+        highest = np.where(up, levels, -np.inf).max(axis=1)
+        lower[rows], upper[rows] = np.fmin(lower[rows], lowest), np.fmax(upper[rows], highest)
+    return replace(answer, lower=lower, upper=upper)
+
+
 def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:
     """Status of the first case that holds, OK where none does."""
     conditions, codes = zip(*cases, strict=True)
     return np.asarray(np.select(conditions, codes, InverseStatus.OK), np.uint8)
 
 
-def _answer(found: _Found, std: Floats, finite: NDArray[np.bool_]) -> Inversion:
+def _answer(
+    found: _Found, std: Floats, finite: NDArray[np.bool_], reach: tuple[float, float]
+) -> Inversion:
     unknown = (found.status == InverseStatus.UNIDENTIFIED) | np.isinf(std)
     status = np.where(unknown, InverseStatus.UNIDENTIFIED, found.status)
     status = np.where(~finite, InverseStatus.NOT_FINITE, status).astype(np.uint8)
@@ -218,8 +268,8 @@ def _answer(found: _Found, std: Floats, finite: NDArray[np.bool_]) -> Inversion:
     half = TWO_SIDED_95 * std / found.slope
     known = given & np.isfinite(std)
     flat = known & ~(np.isfinite(found.unclipped) & np.isfinite(half) & (found.slope > 0.0))
-    lower = np.where(flat, 0.0, np.clip(found.unclipped - half, 0.0, U_MAX))
-    upper = np.where(flat, U_MAX, np.clip(found.unclipped + half, 0.0, U_MAX))
+    lower = np.where(flat, reach[0], np.clip(found.unclipped - half, *reach))
+    upper = np.where(flat, reach[1], np.clip(found.unclipped + half, *reach))
     return Inversion(
         U=U,
         lower=np.where(known, lower, np.nan),

@@ -1,15 +1,17 @@
 """The inverse map as a table with a stated error, for a controller that can only interpolate."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimator import Estimator, State
+from service.identification.extrapolation import trusted
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Codes, Floats
+from service.identification.support import Support
 
 S = TypeVar("S", bound=State)
 LEVELS: Final = np.linspace(0.0, 100.0, 401)
@@ -39,6 +41,8 @@ class LookupTable:
         Axis, 0 … 1.
     U : (n_r, n_dp)
         U in %; NaN where no U can be trusted.
+    guessed : (n_r, n_dp)
+        Where nothing was measured near: the map is extrapolated.
     T
         Oil temperature it was made for, °C.
     error_U, error_Q
@@ -51,6 +55,7 @@ class LookupTable:
     highest: Floats
     r: Floats
     U: Floats
+    guessed: NDArray[np.bool_]
     T: float
     error_U: float = np.nan
     error_Q: float = np.nan
@@ -58,7 +63,8 @@ class LookupTable:
     def interpolate(self, Q: Floats, dp: Floats) -> tuple[Floats, Codes]:
         """U (N,) within 0 … 100 %, and status: :class:`InverseStatus`.
 
-        Outside the axis of dp the answer is that of its nearest end.
+        Outside the axis of dp the answer is that of its nearest end. EXTRAPOLATING where one of the
+        points around is.
         """
         inside = np.clip(dp, self.dp[0], self.dp[-1])
         j, v = _place(self.dp, inside)
@@ -68,11 +74,21 @@ class LookupTable:
         U = (1.0 - u) * ((1.0 - v) * self.U[i, j] + v * self.U[i, j + 1])
         U = U + u * ((1.0 - v) * self.U[i + 1, j] + v * self.U[i + 1, j + 1])
         U = np.select([r > 1.0, r < 0.0], [100.0, 0.0], U)
+        g = self.guessed
+        guess = g[i, j] | g[i, j + 1] | g[i + 1, j] | g[i + 1, j + 1]
         status = np.select(
-            [~np.isfinite(Q + dp), inside != dp, r > 1.0, r < 0.0, np.isnan(U)],
+            [
+                ~np.isfinite(Q + dp),
+                inside != dp,
+                guess & ~np.isnan(U),
+                r > 1.0,
+                r < 0.0,
+                np.isnan(U),
+            ],
             [
                 InverseStatus.NOT_FINITE,
                 InverseStatus.OUTSIDE,
+                InverseStatus.EXTRAPOLATING,
                 InverseStatus.ABOVE_REACH,
                 InverseStatus.BELOW_REACH,
                 InverseStatus.UNIDENTIFIED,
@@ -90,6 +106,7 @@ def lookup_table(
     *,
     points: tuple[int, int] = (41, 31),
     dp_min: float = 5.0,
+    support: Support | None = None,
 ) -> LookupTable:
     """Tabulate the inverse of a map at temperature ``T``.
 
@@ -99,6 +116,8 @@ def lookup_table(
         The axis of dp: towards dp = 0 every valve's inverse is singular.
     points
         Along r, closer near both ends where dead band and saturation are, and along dp.
+    support
+        What the map rests on; None: it is taken at its word everywhere.
 
     Raises
     ------
@@ -127,9 +146,16 @@ def lookup_table(
         raise ValueError("the map is not determined, or does not rise with U")
     r = (1.0 - np.cos(np.linspace(0.0, np.pi, points[0]))) / 2.0
     Q = lowest + r[:, None] * (highest - lowest)
-    U = _inverse(estimator, state, Q.ravel(), np.tile(dp, len(r)), T).reshape(points)
-    table = LookupTable(dp, lowest, highest, r, U, T)
-    return LookupTable(dp, lowest, highest, r, U, T, *_errors(estimator, state, table))
+    across = np.tile(dp, len(r))
+    U = _inverse(estimator, state, Q.ravel(), across, T).reshape(points)
+    guessed = np.zeros(points, np.bool_)
+    if support is not None:
+        where = U.ravel(), across, np.full(U.size, T)
+        _, beyond = trusted(estimator, state, support, where, *estimator.predict(state, *where))
+        guessed = beyond.reshape(points) & ~np.isnan(U)
+    table = LookupTable(dp, lowest, highest, r, U, guessed, T)
+    error_U, error_Q = _errors(estimator, state, table)
+    return replace(table, error_U=error_U, error_Q=error_Q)
 
 
 def _inverse(estimator: Estimator[Any], state: Any, Q: Floats, dp: Floats, T: float) -> Floats:  # noqa: ANN401 - its own state

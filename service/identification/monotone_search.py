@@ -13,13 +13,15 @@ Points = NDArray[np.intp]
 Flow = Callable[[Floats, Points], Floats]
 
 CHUNK: Final = 1024
-GRID: Final = np.linspace(0.0, 100.0, 65)
+LEVELS: Final = 65
 FALL: Final = 0.05
 STEPS: Final = 64
 
 
-def search(flow: Flow, Q: Floats) -> tuple[Floats, Floats, Codes]:
-    """Smallest U on a rising branch with flow = Q.
+def search(
+    flow: Flow, Q: Floats, reach: tuple[float, float] = (0.0, 100.0)
+) -> tuple[Floats, Floats, Codes]:
+    """Smallest U on a rising branch with flow = Q, within ``reach``.
 
     ``flow(U, points)`` gives the flow at U for the named points. The map is looked at on a grid of
     65 levels: features narrower than 1.6 % of U stay unseen, and a fall of less than 5 % of the
@@ -31,7 +33,7 @@ def search(flow: Flow, Q: Floats) -> tuple[Floats, Floats, Codes]:
         U in %, NaN without an answer; dQ/dU by central difference; :class:`InverseStatus`.
     """
     parts = [
-        _search(flow, Q[start : start + CHUNK], np.arange(start, min(start + CHUNK, len(Q))))
+        _search(flow, Q[start : start + CHUNK], np.arange(start, min(start + CHUNK, len(Q))), reach)
         for start in range(0, len(Q), CHUNK)
     ]
     if not parts:
@@ -40,8 +42,11 @@ def search(flow: Flow, Q: Floats) -> tuple[Floats, Floats, Codes]:
     return U, slope, status
 
 
-def _search(flow: Flow, Q: Floats, points: Points) -> tuple[Floats, Floats, Codes]:
-    levels = flow(np.tile(GRID, len(Q)), np.repeat(points, len(GRID))).reshape(len(Q), -1)
+def _search(
+    flow: Flow, Q: Floats, points: Points, reach: tuple[float, float]
+) -> tuple[Floats, Floats, Codes]:
+    grid = np.linspace(*reach, LEVELS)
+    levels = flow(np.tile(grid, len(Q)), np.repeat(points, LEVELS)).reshape(len(Q), -1)
     size = np.maximum(np.abs(levels).max(axis=1), np.abs(Q))
     tolerance = 1e-13 * size
     status = _verdict(levels, Q, tolerance)
@@ -50,18 +55,18 @@ def _search(flow: Flow, Q: Floats, points: Points) -> tuple[Floats, Floats, Code
     at_start = (np.abs(levels[:, 0] - Q) <= tolerance) & (levels[:, 1] >= Q - tolerance)
     U = np.select(
         [status == InverseStatus.ABOVE_REACH, status <= InverseStatus.BELOW_REACH],
-        [100.0, 0.0],
+        [reach[1], reach[0]],
         np.nan,
     )
     inside = np.flatnonzero((status == InverseStatus.OK) & ~at_start)
     left = rising[inside].argmax(axis=1)
     U[inside] = _root(
         lambda u, rows: flow(u, points[inside[rows]]) - Q[inside[rows]],
-        GRID[left],
-        GRID[left + 1],
+        grid[left],
+        grid[left + 1],
         tolerance[inside],
     )
-    return U, _slope(flow, U, points), status
+    return U, _slope(flow, U, points, reach), status
 
 
 def _verdict(levels: Floats, Q: Floats, tolerance: Floats) -> Codes:
@@ -91,7 +96,7 @@ def _root(f: Flow, low: Floats, high: Floats, tolerance: Floats) -> Floats:
     Illinois steps, every third one a bisection. A root inside a plateau is carried to the
     plateau's left end by bisection alone.
     """
-    low, high = low.copy(), high.copy()
+    start, low, high = low, low.copy(), high.copy()
     every = np.arange(len(low))
     f_low, f_high = f(low, every), f(high, every)
     active = every[f_high > tolerance]
@@ -110,19 +115,19 @@ def _root(f: Flow, low: Floats, high: Floats, tolerance: Floats) -> Floats:
         side[active] = np.where(up, 1, -1)
         low[active], f_low[active] = np.where(up, a, u), np.where(up, twice * fa, fu)
         high[active], f_high[active] = np.where(up, u, b), np.where(up, fu, twice * fb)
-        narrow = (high[active] - low[active]) <= 4e-16 * high[active]
+        narrow = (high[active] - low[active]) <= 4e-16 * np.abs(high[active])
         active = active[~narrow & (np.abs(fu) > tolerance[active])]
     ends = np.where(np.abs(f(low, every)) < np.abs(f(high, every)), low, high)
-    return _left_end(f, ends, tolerance)
+    return _left_end(f, ends, start, tolerance)
 
 
-def _left_end(f: Flow, U: Floats, tolerance: Floats) -> Floats:
-    """Carry each root that lies on a plateau (flat over 1e-6 %) to the plateau's left end."""
+def _left_end(f: Flow, U: Floats, start: Floats, tolerance: Floats) -> Floats:
+    """Carry each root on a plateau (flat over 1e-6 %) to its left end, not before ``start``."""
     U = U.copy()
     every = np.arange(len(U))
-    near = np.maximum(U - 1e-6, 0.0)
+    near = np.maximum(U - 1e-6, start)
     flat = np.flatnonzero(np.abs(f(near, every)) <= tolerance)
-    low, high = np.maximum(U[flat] - 100.0 / (len(GRID) - 1), 0.0), near[flat]
+    low, high = start[flat], near[flat]
     for _ in range(STEPS):
         if not len(flat):
             break
@@ -133,7 +138,9 @@ def _left_end(f: Flow, U: Floats, tolerance: Floats) -> Floats:
     return U
 
 
-def _slope(flow: Flow, U: Floats, points: Points, h: float = 1e-3) -> Floats:
-    at = np.nan_to_num(U)
-    below, above = np.maximum(at - h, 0.0), np.minimum(at + h, 100.0)
+def _slope(
+    flow: Flow, U: Floats, points: Points, reach: tuple[float, float], h: float = 1e-3
+) -> Floats:
+    at = np.clip(np.nan_to_num(U), *reach)
+    below, above = np.maximum(at - h, reach[0]), np.minimum(at + h, reach[1])
     return np.asarray((flow(above, points) - flow(below, points)) / (above - below))

@@ -370,4 +370,5 @@ _COUNTERS = {
     "frozen": "Samples rejected because a signal stood still for too long.",
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
+    "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
 }

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.errors import ConfigurationError, StorageError
 from service.identification.lookup_table import LookupTable
@@ -19,6 +20,7 @@ STATUSES: Final = {
     "UNIDENTIFIED": 4,
     "NOT_FINITE": 5,
     "OUTSIDE": 6,
+    "EXTRAPOLATING": 7,
 }
 
 
@@ -56,8 +58,10 @@ def check_form(file: Path) -> None:
 def as_csv(table: LookupTable, title: str) -> str:
     r"""Pressure drops along the first row, then the flows of the reach, then U over r; empty: none.
 
-    >>> axis = np.array([0.0, 1.0])
-    >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), 40.0, 0.1, 0.2), "V"))
+    Last, over the same axes, 1 where the map is extrapolated.
+
+    >>> axis, at = np.array([0.0, 1.0]), np.array([[False, True], [False, False]])
+    >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), at, 40.0, 0.1, 0.2), "V"))
     # V; oil at 40 °C; U in % over r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min
     # bilinearly within 0.1 % of U, 0.2 l/min of Q
     dp,0.0,1.0
@@ -65,6 +69,8 @@ def as_csv(table: LookupTable, title: str) -> str:
     highest,0.0,9.0
     r=0.0,1.0,0.0
     r=1.0,0.0,1.0
+    extrapolated r=0.0,0,1
+    extrapolated r=1.0,0,0
     <BLANKLINE>
     """
     lines = [
@@ -75,6 +81,8 @@ def as_csv(table: LookupTable, title: str) -> str:
     rows += [(f"r={_literal(r)}", row) for r, row in zip(table.r, table.U, strict=True)]
     for name, row in rows:
         lines.append(",".join([name, *("" if np.isnan(x) else _literal(x) for x in row)]))
+    for r, marks in zip(table.r, table.guessed, strict=True):
+        lines.append(",".join([f"extrapolated r={_literal(r)}", *(str(int(x)) for x in marks)]))
     return "\n".join(lines) + "\n"
 
 
@@ -87,7 +95,8 @@ def as_c(table: LookupTable, title: str) -> str:
  * drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
  * a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
  * bilinearly: U is within VALVEMAP_ERROR_U % of the identified map's inverse, and the flow within
- * VALVEMAP_ERROR_Q l/min.
+ * VALVEMAP_ERROR_Q l/min. Where nothing was measured near, the map is extrapolated: U is a guess,
+ * and the status VALVEMAP_EXTRAPOLATING.
  *
  *     double U;
  *     int status = valvemap_required_U(50.0, 100.0, &U);
@@ -122,6 +131,11 @@ static const double valvemap_U[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
 {_c_rows(table.U)}
 }};
 
+/* 1: extrapolated */
+static const unsigned char valvemap_guess[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
+{_c_marks(table.guessed)}
+}};
+
 static int valvemap_place(const double *axis, int n, double x)
 {{
     int low = 0, high = n - 1;
@@ -152,6 +166,11 @@ int valvemap_required_U(double Q, double dp, double *U)
     low = (1.0 - v) * valvemap_lowest[j] + v * valvemap_lowest[j + 1];
     high = (1.0 - v) * valvemap_highest[j] + v * valvemap_highest[j + 1];
     r = (Q - low) / (high - low);
+    i = valvemap_place(valvemap_r, VALVEMAP_N_R, r);
+    if (status == VALVEMAP_OK
+        && (valvemap_guess[i][j] || valvemap_guess[i][j + 1]
+            || valvemap_guess[i + 1][j] || valvemap_guess[i + 1][j + 1]))
+        status = VALVEMAP_EXTRAPOLATING;
     if (r > 1.0) {{
         *U = 100.0;
         return status == VALVEMAP_OK ? VALVEMAP_ABOVE_REACH : status;
@@ -160,10 +179,9 @@ int valvemap_required_U(double Q, double dp, double *U)
         *U = 0.0;
         return status == VALVEMAP_OK ? VALVEMAP_BELOW_REACH : status;
     }}
-    i = valvemap_place(valvemap_r, VALVEMAP_N_R, r);
     if (valvemap_U[i][j] <= VALVEMAP_INVALID || valvemap_U[i][j + 1] <= VALVEMAP_INVALID
         || valvemap_U[i + 1][j] <= VALVEMAP_INVALID || valvemap_U[i + 1][j + 1] <= VALVEMAP_INVALID)
-        return status == VALVEMAP_OK ? VALVEMAP_UNIDENTIFIED : status;
+        return status == VALVEMAP_OUTSIDE ? status : VALVEMAP_UNIDENTIFIED;
     u = (r - valvemap_r[i]) / (valvemap_r[i + 1] - valvemap_r[i]);
     *U = (1.0 - u) * ((1.0 - v) * valvemap_U[i][j] + v * valvemap_U[i][j + 1])
        + u * ((1.0 - v) * valvemap_U[i + 1][j] + v * valvemap_U[i + 1][j + 1]);
@@ -182,7 +200,8 @@ def as_structured_text(table: LookupTable, title: str) -> str:
    drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
    a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
    bilinearly: U is within {table.error_U:.3g} % of the identified map's inverse, and the flow
-   within {table.error_Q:.3g} l/min.
+   within {table.error_Q:.3g} l/min. Where nothing was measured near, the map is extrapolated: U is
+   a guess, and Status {STATUSES["EXTRAPOLATING"]}.
 
    Status: {meanings}.
    With UNIDENTIFIED U keeps its value; outside the axis of dp U is that of its nearest end.
@@ -212,6 +231,9 @@ VAR
     TableU : ARRAY[0..{n_r * n_dp - 1}] OF LREAL := [
 {_numbers(_valid(table.U).ravel())}
     ];
+    Guess : ARRAY[0..{n_r * n_dp - 1}] OF INT := [
+{_st_marks(table.guessed)}
+    ];
     y : LREAL;
     a : LREAL;
     b : LREAL;
@@ -237,6 +259,14 @@ b := (y - AxisDp[j]) / (AxisDp[j + 1] - AxisDp[j]);
 QLow := (1.0 - b) * Lowest[j] + b * Lowest[j + 1];
 QHigh := (1.0 - b) * Highest[j] + b * Highest[j + 1];
 r := (Q - QLow) / (QHigh - QLow);
+i := 0;
+WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
+    i := i + 1;
+END_WHILE;
+k := i * {n_dp} + j;
+IF (Status = 0) AND (Guess[k] + Guess[k + 1] + Guess[k + {n_dp}] + Guess[k + {n_dp + 1}] > 0) THEN
+    Status := {STATUSES["EXTRAPOLATING"]};
+END_IF;
 
 IF r > 1.0 THEN
     U := 100.0;
@@ -249,14 +279,9 @@ ELSIF r < 0.0 THEN
         Status := {STATUSES["BELOW_REACH"]};
     END_IF;
 ELSE
-    i := 0;
-    WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
-        i := i + 1;
-    END_WHILE;
-    k := i * {n_dp} + j;
     IF (TableU[k] <= {INVALID:.1f}) OR (TableU[k + 1] <= {INVALID:.1f})
         OR (TableU[k + {n_dp}] <= {INVALID:.1f}) OR (TableU[k + {n_dp + 1}] <= {INVALID:.1f}) THEN
-        IF Status = 0 THEN
+        IF Status <> {STATUSES["OUTSIDE"]} THEN
             Status := {STATUSES["UNIDENTIFIED"]};
         END_IF;
     ELSE
@@ -302,3 +327,13 @@ def _literal(x: float) -> str:
 
 def _c_rows(U: Floats) -> str:
     return ",\n".join("    {\n" + _numbers(row) + "\n    }" for row in _valid(U))
+
+
+def _c_marks(guessed: NDArray[np.bool_]) -> str:
+    return ",\n".join("    { " + ", ".join(str(int(x)) for x in row) + " }" for row in guessed)
+
+
+def _st_marks(guessed: NDArray[np.bool_], per_line: int = 24) -> str:
+    texts = [str(int(x)) for x in guessed.ravel()]
+    lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
+    return ",\n".join("        " + ", ".join(line) for line in lines)

@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from service.identification.auto import Auto, AutoState
 from service.identification.estimator import Estimator
 from service.identification.kernels import cells as auto_memory
+from service.identification.kernels import lack_of_fit
+from service.identification.kernels.support import PLACES_OF_CELL, T_LOW
 from service.identification.kernels.surface import BORDER
 from service.identification.linear_map import LinearMap, LinearMapState
 from service.identification.map_search import BAND, MOST
@@ -23,8 +25,9 @@ from service.identification.rbf_network import RbfNetwork, RbfNetworkState
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
 from service.identification.samples import Floats
+from service.identification.support import Support
 
-VERSION: Final = 1
+VERSION: Final = 2
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
 
 Numbers = tuple[float, ...]
@@ -152,11 +155,36 @@ class RegionSection(_Section):
     samples: Rows
 
 
+class SupportSection(_Section):
+    """What the map rests on, see :class:`~service.identification.support.Support`.
+
+    ``boxes`` are rows: samples (255 at most), what they span of U, dp and T, low and high each, and
+    the widest gap in T; null where no temperature was measured. ``fit`` holds the sums behind the
+    question whether eq. (7) suffices.
+    """
+
+    U_range: tuple[float, float]
+    dp_range: tuple[float, float]
+    Q_max: float = Field(gt=0.0)
+    boxes: tuple[tuple[float | None, ...], ...]
+    fit: Numbers = Field(min_length=lack_of_fit.PLACES, max_length=lack_of_fit.PLACES)
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> "SupportSection":
+        for name in ("U_range", "dp_range"):
+            if not getattr(self, name)[0] < getattr(self, name)[1]:
+                raise ValueError(f"{name}: two ascending numbers are allowed")
+        for box in self.boxes:
+            if len(box) != PLACES_OF_CELL or None in box[:T_LOW]:
+                raise ValueError(f"boxes: rows of {PLACES_OF_CELL} numbers are allowed")
+        return self
+
+
 class ModelDocument(_Section):
     """One valve's map as one estimator identified it."""
 
     format: Literal["valvemap-model"] = "valvemap-model"
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     valve: str
     estimator: str
     last_sample_ns: int
@@ -167,6 +195,7 @@ class ModelDocument(_Section):
     noise_std: float | None
     temperature: float | None
     region: RegionSection
+    support: SupportSection
 
     @model_validator(mode="after")
     def _units_are_ours(self) -> "ModelDocument":
@@ -241,6 +270,26 @@ def region_section(spread: ResidualSpread) -> RegionSection:
     return RegionSection(
         U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(spread.weights)
     )
+
+
+def support_section(support: Support) -> SupportSection:
+    """What a map rests on."""
+    U_low, U_high, dp_low, dp_high, Q_max = support.ranges.tolist()
+    boxes = [[None if np.isnan(x) else x for x in row] for row in support.boxes.tolist()]
+    return SupportSection(
+        U_range=(U_low, U_high),
+        dp_range=(dp_low, dp_high),
+        Q_max=Q_max,
+        boxes=tuple(tuple(row) for row in boxes),
+        fit=_numbers(support.fit),
+    )
+
+
+def support_of(section: SupportSection) -> Support:
+    """The same from a section."""
+    boxes = np.array(section.boxes, np.float64).reshape(-1, PLACES_OF_CELL)
+    ranges = np.array([*section.U_range, *section.dp_range, section.Q_max])
+    return Support.of_boxes(boxes, np.array(section.fit), ranges)
 
 
 def _structure_section(structure: Structure) -> StructureSection:

@@ -12,12 +12,15 @@ from service.errors import ConfigurationError, StorageError
 from service.identification.estimator import Estimator
 from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Floats
+from service.identification.support import Support
 from service.storage.model_document import (
     UNITS,
     ModelDocument,
     map_of,
     map_section,
     region_section,
+    support_of,
+    support_section,
 )
 
 
@@ -39,6 +42,8 @@ class Model:
         Source time of the last sample, UTC ns; 0 before the first.
     samples : (10, 12)
         Samples of late in each cell over U and √dp: the covered region.
+    support
+        What the map rests on: beyond it `invert` says EXTRAPOLATING.
     """
 
     valve: str
@@ -49,6 +54,7 @@ class Model:
     T: float
     t: int
     samples: Floats
+    support: Support
 
 
 def save_model(
@@ -58,6 +64,7 @@ def save_model(
     estimator: Estimator[Any],
     state: Any,  # noqa: ANN401 - the estimator's own
     spread: ResidualSpread,
+    support: Support,
     t: int = 0,
     T: float = np.nan,
 ) -> None:
@@ -85,6 +92,7 @@ def save_model(
         noise_std=_or_none(spread.noise_std),
         temperature=_or_none(T),
         region=region_section(spread),
+        support=support_section(support),
     )
     try:
         text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
@@ -124,6 +132,7 @@ def load_model(file: Path) -> Model:
         T=_or_nan(document.temperature),
         t=document.last_sample_ns,
         samples=np.array(document.region.samples),
+        support=support_of(document.support),
     )
 
 

@@ -7,25 +7,40 @@ a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.auto import Auto
 from service.identification.estimator import State
+from service.identification.extrapolation import U_range_of
 from service.identification.fleet import ManyModels, copied, member, members, repeated
 from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.kernels.row_layout import CHANGES
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.support import Support
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
 from service.streaming.kernels.lanes import NO_STATUS, Notes
-from service.streaming.pipeline import AnyEstimator, Lane, ValvePlan, ValveState, with_forgetting
+from service.streaming.pipeline import (
+    AnyEstimator,
+    Lane,
+    ValvePlan,
+    ValveState,
+    nothing_seen,
+    with_forgetting,
+)
 from service.streaming.ports import EstimatorResults
+from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 from service.streaming.score import Score, recent_rmse
+
+ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
+
+COUNTER_NAMES = (*OF_GATE, "beyond_range")
 
 
 class Fleet:
@@ -42,7 +57,10 @@ class Fleet:
     def __init__(self, plan: ValvePlan, M: int) -> None:
         self.plan = plan
         self._gate = plan.gate.initial_state(M)
-        self._lanes = {name: _Lanes(estimator, M) for name, estimator in plan.estimators.items()}
+        self._lanes = {
+            name: _Lanes(estimator, M, nothing_seen(plan))
+            for name, estimator in plan.estimators.items()
+        }
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
         self._demand = np.full((M, 2), np.nan)  # Q, dp
@@ -95,20 +113,23 @@ class Fleet:
         self._demand[m] = Q, dp
 
     def rejections(self) -> Times:
-        """What the gate rejected since the start, (M, reasons)."""
-        return self._gate.counts()
+        """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
+        beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
+        return np.column_stack((self._gate.counts(), beyond))
 
 
 class _Lanes:
     """One estimator on M valves."""
 
-    def __init__(self, estimator: AnyEstimator, M: int) -> None:
+    def __init__(self, estimator: AnyEstimator, M: int, support: Support) -> None:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
         none = ResidualSpread.none()
         self._cells = np.tile(none.cells, (M, 1, 1))
         self._overall = np.tile(none.overall, (M, 1))
+        self._support = support.of_many(M)
+        self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
         self._notes = Notes(
@@ -120,13 +141,13 @@ class _Lanes:
         )
 
     def take(self, samples: Samples, segments: Segments) -> Trace:
-        own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
-        trace = self._states.update(samples, segments.of(~own_way))
-        for m, start, stop in zip(*segments.of(own_way), strict=True):
-            rows = slice(start, stop)
-            said = self._take_own_way(int(m), samples[rows])
-            for f in fields(Trace):
-                getattr(trace, f.name)[rows] = getattr(said, f.name)
+        beyond = self._beyond_range(samples, segments)
+        if beyond is None:
+            trace = self._learn(samples, segments)
+        else:
+            quality = np.where(beyond, np.uint8(Quality.BAD), samples.quality)
+            trace = self._learn(replace(samples, quality=quality), segments)
+            trace.status[beyond] = Status.EXTRAPOLATING
         score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
         spread_kernel.learn(
             samples.t,
@@ -138,7 +159,29 @@ class _Lanes:
             self._overall,
             segments,
         )
+        self._support.learn(samples, trace.status, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
+        return trace
+
+    def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
+        """Which samples have a U that the estimator cannot describe (N,); they are counted."""
+        low, high = U_range_of(self._estimator)
+        beyond = (low - ABOUT_CLOSED > samples.U) | (high + ABOUT_CLOSED < samples.U)
+        beyond &= samples.quality != Quality.BAD
+        if not beyond.any():
+            return None
+        for m, start, stop in zip(*segments, strict=True):
+            self.beyond[m] += beyond[start:stop].sum()
+        return beyond
+
+    def _learn(self, samples: Samples, segments: Segments) -> Trace:
+        own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
+        trace = self._states.update(samples, segments.of(~own_way))
+        for m, start, stop in zip(*segments.of(own_way), strict=True):
+            rows = slice(start, stop)
+            said = self._take_own_way(int(m), samples[rows])
+            for f in fields(Trace):
+                getattr(trace, f.name)[rows] = getattr(said, f.name)
         return trace
 
     def get(self, m: int) -> Lane:
@@ -148,6 +191,7 @@ class _Lanes:
             state=self._states.get(m),
             score=Score(self._scores[m].copy()),
             spread=ResidualSpread(self._cells[m].copy(), self._overall[m].copy()),
+            support=self._support.one(m),
             frozen=bool(self._frozen[m]),
             count=int(count),
             t=int(t),
@@ -182,6 +226,7 @@ class _Lanes:
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
         self._cells[m], self._overall[m] = lane.spread.cells, lane.spread.overall
+        self._support.put(m, lane.support)
         self._frozen[m] = lane.frozen
         self._lam[m] = np.nan if lane.lam is None else lane.lam
         status = NO_STATUS if lane.status is None else int(lane.status)

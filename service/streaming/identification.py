@@ -21,6 +21,7 @@ from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
+from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
 from service.streaming.ports import (
@@ -32,10 +33,9 @@ from service.streaming.ports import (
     ValveDescription,
     ValveResult,
 )
-from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 
 MAPS_AT_ONCE = 100
-COUNTERS = (*OF_ALIGNMENT, *OF_GATE)
+COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
@@ -206,7 +206,7 @@ class Identification:
     def reset(self, valve: str, estimator: str) -> None:
         """Forget all samples; what the operator set stays set."""
         lane = self.lane(valve, estimator)
-        fresh = pipeline.fresh_lane(lane.estimator)
+        fresh = pipeline.fresh_lane(lane.estimator, lane.support.forgotten())
         self._put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
 
     def freeze(self, valve: str, estimator: str) -> None:
@@ -233,18 +233,19 @@ class Identification:
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, Status]:
-        """Q (l/min), its standard deviation and the estimator's status at one point."""
-        return pipeline.predicted(self.lane(valve, estimator), U, dp, self._T(valve, T))
+        """Q (l/min), its standard deviation and status at one point."""
+        point = (np.array([x], np.float64) for x in (U, dp, self._T(valve, T)))
+        (Q,), (std,), (status,) = pipeline.predicted(self.lane(valve, estimator), *point)
+        return float(Q), float(std), Status(int(status))
 
     def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
     ) -> tuple[float, float, float, Status]:
-        """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
+        """Q, the 95 % interval of a new measurement (l/min), and status."""
         lane = self.lane(valve, estimator)
         point = (np.array([x], np.float64) for x in (U, dp, self._T(valve, T)))
-        (Q,), (half,) = pipeline.predicted_measurement(lane, *point)
-        status = Status.WARMING_UP if lane.status is None else lane.status
-        return float(Q), float(Q - half), float(Q + half), status
+        (Q,), (half,), (status,) = pipeline.predicted_measurement(lane, *point)
+        return float(Q), float(Q - half), float(Q + half), Status(int(status))
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
@@ -367,7 +368,8 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     sizes: list[int] = []
     places = np.zeros((2, len(plans)), np.int64)
     for valve, plan in enumerate(plans):
-        key = repr((plan.gate, [(name, key_of(e)) for name, e in plan.estimators.items()]))
+        estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
+        key = repr((plan.gate, estimators, pipeline.nothing_seen(plan).ranges.tolist()))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)

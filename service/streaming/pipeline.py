@@ -7,13 +7,15 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 
 from service.identification.estimator import Estimator, State, StateMismatchError, key_of
+from service.identification.extrapolation import trusted
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import TWO_SIDED_95, ResidualSpread
-from service.identification.samples import Floats, Samples, Status
+from service.identification.samples import Codes, Floats, Samples, Status
+from service.identification.support import Support
 from service.identification.survey import Survey, survey
 from service.streaming.feedforward import FeedForward
 from service.streaming.quality_gate import GateState, QualityGate
@@ -68,6 +70,7 @@ class ValvePlan:
     gate: QualityGate
     estimators: Mapping[str, AnyEstimator]
     inverse: str
+    U_range: tuple[float, float] = (0.0, 100.0)
     map_Q: tuple[float, ...] = tuple(float(q) for q in range(0, 201, 10))
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
     feed_forward: FeedForward | None = None
@@ -81,6 +84,7 @@ class Lane:
     state: State
     score: Score
     spread: ResidualSpread = field(default_factory=ResidualSpread.none)
+    support: Support = field(default_factory=Support.none)
     frozen: bool = False
     lam: float | None = None
     count: int = 0
@@ -102,9 +106,16 @@ class ValveState:
     demand_dp: float = np.nan
 
 
-def fresh_lane(estimator: AnyEstimator) -> Lane:
-    """An estimator that has seen nothing."""
-    return Lane(estimator, estimator.initial_state(), Score.none())
+def fresh_lane(estimator: AnyEstimator, support: Support | None = None) -> Lane:
+    """An estimator that has seen nothing; ``support`` is as empty, and knows the valve's ranges."""
+    return Lane(
+        estimator, estimator.initial_state(), Score.none(), support=support or Support.none()
+    )
+
+
+def nothing_seen(plan: ValvePlan) -> Support:
+    """What an estimator's map rests on before the first sample."""
+    return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
 
 
 def finds_changes(estimator: AnyEstimator) -> bool:
@@ -155,22 +166,31 @@ def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) 
     """U for one demand; where T is NaN the last measured temperature serves."""
     lane = state.lanes[plan.inverse]
     T = state.T if np.isnan(T) else T
-    point = (np.array([x], np.float64) for x in (Q, dp, T))
-    return invert(lane.estimator, lane.state, *point)
+    return invert(lane.estimator, lane.state, [Q], [dp], [T], support=lane.support)
 
 
-def predicted(lane: Lane, U: float, dp: float, T: float) -> tuple[float, float, Status]:
-    """Q and its standard deviation at one point, and how far the estimator can be trusted."""
-    point = (np.array([x], np.float64) for x in (U, dp, T))
-    Q, std = lane.estimator.predict(lane.state, *point)
-    return float(Q[0]), float(std[0]), Status.WARMING_UP if lane.status is None else lane.status
+def predicted(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
+    """Q and its standard deviation at N points, and how far they can be trusted, all (N,).
 
-
-def predicted_measurement(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
-    """Q̂ and half the 95 % interval of a new measurement, l/min, both (N,); NaN where unknown."""
+    The status is that of the estimator, or EXTRAPOLATING where nothing was measured near.
+    """
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
-    if isinstance(lane.estimator, RbfNetwork):  # its std is that of its residuals already
-        std = np.zeros_like(std)
+    std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
+    own = Status.WARMING_UP if lane.status is None else lane.status
+    if own == Status.WARMING_UP:  # less than a guess
+        guessed = np.zeros_like(guessed)
+    return Q, std, np.where(guessed, np.uint8(Status.EXTRAPOLATING), np.uint8(own))
+
+
+def predicted_measurement(
+    lane: Lane, U: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, Floats, Codes]:
+    """Q̂, half the 95 % interval of a new measurement, l/min, and status (N,); NaN if unknown."""
+    _, own = lane.estimator.predict(lane.state, U, dp, T)
+    Q, std, status = predicted(lane, U, dp, T)
+    if isinstance(lane.estimator, RbfNetwork):  # its own std is that of its residuals already
+        with np.errstate(invalid="ignore"):
+            std = np.sqrt(np.maximum(std**2 - own**2, 0.0))
     half = lane.spread.half_width(U, dp, std)
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
@@ -178,7 +198,7 @@ def predicted_measurement(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple
             for side in (1.0, -1.0)
         )
         half = np.hypot(half, TWO_SIDED_95 * (up - down) / 2.0)
-    return Q, half
+    return Q, half, status
 
 
 def predicted_along(lane: Lane, samples: Samples) -> Floats:
@@ -200,14 +220,26 @@ class _Kept(State):
     score: Any
     cells: Any
     overall: Any
+    seen: Any
+    fit: Any
+    ranges: Any
     count: Any
 
 
 def lane_to_bytes(lane: Lane, key: str) -> bytes:
     """Pack a lane; ``key`` is that of the estimator as configured, whatever operators changed."""
     packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
-    spread = lane.spread
-    kept = _Kept(packed, lane.score.sums, spread.cells, spread.overall, np.array(lane.count))
+    spread, support = lane.spread, lane.support
+    kept = _Kept(
+        estimator=packed,
+        score=lane.score.sums,
+        cells=spread.cells,
+        overall=spread.overall,
+        seen=support.cells,
+        fit=support.fit,
+        ranges=support.ranges,
+        count=np.array(lane.count),
+    )
     return kept.to_bytes(key)
 
 
@@ -225,9 +257,10 @@ def lane_from_bytes(
     kept = _Kept.from_bytes(data, key)
     state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
     score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
-    if not spread.fits:
+    support = Support(kept.seen, kept.fit, kept.ranges)
+    if not (spread.fits and support.fits):
         raise StateMismatchError("residuals by region are kept in another way today")
-    lane = Lane(configured, state, score, spread, frozen, count=int(kept.count), t=t)
+    lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
     return lane if lam is None else with_forgetting(lane, lam)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service.app.replay import as_json, replay
+from service.cli import run
 
 STEP, N = 3_000, 4_000
 
@@ -35,3 +36,19 @@ def test_auto_names_the_structure_that_it_has_chosen_and_the_others_none(figures
     assert figures["Auto"]["structure"]
     assert figures["RLS"]["structure"] is None
     assert figures["Auto"]["last_change"] is None
+
+
+def test_samples_of_the_other_edge_are_counted_and_named(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    U, dp = rng.uniform(-100.0, 100.0, N), rng.uniform(10.0, 180.0, N)
+    table = np.column_stack(
+        [np.arange(N) * 0.1, U, dp, np.zeros(N), 0.1 * U * np.sqrt(dp), np.full(N, 40)]
+    )
+    file = tmp_path / "both.csv"
+    np.savetxt(file, table, "%.9g", ",", header="t,U,p1,p2,Q,T", comments="")
+    report = replay([file])["Valvistor"]
+    assert {r.beyond_range for r in report.values()} == {int((U < -5.0).sum())}
+    assert report["RLS"].parameters["a4"] == pytest.approx(0.1, abs=1e-6)
+    assert run(["replay", str(file)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "not learnt from, because U lay beyond what an estimator can describe" in said

@@ -31,6 +31,11 @@ def test_a_named_valve_without_nodes_is_looked_for_under_its_name(tmp_path):
     assert config.valves[0].nodes.U == "nsu=urn:valvemap:rig;s=Boom.U"
 
 
+def test_a_network_alone_may_be_given_both_edges_of_a_valve(tmp_path):
+    text = "[[valves]]\nU_range_percent = [-100, 100]\n[[valves.estimators]]\nkind = 'RBF'\n"
+    assert load_config(write(tmp_path, text)).valves[0].U_range_percent == (-100.0, 100.0)
+
+
 def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
     monkeypatch.setenv("VALVEMAP_SOURCE__URL", "opc.tcp://plc:4840")
     monkeypatch.setenv("VALVEMAP_SOURCE__PASSWORD", "geheim")
@@ -73,6 +78,11 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
         ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),
         ("[[valves]]\n" + NODES + "heartbeat = 's=B'\n", "heartbeat: required_U is needed, too"),
+        (
+            "[[valves]]\nU_range_percent = [-100, 100]\n",
+            "valves[0].U_range_percent: [-100, 100] is more than RLS, RML, Auto can describe; with",
+        ),
+        ("[[valves]]\nU_range_percent = [0, 120]\n", "[0, 120] is more than RLS, RML, Auto can"),
         ("[source\n", "not valid TOML"),
         ("[source]\ntimeout_s = nan\n", "source.timeout_s"),
     ],

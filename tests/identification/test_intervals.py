@@ -144,7 +144,7 @@ def test_whatever_the_structure_the_next_measurement_is_covered(name, truth):
         for start in (0, *range(4000, 5000, 50)):
             batch = samples[start : 4000 if start == 0 else start + 50]
             if start:
-                Q, half = predicted_measurement(lane, batch.U, batch.dp, batch.T)
+                Q, half, _ = predicted_measurement(lane, batch.U, batch.dp, batch.T)
                 inside.append(np.abs(batch.Q - Q) <= half)
             state, trace = lane.estimator.update(lane.state, batch)
             spread = lane.spread.add(batch, trace)

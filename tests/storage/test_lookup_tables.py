@@ -17,7 +17,8 @@ from service.identification.lookup_table import LookupTable, lookup_table
 from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples
+from service.identification.samples import Samples, Trace
+from service.identification.support import Support
 from service.storage.lookup_tables import as_c, as_csv, as_structured_text, write_table
 
 ESTIMATORS = {
@@ -40,7 +41,9 @@ def exported(request):
     Q = dead_band(U, dp) + 0.3 * rng.normal(size=5000)
     samples = Samples.of(np.arange(5000), U, dp, 0 * dp, Q, np.full(5000, 40.0))
     state, _ = estimator.update(estimator.initial_state(), samples)
-    return estimator, state, lookup_table(estimator, state)
+    status = np.zeros(5000, np.uint8)
+    support = Support.none().add(samples, Trace(Q, 0 * Q, 0 * Q, status))
+    return estimator, state, lookup_table(estimator, state, support=support)
 
 
 def compiled(table, folder):
@@ -102,7 +105,8 @@ def test_outside_the_axes_and_for_no_numbers_the_compiled_table_says_so(exported
 def test_where_the_map_is_not_known_the_compiled_table_gives_no_U(tmp_path):
     axis = np.array([0.0, 0.5, 1.0])
     U = np.array([[0.0, 10.0, 20.0], [50.0, np.nan, 60.0], [90.0, 90.0, 100.0]])
-    table = LookupTable(10 * axis, 0 * axis, np.full(3, 20.0), axis, U, 40.0, 0.1, 0.1)
+    known = np.zeros(U.shape, bool)
+    table = LookupTable(10 * axis, 0 * axis, np.full(3, 20.0), axis, U, known, 40.0, 0.1, 0.1)
     ask = compiled(table, tmp_path)
     assert ask(5.0, 2.5)[1] == InverseStatus.UNIDENTIFIED
     assert np.isnan(ask(5.0, 2.5)[0])
@@ -113,11 +117,29 @@ def test_the_csv_reads_back_as_the_table(exported):
     table = exported[2]
     lines = as_csv(table, "V").splitlines()
     rows = [[np.nan if x == "" else float(x) for x in row.split(",")[1:]] for row in lines[2:]]
-    expected = np.vstack([table.dp, table.lowest, table.highest, table.U])
+    expected = np.vstack([table.dp, table.lowest, table.highest, table.U, table.guessed])
     np.testing.assert_allclose(rows, expected, rtol=1e-11, atol=1e-9)
-    r = [float(row.split(",")[0].removeprefix("r=")) for row in lines[5:]]
-    np.testing.assert_allclose(r, table.r, rtol=1e-11)
+    r = [float(row.split(",")[0].split("r=")[1]) for row in lines[5:]]
+    np.testing.assert_allclose(r, np.tile(table.r, 2), rtol=1e-11)
     assert f"within {table.error_U:.3g} % of U" in lines[1]
+
+
+@pytest.mark.parametrize("name", ["eq. (7)", "auto"])
+def test_where_nothing_was_measured_every_form_of_the_table_says_extrapolating(name, tmp_path):
+    estimator, rng = ESTIMATORS[name], np.random.default_rng(4)
+    U, dp = rng.uniform(5, 40, 5000), rng.uniform(5, 60, 5000)
+    Q = dead_band(U, dp) + 0.3 * rng.normal(size=5000)
+    samples = Samples.of(np.arange(5000), U, dp, 0 * dp, Q, np.full(5000, 40.0))
+    state, trace = estimator.update(estimator.initial_state(), samples)
+    table = lookup_table(estimator, state, support=Support.none().add(samples, trace))
+    assert 0.4 < table.guessed.mean() < 1.0
+    ask, run = compiled(table, tmp_path), as_python(as_structured_text(table, "V"))
+    inside, outside = (dead_band(20.0, 30.0), 30.0), (dead_band(30.0, 150.0), 150.0)
+    for point, expected in ((inside, 0), (outside, 7), ((1e3, 150.0), 7)):
+        status = table.interpolate(*np.array(point).reshape(2, 1))[1]
+        assert [status[0], ask(*point)[1], run(*point)["Status"]] == [expected] * 3
+    marks = [line for line in as_csv(table, "V").splitlines() if line.startswith("extrapolated")]
+    assert sum(line.count("1") > 20 for line in marks) > 20
 
 
 BLOCKS = ("FUNCTION_BLOCK", "VAR", "IF", "WHILE")
@@ -130,7 +152,7 @@ def test_the_structured_text_is_well_formed(exported):
     assert "(*" not in code
     assert "*)" not in code
     words = re.findall(r"[A-Za-z_]+", code)
-    opens = {"FUNCTION_BLOCK": 1, "VAR": 3, "IF": 6, "WHILE": 2}
+    opens = {"FUNCTION_BLOCK": 1, "VAR": 3, "IF": 7, "WHILE": 2}
     for block, n in opens.items():
         starts = [w for w in words if w == block or (block == "VAR" and w.startswith("VAR"))]
         assert len(starts) == n, block
@@ -164,7 +186,8 @@ def test_a_parser_of_the_standard_takes_the_structured_text_and_none_with_a_slip
     """With blark where it is installed; a small table, because its parser is slow."""
     blark = pytest.importorskip("blark.parse", reason="blark, a parser of IEC 61131-3")
     axis = np.array([0.0, 0.5, 1.0])
-    table = LookupTable(10 * axis, axis, 9 + axis, axis, 100 * np.eye(3), 40.0, 0.1, 0.1)
+    U, known = 100 * np.eye(3), np.eye(3) > 1.0
+    table = LookupTable(10 * axis, axis, 9 + axis, axis, U, known, 40.0, 0.1, 0.1)
     text = as_structured_text(table, "V")
     assert blark.parse_source_code(text).exception is None
     for right, wrong in (("END_IF;", "END_FI;"), ("THEN", ""), ("END_VAR", "")):

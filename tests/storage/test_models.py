@@ -16,6 +16,7 @@ from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Quality, Samples, Status
+from service.identification.support import Support
 from service.storage.models import load_model, save_model
 
 ESTIMATORS = {
@@ -44,19 +45,21 @@ def recording(n=3000):
 def taught(estimator):
     samples = recording()
     state, trace = estimator.update(estimator.initial_state(), samples)
-    return state, ResidualSpread.none().add(samples, trace)
+    return state, ResidualSpread.none().add(samples, trace), Support.none().add(samples, trace)
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_a_loaded_model_predicts_and_inverts_as_the_saved_one(name, tmp_path):
     estimator = ESTIMATORS[name]
-    state, scatter = taught(estimator)
+    state, scatter, support = taught(estimator)
     file = tmp_path / "model.json"
-    save_model(file, "V1", name, estimator, state, scatter, t=7, T=41.5)
+    save_model(file, "V1", name, estimator, state, scatter, support, t=7, T=41.5)
     model = load_model(file)
     assert (model.valve, model.name, model.t, model.T) == ("V1", name, 7, 41.5)
     assert model.noise_std == scatter.noise_std
     assert np.array_equal(model.samples, scatter.weights)
+    for field in ("cells", "fit", "ranges"):
+        np.testing.assert_array_equal(getattr(model.support, field), getattr(support, field))
     rng = np.random.default_rng(3)
     U, dp, T = rng.uniform(0, 100, 200), rng.uniform(1, 200, 200), rng.uniform(25, 55, 200)
     before = estimator.predict(state, U, dp, T)
@@ -64,7 +67,8 @@ def test_a_loaded_model_predicts_and_inverts_as_the_saved_one(name, tmp_path):
     np.testing.assert_allclose(after[0], before[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(after[1], before[1], rtol=1e-6)
     Q = rng.uniform(0, 150, 200)
-    mine, its = invert(estimator, state, Q, dp, T), invert(model.estimator, model.state, Q, dp, T)
+    mine = invert(estimator, state, Q, dp, T, support=support)
+    its = invert(model.estimator, model.state, Q, dp, T, support=model.support)
     assert np.array_equal(mine.status, its.status)
     np.testing.assert_allclose(its.U, mine.U, atol=1e-8)
     np.testing.assert_allclose(its.lower, mine.lower, atol=1e-4)
@@ -72,10 +76,10 @@ def test_a_loaded_model_predicts_and_inverts_as_the_saved_one(name, tmp_path):
 
 def test_the_file_says_what_it_holds_in_physical_units(tmp_path):
     estimator = ESTIMATORS["eq. (7)"]
-    state, scatter = taught(estimator)
-    save_model(tmp_path / "m.json", "V1", "RLS", estimator, state, scatter)
+    state, scatter, support = taught(estimator)
+    save_model(tmp_path / "m.json", "V1", "RLS", estimator, state, scatter, support)
     document = json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))
-    assert (document["format"], document["version"]) == ("valvemap-model", 1)
+    assert (document["format"], document["version"]) == ("valvemap-model", 2)
     assert document["units"] == {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
     assert list(document["parameters"]) == ["a1", "a2", "a3", "a4", "a5"]
     theta, std = estimator.parameters(state)
@@ -89,15 +93,20 @@ def test_the_file_says_what_it_holds_in_physical_units(tmp_path):
 def test_what_is_not_determined_yet_is_not_saved(name, tmp_path):
     estimator = ESTIMATORS[name]
     state = estimator.initial_state()
+    nothing = ResidualSpread.none(), Support.none()
     with pytest.raises(StorageError, match=r"m\.json: V1\.X is not saved: .* not determined yet"):
-        save_model(tmp_path / "m.json", "V1", "X", estimator, state, ResidualSpread.none())
+        save_model(tmp_path / "m.json", "V1", "X", estimator, state, *nothing)
     assert not (tmp_path / "m.json").exists()
 
 
 @pytest.mark.parametrize(
     ("field", "value", "sentence"),
     [
-        ("version", 2, r"version: Input should be 1, not 2"),
+        ("version", 1, r"version: Input should be 2, not 1"),
+        ("support.fit", [1.0], r"support\.fit: .* at least 225 items"),
+        ("support.Q_max", 0.0, r"support\.Q_max: .* greater than 0, not 0\.0"),
+        ("support.dp_range", [9.0, 9.0], r"support: dp_range: two ascending numbers are allowed"),
+        ("support.boxes", [[1.0]], r"support: boxes: rows of 9 numbers are allowed"),
         ("format", "other", r"format: Input should be 'valvemap-model', not 'other'"),
         ("units", {"U": "V"}, r"units are \{'U': 'V'\}; .* is allowed"),
         ("noise_std", "much", r"noise_std: .* not 'much'"),
@@ -147,8 +156,8 @@ def test_a_file_that_cannot_be_written_or_read_is_named(tmp_path):
 
 def test_a_loaded_map_never_learns(tmp_path):
     estimator = ESTIMATORS["eq. (7)"]
-    state, scatter = taught(estimator)
-    save_model(tmp_path / "m.json", "V", "R", estimator, state, scatter)
+    state, scatter, support = taught(estimator)
+    save_model(tmp_path / "m.json", "V", "R", estimator, state, scatter, support)
     model = load_model(tmp_path / "m.json")
     assert isinstance(model.estimator, LinearMap)
     samples = recording(10)

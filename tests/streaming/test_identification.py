@@ -6,6 +6,7 @@ from support.plant import as_changes, plant
 
 from service.errors import CommandRejected
 from service.identification.inversion import InverseStatus
+from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Quality, Status
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.identification import SURVEYS_AT_ONCE, Identification
@@ -147,6 +148,7 @@ def test_a_new_measurement_is_expected_within_the_noise_of_the_residuals(identif
     after = identification.lane("Valvistor", "RLS").spread
     assert after.cells.tobytes() == before.cells.tobytes()
     assert after.multiple == before.multiple
+    assert len(identification.lane("Valvistor", "RLS").support.boxes) > 100
 
 
 def test_every_map_is_surveyed_when_the_inverse_is_tabulated_anew(identification):
@@ -169,3 +171,62 @@ def test_a_fleet_is_surveyed_in_turns(plan):
         results = (fleet.result(k).estimators.values() for k in range(20))
         seen.append(sum(r.survey is not None for group in results for r in group))
     assert seen == [SURVEYS_AT_ONCE, 3 * 20]
+
+
+def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(identification):
+    identification.take_samples(0, plant(300))
+    before = thetas(identification)
+    other_edge = plant(50, seed=5, first=300)
+    other_edge.U[:] -= 110.0
+    identification.take_samples(0, other_edge)
+    assert thetas(identification) == before
+    assert identification.counters(0)["beyond_range"] == 50
+    assert identification.counters(0)["out_of_range"] == 0
+    for result in identification.result(0).estimators.values():
+        assert (result.status, result.quality) == (Status.EXTRAPOLATING, Quality.UNCERTAIN)
+        assert result.sample_count == 300
+        assert np.isnan(result.residual)
+    closed = plant(20, seed=6, first=350)
+    closed.U[:] = -1.0  # a sensor about a closed valve
+    identification.take_samples(0, closed)
+    assert identification.result(0).estimators["RLS"].status is Status.OK
+    assert identification.counters(0)["beyond_range"] == 50
+
+
+def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
+    network = RbfNetwork(U_range=(-100.0, 100.0), dp_range=(0.0, 200.0))
+    both = replace(plan, estimators={"RBF": network}, inverse="RBF", U_range=(-100.0, 100.0))
+    identification = Identification([both], Alignment(AlignmentSettings(), has_T=(True,)))
+    for k in range(4):
+        samples = plant(5000, seed=k, first=5000 * k)
+        samples.U[::2] *= -1.0
+        samples.Q[::2] *= -1.0
+        identification.take_samples(0, samples)
+    assert identification.counters(0)["beyond_range"] == 0
+    for Q in (70.0, -70.0):
+        answer = identification.invert("Valvistor", Q, 100.0, 40.0)
+        assert answer.status[0] == InverseStatus.OK
+        assert answer.U[0] == pytest.approx(Q / 1.0, abs=15.0)
+        assert answer.lower[0] < answer.U[0] < answer.upper[0]
+
+
+def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolating(identification):
+    samples = plant(3000)
+    part = (samples.U < 40.0) & (samples.dp < 60.0)
+    identification.take_samples(0, samples[part])
+    assert identification.predict("Valvistor", "RBF", 20.0, 30.0, 40.0)[2] is Status.OK
+    for name in ("RBF", "RLS", "RML"):
+        _, std, status = identification.predict("Valvistor", name, 90.0, 180.0, 70.0)
+        assert status is Status.EXTRAPOLATING
+        assert std > 1.0
+    answer = identification.invert("Valvistor", 100.0, 150.0, 70.0)
+    assert answer.status[0] == InverseStatus.EXTRAPOLATING
+    assert answer.lower[0] < answer.U[0] < answer.upper[0]
+    identification.demand("Valvistor", 20.0, 50.0)
+    assert identification.result(0).inverse.status == InverseStatus.OK
+    hot = samples[part][:1]
+    hot.T[:] = 80.0
+    identification.take_samples(0, hot)
+    assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
+    identification.reset("Valvistor", "RLS")
+    assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
