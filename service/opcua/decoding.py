@@ -43,7 +43,7 @@ _MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _SMALLEST_RECORD = 5
-_ELEMENTS_PER_RECORD = 2  # to pass over a record costs as much as to walk so many elements
+_ELEMENTS_PER_RECORD = 4  # to pass over a record costs as much as to walk so many elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _NO_NUMBER = 255
 

@@ -280,7 +280,10 @@ async def _namespaces(connection: Connection) -> list[str]:
             ]
         )
         (answer,) = await connection.session.read(parameters)
-        return [str(uri or "") for uri in answer.Value.Value]
+        uris = [uri or "" for uri in answer.Value.Value]
+        if not all(isinstance(uri, str) for uri in uris):
+            raise ValueError("namespaces that are no strings")
+        return uris
 
 
 async def _read(connection: Connection, ids: Sequence[ua.NodeId]) -> list[list[ua.DataValue]]:

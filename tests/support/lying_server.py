@@ -5,7 +5,7 @@ It stands before a real one and puts a lie in the place of every response of one
 
 import asyncio
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Self
@@ -22,7 +22,7 @@ class Lie:
 
     kind: int  # number of the response's TypeId; 0: the Acknowledge
     body: Callable[[bytes], bytes] | None = None  # of the honest body
-    frames: Callable[[bytes], list[bytes]] | None = None  # of all before the body
+    frames: Callable[[bytes], Iterable[bytes]] | None = None  # of all before the body
     told: float = field(default=0.0, init=False)
     bytes_taken: int = field(default=0, init=False)
 
