@@ -6,6 +6,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
+from service.identification.change import FindsChanges
 from service.identification.estimator import Estimator, State, StateMismatchError, key_of
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
@@ -106,9 +107,9 @@ def fresh_lane(estimator: AnyEstimator) -> Lane:
 
 def finds_changes(estimator: AnyEstimator) -> bool:
     """Whether an estimator looks for abrupt changes of the valve and tells of them."""
-    return isinstance(estimator, RecursiveLeastSquares) and isinstance(
-        estimator.forgetting, Adaptive
-    )
+    if isinstance(estimator, RecursiveLeastSquares):
+        return isinstance(estimator.forgetting, Adaptive)
+    return isinstance(estimator, FindsChanges)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
