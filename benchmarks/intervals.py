@@ -66,7 +66,8 @@ def asked(estimator: Estimator[Any], samples: Samples, ahead: int = AHEAD) -> tu
             errors.append(batch.Q - Q)
             halves.append(half)
         state, trace = estimator.update(lane.state, batch)
-        lane = Lane(estimator, state, lane.score, lane.spread.add(batch, trace))
+        spread, support = lane.spread.add(batch, trace), lane.support.add(batch, trace)
+        lane = Lane(estimator, state, lane.score, spread, support)
     error, half = np.concatenate(errors), np.concatenate(halves)
     known = np.isfinite(error) & np.isfinite(half)
     return error[known], half[known]

@@ -188,10 +188,11 @@ def predicted_measurement(
     """Q̂, half the 95 % interval of a new measurement, l/min, and status (N,); NaN if unknown."""
     _, own = lane.estimator.predict(lane.state, U, dp, T)
     Q, std, status = predicted(lane, U, dp, T)
-    if isinstance(lane.estimator, RbfNetwork):  # its own std is that of its residuals already
-        with np.errstate(invalid="ignore"):
-            std = np.sqrt(np.maximum(std**2 - own**2, 0.0))
-    half = lane.spread.half_width(U, dp, std)
+    with np.errstate(invalid="ignore"):
+        beyond = np.where(status == Status.EXTRAPOLATING, np.maximum(std**2 - own**2, 0.0), 0.0)
+        # the spread of the residuals holds the misfit already, and the network's own std, too
+        known = 0.0 * own if isinstance(lane.estimator, RbfNetwork) else own
+        half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
         up, down = (
             lane.estimator.predict_along(lane.state, U, dp, T, np.full_like(U, side))[0]

@@ -126,6 +126,7 @@ async def test_others_decode_what_no_peer_may_send(server):
 
 
 async def test_others_lose_no_line_of_the_log(server, caplog):
+    caplog.set_level(logging.WARNING, "asyncua")  # commands make it quieter
     peer = await RawPeer.connect(server.url)
     await peer.log_in()
     for _ in range(30):

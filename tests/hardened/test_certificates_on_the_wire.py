@@ -12,6 +12,7 @@ from support.secure_peer import SecurePeer
 
 from service.hardened import (
     HardenedServer,
+    Limits,
     Pki,
     Role,
     ServerSettings,
@@ -42,6 +43,7 @@ async def server(tmp_path_factory):
         namespace_uri="urn:certificates",
         pki=pki,
         users=UserStore.load(users),
+        limits=Limits(connections_per_second=1_000),
     )
     server = await HardenedServer.create(settings)
     server.pki, server.users_file = pki, users

@@ -147,8 +147,8 @@ def test_whatever_the_structure_the_next_measurement_is_covered(name, truth):
                 Q, half, _ = predicted_measurement(lane, batch.U, batch.dp, batch.T)
                 inside.append(np.abs(batch.Q - Q) <= half)
             state, trace = lane.estimator.update(lane.state, batch)
-            spread = lane.spread.add(batch, trace)
-            lane = type(lane)(lane.estimator, state, lane.score, spread)
+            spread, support = lane.spread.add(batch, trace), lane.support.add(batch, trace)
+            lane = type(lane)(lane.estimator, state, lane.score, spread, support)
     assert 0.93 <= np.mean(inside) <= 0.97
 
 

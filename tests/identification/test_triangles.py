@@ -97,11 +97,11 @@ def test_inform_is_the_inverse(seed, v):
 
 
 @given(seeds, vectors, vectors, weights, weights)
-def test_turn_turns_a_symmetric_matrix(seed, x, v, taken, added):
+def test_rotate_rotates_a_symmetric_matrix(seed, x, v, taken, added):
     s = row_with(seed, x=x, Px=v)
     B = np.eye(N) - taken * np.outer(x, v)
     expected = B @ symmetric(s, AT.spread) @ B.T + added * np.outer(x, x)
-    triangles.turn.py_func(SIZE, s, AT.spread, AT.x, AT.Px, AT.g, taken, added)
+    triangles.rotate.py_func(SIZE, s, AT.spread, AT.x, AT.Px, AT.g, taken, added)
     np.testing.assert_allclose(symmetric(s, AT.spread), expected, rtol=1e-7, atol=1e-6)
 
 
@@ -137,10 +137,10 @@ def test_a_direction_that_others_explain_counts_nothing():
     np.testing.assert_allclose(length, 1.0)
 
 
-@pytest.mark.parametrize("turns", [1, 8])
-def test_turns_come_as_often_as_they_should_in_step_with_nothing(turns):
-    taken = np.array([is_nth.py_func(count, turns) for count in range(1, 64_001)])
-    assert taken.mean() == pytest.approx(1 / turns, abs=1e-3)
+@pytest.mark.parametrize("n", [1, 8])
+def test_every_nth_comes_as_often_as_it_should_in_step_with_nothing(n):
+    taken = np.array([is_nth.py_func(count, n) for count in range(1, 64_001)])
+    assert taken.mean() == pytest.approx(1 / n, abs=1e-3)
     for period in range(2, 65):
         shares = [taken[phase::period].mean() for phase in range(period)]
-        np.testing.assert_allclose(shares, 1 / turns, atol=0.02)
+        np.testing.assert_allclose(shares, 1 / n, atol=0.02)
