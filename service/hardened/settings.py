@@ -72,7 +72,7 @@ class Limits:
     reserved_share: float = 0.1
     connections: int = 100
     connections_per_host: int = 50
-    connections_per_second: int = 50
+    connections_per_second: int = 200
     sessions: int = 100
     sessions_per_host: int = 50
     handshake_seconds: float = 10.0

@@ -9,6 +9,8 @@ import pytest
 from asyncua import Client, ua
 from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
 
+from service.identification.inversion import InverseStatus
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
@@ -95,7 +97,7 @@ async def test_anyone_may_ask_for_a_flow_and_for_the_voltage_that_gives_it(servi
     U, lower, upper, status = await inverse.call_method(
         await node(service, "Valvistor.Inverse.Invert"), 60.0, 100.0, 40.0
     )
-    assert status == 0
+    assert status in (InverseStatus.OK, InverseStatus.EXTRAPOLATING)  # as far as it has got
     assert lower <= U <= upper
     Q, std, _ = await (await node(service, "Valvistor.Auto")).call_method(
         await node(service, "Valvistor.Auto.Predict"), U, 100.0, 40.0
