@@ -248,7 +248,10 @@ class TestTrustTakenAway:
         peer.close()
 
 
-async def test_a_line_break_in_a_subject_forges_no_line_in_the_console_log(server, pki, capfd):
+async def test_a_line_break_in_a_subject_forges_no_line_in_the_console_log(
+    server, pki, capfd, caplog
+):
+    caplog.set_level(logging.WARNING)  # commands make it quieter
     forged = "2026-11-22 [info] session activated by anna"
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(message)s"))
