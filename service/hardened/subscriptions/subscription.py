@@ -102,6 +102,7 @@ class Subscription:
         self.timing = timing
         self.publishing = publishing
         self.items: dict[int, Item] = {}
+        self.links = 0  # by which items trigger others, in all
         self.waiting_since: float | None = None
         self._store = store
         self._clock = clock
@@ -178,13 +179,9 @@ class Subscription:
         self._triggered.add(number)
         self.hurry()
 
-    @property
-    def links(self) -> int:
-        """How many links between items there are."""
-        return sum(map(len, self._linked_by.values()))
-
     def link(self, item: Item, number: int) -> None:
         """Let an item trigger another one."""
+        self.links += number not in item.links
         item.links.add(number)
         self._linked_by.setdefault(number, set()).add(item.number)
 
@@ -192,6 +189,7 @@ class Subscription:
         """Let an item trigger another one no more; whether it did."""
         if number not in item.links:
             return False
+        self.links -= 1
         item.links.discard(number)
         self._linked_by[number].discard(item.number)
         if not self._linked_by[number]:
