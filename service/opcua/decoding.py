@@ -43,6 +43,7 @@ _MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _SMALLEST_RECORD = 5
+_MOST_RECORDS = 600_000  # what the largest message holds with a Double in each
 _ELEMENTS_PER_RECORD = 4  # to pass over a record costs as much as to walk so many elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _NO_NUMBER = 255
@@ -209,6 +210,8 @@ class _Batch:
 
 def _data_changes(reader: Reader, publish_time: int) -> _Batch:
     n = reader.count(_SMALLEST_RECORD)
+    if n > _MOST_RECORDS:
+        raise DecodeError(f"{n} changes in one message, at most {_MOST_RECORDS} are read")
     raw = np.frombuffer(reader.data, np.uint8)
     handle = np.empty(n, np.int32)
     bits = np.empty(n, np.uint64)

@@ -158,7 +158,8 @@ READS = {
 }
 PUBLISHED = {
     "changes without anything": changes(bytes(5), 1_500_000),
-    "structures": changes(bytes(4) + b"\1\x16" + bytes(3), 800_000),
+    "as many changes as are read": changes(bytes(5), 600_000),
+    "structures": changes(bytes(4) + b"\1\x16" + bytes(3), 600_000),
     "empty texts": changes(bytes(4) + b"\1\x95" + length(50_000) + bytes(50_000), 150),
     "notifications": lambda body: after_header(
         body,
