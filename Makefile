@@ -6,7 +6,10 @@ RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
-.PHONY: install demo test hardened lint format soak bench report lock clean
+# Markers of the tests that need foreign programs.
+PEERS := node or milo or image
+
+.PHONY: install demo test peers hardened lint format soak bench report lock clean
 
 install: $(RUNTIME)
 
@@ -14,7 +17,11 @@ demo: $(RUNTIME)
 	@$(BIN)/valvemap demo
 
 test: lint
-	$(BIN)/python -m pytest -m "not soak"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or $(PEERS))"
+	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
+
+peers: $(DEV)
+	$(BIN)/python -m pytest -m "($(PEERS)) and not soak"
 
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.
 hardened: $(DEV)
