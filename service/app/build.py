@@ -7,6 +7,7 @@ from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
+from service.config.signals import SignalConfig
 from service.errors import ConfigurationError
 from service.hardened import (
     Limits,
@@ -18,6 +19,7 @@ from service.hardened import (
     ensure_certificate,
 )
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.storage.layout import NUMBERS, Layout, Measure, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -78,6 +80,19 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
     return OpcUaSource(settings, nodes, ready=ready)
 
 
+def build_layout(config: Config) -> Layout:
+    """Where recordings hold the valves' signals."""
+    return Layout(
+        valves=tuple(
+            ValveLayout(valve.name, {name: _measure(valve, name) for name in NUMBERS})
+            for valve in config.valves
+        ),
+        time=config.recording.time,
+        valve=config.recording.valve,
+        quality=config.recording.quality,
+    )
+
+
 def build_server_settings(config: Config) -> ServerSettings:
     """Identity, endpoint and users of the results server."""
     return ServerSettings(
@@ -115,6 +130,11 @@ def own_certificate(config: Config) -> OwnCertificate:
     names = config.server.host_names or ("localhost", "127.0.0.1")
     file_name = APPLICATION_NAME.replace(" ", "-")
     return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
+
+
+def _measure(valve: ValveConfig, name: str) -> Measure:
+    given: SignalConfig = getattr(valve.signals, name)
+    return Measure(given.column, given.engineering_unit(name), given.raw, given.range)
 
 
 def _plan(valve: ValveConfig) -> ValvePlan:

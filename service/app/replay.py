@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from service.app.build import build_plans
+from service.app.build import build_layout, build_plans
 from service.config.models import Config, ValveConfig
 from service.errors import ConfigurationError
 from service.identification.forgetting import Exponential
@@ -18,6 +18,7 @@ from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.samples import Quality, Samples, Segments, Trace
 from service.identification.survey import Survey
+from service.storage.layout import Layout
 from service.storage.recordings import read_recording
 from service.streaming import pipeline
 from service.streaming.fleet import COUNTER_NAMES, Fleet
@@ -97,9 +98,10 @@ def replay(
     RecordingError, ConfigurationError
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
+    layout = None if config is None else build_layout(config)
     valves: dict[str, _Learnt] = {}
     for file in files:
-        for name, samples in _read(file, progress):
+        for name, samples in _read(file, layout, progress):
             if name not in valves:
                 plan = _default_plan(name) if plans is None else plans.get(name)
                 if plan is None:
@@ -113,7 +115,7 @@ def replay(
     checks = {name: [_check(valve, valve.last)] for name, valve in valves.items()}
     if verify is not None:
         checks = {name: [] for name in valves}
-        for name, samples in _read(verify, progress):
+        for name, samples in _read(verify, layout, progress):
             if name in valves:
                 checks[name].append(_check(valves[name], samples))
     return {
@@ -252,8 +254,8 @@ def _report(
     return report
 
 
-def _read(file: Path, progress: Progress) -> Iterator[tuple[str, Samples]]:
-    with read_recording(file) as recording:
+def _read(file: Path, layout: Layout | None, progress: Progress) -> Iterator[tuple[str, Samples]]:
+    with read_recording(file, layout=layout) as recording:
         progress(file, 0.0)
         for name, samples in _one_ahead(recording):
             yield name, samples
