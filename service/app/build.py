@@ -1,13 +1,12 @@
 """From the configuration's words to the objects that do the work."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
-from service.config.signals import SignalConfig
 from service.errors import ConfigurationError
 from service.hardened import (
     Limits,
@@ -19,7 +18,7 @@ from service.hardened import (
     ensure_certificate,
 )
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.storage.layout import NUMBERS, Layout, Measure, ValveLayout
+from service.storage.layout import NUMBERS, Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -28,6 +27,7 @@ from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
+from service.streaming.units import QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -76,17 +76,22 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         queue_size=config.source.queue_size,
         timeout_s=config.source.timeout_s,
     )
-    nodes = [ValveNodes(valve=valve.name, **valve.nodes.model_dump()) for valve in config.valves]
+    nodes = [
+        ValveNodes(
+            valve=valve.name,
+            **valve.nodes.model_dump(),
+            measures=_measures(valve, QUANTITY_OF),
+            insist=valve.insist,
+        )
+        for valve in config.valves
+    ]
     return OpcUaSource(settings, nodes, ready=ready)
 
 
 def build_layout(config: Config) -> Layout:
     """Where recordings hold the valves' signals."""
     return Layout(
-        valves=tuple(
-            ValveLayout(valve.name, {name: _measure(valve, name) for name in NUMBERS})
-            for valve in config.valves
-        ),
+        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,
@@ -132,9 +137,8 @@ def own_certificate(config: Config) -> OwnCertificate:
     return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
 
 
-def _measure(valve: ValveConfig, name: str) -> Measure:
-    given: SignalConfig = getattr(valve.signals, name)
-    return Measure(given.column, given.engineering_unit(name), given.raw, given.range)
+def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
+    return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
 def _plan(valve: ValveConfig) -> ValvePlan:

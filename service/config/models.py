@@ -303,7 +303,7 @@ class ValveConfig(_Section):
 
     @model_validator(mode="after")
     def _command_has_a_unit(self) -> Self:
-        is_own = self.signals.U.scaling("U").is_identity
+        is_own = self.signals.U.measure("U").scaling("U").is_identity
         said = {"unit", "raw"} & self.signals.required_U.model_fields_set
         if self.nodes.required_U is not None and not is_own and not said:
             raise ValueError(

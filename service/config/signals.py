@@ -7,11 +7,10 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from service.streaming.units import (
     QUANTITY_OF,
     SYMBOLS,
+    Measure,
     Quantity,
-    Scaling,
     Unit,
     inside,
-    scaling_of,
     unit_of,
 )
 
@@ -64,17 +63,12 @@ class SignalConfig(BaseModel):
         """The unit that is named, if one is."""
         return None if self.unit is None else unit_of(self.unit)
 
-    def engineering_unit(self, signal: str) -> Unit | None:
-        """The unit of ``range``, or of the numbers themselves; None where it is not said."""
+    def measure(self, signal: str) -> Measure:
+        """What is known of the signal beforehand."""
         unit = self.known_unit
         if unit is not None and unit.quantity is Quantity.ELECTRICAL:
-            return inside(QUANTITY_OF[signal])  # the unit is that of raw
-        return unit
-
-    def scaling(self, signal: str) -> Scaling:
-        """From the numbers as they come to the unit that is used inside."""
-        unit = self.engineering_unit(signal) or inside(QUANTITY_OF[signal])
-        return scaling_of(unit, self.raw, self.range)
+            unit = inside(QUANTITY_OF[signal])  # what is named is the unit of raw
+        return Measure(self.column, unit, self.raw, self.range)
 
 
 class SignalsConfig(BaseModel):
@@ -93,10 +87,10 @@ class SignalsConfig(BaseModel):
     def _quantities_fit(self) -> Self:
         for name in _SIGNALS:
             signal: SignalConfig = getattr(self, name)
-            unit, quantity = signal.engineering_unit(name), QUANTITY_OF[name]
+            unit, quantity = signal.measure(name).unit, QUANTITY_OF[name]
             if unit is not None and unit.quantity is not quantity:
                 raise ValueError(
                     f"{name}.unit = {signal.unit!r} is a unit of {unit.quantity.noun}; "
-                    f"{name} is a matter of {quantity.noun}"
+                    f"a unit of {quantity.noun} is needed, such as {quantity.value}"
                 )
         return self

@@ -2,18 +2,17 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from service.errors import ConfigurationError, RecordingError
 from service.streaming.units import (
     QUANTITY_OF,
     SYMBOLS,
+    Measure,
     Quantity,
     Scaling,
     Unit,
-    inside,
-    scaling_of,
     unit_of,
 )
 
@@ -26,27 +25,6 @@ _TEMPERATURES = ("temp", "temperature", "temperatur", "oil temperature")
 _IN_BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]]*?)[\])]\s*")
 _BEHIND_A_STROKE = re.compile(r"(?P<name>.*?)(?:\s+/\s*|\s+in\s+)(?P<unit>\S+)")
 _BEHIND_A_LOW_LINE = re.compile(r"(?P<name>.*)_(?P<unit>[^\s_\d]{2,}[^\s_]*|[CFcf])")
-
-
-@dataclass(frozen=True)
-class Measure:
-    """What is known of one signal beforehand.
-
-    Attributes
-    ----------
-    column
-        Its column in a recording; None: the one of its own name.
-    unit
-        Of its numbers, or of ``scaled``; None: as the column's heading says, else the unit that is
-        used inside.
-    raw, scaled
-        Two raw numbers and what they mean.
-    """
-
-    column: str | None = None
-    unit: Unit | None = None
-    raw: tuple[float, float] | None = None
-    scaled: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -245,7 +223,6 @@ class _Finder:
 
     def _scaling(self, own: ValveLayout, signal: str, number: int) -> Scaling:
         given = own.signals.get(signal, Measure())
-        quantity = QUANTITY_OF[signal]
         text = self._headings[number][1]
         written = None if text is None else unit_of(text)
         if text is not None and written is None:
@@ -256,9 +233,8 @@ class _Finder:
                 )
             written = None
         self._agree(own, signal, number, written)
-        if given.raw is not None and given.scaled is not None:
-            return scaling_of(given.unit or inside(quantity), given.raw, given.scaled)
-        return scaling_of(given.unit or written or inside(quantity))
+        unit = written if given.unit is None and given.raw is None else given.unit
+        return replace(given, unit=unit).scaling(signal)
 
     def _agree(self, own: ValveLayout, signal: str, number: int, written: Unit | None) -> None:
         """Refuse a heading that contradicts the configuration, or its own signal."""

@@ -206,3 +206,28 @@ def scaling_of(
         offset += gain * (least - slope * low)
         gain *= slope
     return Scaling(float(gain), float(offset))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is known of one signal beforehand.
+
+    Attributes
+    ----------
+    column
+        Its column in a recording; None: the one of its own name.
+    unit
+        Of its numbers, or of ``scaled``; None: as the source itself says, else the unit that is
+        used inside.
+    raw, scaled
+        Two raw numbers and what they mean.
+    """
+
+    column: str | None = None
+    unit: Unit | None = None
+    raw: tuple[float, float] | None = None
+    scaled: tuple[float, float] | None = None
+
+    def scaling(self, signal: str) -> Scaling:
+        """From the numbers of a signal as they come to the unit that is used inside."""
+        return scaling_of(self.unit or inside(QUANTITY_OF[signal]), self.raw, self.scaled)
