@@ -156,6 +156,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_Q=_axis(*valve.Q_range_l_min),
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
+        insist=valve.insist,
     )
 
 
