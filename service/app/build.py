@@ -107,12 +107,27 @@ def build_server_settings(config: Config) -> ServerSettings:
         namespace_uri=APPLICATION_URI,
         pki=Pki(config.security.pki),
         require_crl=config.security.require_crl,
-        users=UserStore.load(config.security.users),
+        users=load_users(config.security.users),
         anonymous_observer=config.server.anonymous_observer,
         host_names=config.server.host_names,
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
         product=PRODUCT,
     )
+
+
+def load_users(file: Path) -> UserStore:
+    """Read who may log in.
+
+    Raises
+    ------
+    ConfigurationError
+        if the file is not there: it says what makes it; or if it is wrong.
+    """
+    if not file.exists():
+        raise ConfigurationError(
+            f"{file}: no such file; `valvemap init` makes users, certificates and a configuration"
+        )
+    return UserStore.load(file)
 
 
 def build_live_settings(config: Config) -> LiveSettings:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from service.cli.options import ConfigOption
+from service.cli.options import ConfigOption, check_folder
 from service.config.loading import load_config
 from service.errors import RecordingError, StorageError
 
@@ -49,6 +49,8 @@ def replay(
     from service.report.replay_plots import ReplayPlots
     from service.report.verification import verification_table
 
+    check_folder("--json", json_out)
+    check_folder("--save", save)
     loaded = None if config is None else load_config(config)
     plots = None if plot is None else ReplayPlots(plot)
     with Progress(

@@ -16,7 +16,7 @@ from typing import IO, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import RecordingError, ValvemapError
+from service.errors import NoRecording, RecordingError, ValvemapError
 from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
@@ -230,7 +230,7 @@ class _Faults:
                 f"{self._path} is cut off or damaged behind line {self._line()}: {error}"
             ) from None
         if isinstance(error, FileNotFoundError):
-            raise RecordingError(f"{self._path} does not exist") from None
+            raise NoRecording(f"{self._path} does not exist") from None
         if isinstance(error, OSError):
             raise RecordingError(
                 f"{self._path} cannot be read: {error.strerror or error}"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import RecordingError
+from service.errors import NoRecording, RecordingError
 from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
@@ -269,7 +269,7 @@ def _valves(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np.i
 
 def _damaged(path: Path, error: Exception, row: int) -> RecordingError:
     if isinstance(error, FileNotFoundError):
-        return RecordingError(f"{path} does not exist")
+        return NoRecording(f"{path} does not exist")
     sentence = str(error).splitlines()[0] if str(error) else type(error).__name__
     where = f"damaged behind row {row}" if row else "not a recording"
     return RecordingError(f"{path} is {where}: {sentence}")

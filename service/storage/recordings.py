@@ -38,7 +38,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol, Self
 
-from service.errors import RecordingError, StorageError
+from service.errors import NoRecording, RecordingError, StorageError
 from service.identification.samples import Samples
 from service.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
 from service.storage.layout import Layout
@@ -301,7 +301,7 @@ def _suffix(path: Path) -> tuple[str, bool]:
     for suffix in (*PACKINGS, ".parquet"):
         if whole.endswith(suffix):
             return suffix, whole != name
-    raise RecordingError(
+    raise NoRecording(
         f"{path} is not a recording: its name must end in {', '.join(PACKINGS)} or .parquet"
     )
 
