@@ -1,6 +1,6 @@
 """From the configuration's words to the objects that do the work."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +18,7 @@ from service.hardened import (
     ensure_certificate,
 )
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.storage.layout import NUMBERS, Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -26,6 +27,7 @@ from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
+from service.streaming.units import QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -74,8 +76,26 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         queue_size=config.source.queue_size,
         timeout_s=config.source.timeout_s,
     )
-    nodes = [ValveNodes(valve=valve.name, **valve.nodes.model_dump()) for valve in config.valves]
+    nodes = [
+        ValveNodes(
+            valve=valve.name,
+            **valve.nodes.model_dump(),
+            measures=_measures(valve, QUANTITY_OF),
+            insist=valve.insist,
+        )
+        for valve in config.valves
+    ]
     return OpcUaSource(settings, nodes, ready=ready)
+
+
+def build_layout(config: Config) -> Layout:
+    """Where recordings hold the valves' signals."""
+    return Layout(
+        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
+        time=config.recording.time,
+        valve=config.recording.valve,
+        quality=config.recording.quality,
+    )
 
 
 def build_server_settings(config: Config) -> ServerSettings:
@@ -87,12 +107,27 @@ def build_server_settings(config: Config) -> ServerSettings:
         namespace_uri=APPLICATION_URI,
         pki=Pki(config.security.pki),
         require_crl=config.security.require_crl,
-        users=UserStore.load(config.security.users),
+        users=load_users(config.security.users),
         anonymous_observer=config.server.anonymous_observer,
         host_names=config.server.host_names,
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
         product=PRODUCT,
     )
+
+
+def load_users(file: Path) -> UserStore:
+    """Read who may log in.
+
+    Raises
+    ------
+    ConfigurationError
+        if the file is not there: it says what makes it; or if it is wrong.
+    """
+    if not file.exists():
+        raise ConfigurationError(
+            f"{file}: no such file; `valvemap init` makes users, certificates and a configuration"
+        )
+    return UserStore.load(file)
 
 
 def build_live_settings(config: Config) -> LiveSettings:
@@ -117,6 +152,10 @@ def own_certificate(config: Config) -> OwnCertificate:
     return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
 
 
+def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
+    return {name: getattr(valve.signals, name).measure(name) for name in names}
+
+
 def _plan(valve: ValveConfig) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
     estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
@@ -132,6 +171,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_Q=_axis(*valve.Q_range_l_min),
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
+        insist=valve.insist,
     )
 
 

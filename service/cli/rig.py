@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from service.app.build import PRODUCT
+from service.app.build import PRODUCT, load_users
 from service.app.serve import stop_on_signal
 from service.cli.logs import set_up_logs
 from service.cli.options import FolderOption
@@ -152,7 +152,7 @@ async def _serve(
         users.add("operator", Role.OPERATOR, sys.stdin.readline().strip())
         _stop_when_the_parent_is_gone(stop)
     else:
-        users = UserStore.load(data / "users.json")
+        users = load_users(data / "users.json")
     settings = ServerSettings(
         url=url,
         application_uri=APPLICATION_URI,

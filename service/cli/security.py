@@ -28,6 +28,7 @@ from service.hardened.security.certificate_rules import Use, name_of
 from service.hardened.security.certificates import trust as trust_certificate
 from service.hardened.security.peer_certificates import PeerTrust
 
+_OWNERS = ("service", "rig")
 _HOSTS = ["localhost", "127.0.0.1"]
 _ROLES = {role.name.lower().replace("_", "-"): role for role in Role}
 
@@ -50,6 +51,8 @@ def init(
     ] = None,
 ) -> None:
     """Make certificates, users and configuration."""
+    if data.exists() and not data.is_dir():
+        raise typer.BadParameter(f"--data {data}: it is a file, a folder is needed")
     _make_users(data, operator_password)
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
     of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
@@ -72,6 +75,8 @@ def trust(
     ] = None,
 ) -> None:
     """Trust a certificate, of an application or of a user, or list the rejected."""
+    if of not in _OWNERS:
+        raise typer.BadParameter(f"--of {of}: allowed is one of {', '.join(_OWNERS)}")
     pki = Pki(data / "pki" / of)
     if user is not None or role is not None:
         if user is None or role is None or certificate is None:

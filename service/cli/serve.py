@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from service.cli.logs import set_up_logs
-from service.cli.options import ConfigOption
+from service.cli.options import ConfigOption, check_folder
 from service.config.loading import load_config
 
 
@@ -37,6 +37,8 @@ def record(
     """Record the source's samples to a file."""
     from service.app.record import record as run
     from service.app.serve import stop_on_signal
+
+    check_folder("FILE", file)
 
     loaded = load_config(config)
     set_up_logs(loaded.log)

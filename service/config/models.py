@@ -16,6 +16,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.config.estimators import EstimatorConfig, default_estimators
+from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
 from service.streaming.data_changes import Signal
 from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
@@ -248,8 +249,12 @@ class ValveConfig(_Section):
 
     name: Name = "Valvistor"
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
+    insist: bool = Field(
+        default=False, description="learn from data that look wrong, such as p1 below p2"
+    )
     estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     U_range_percent: Range = (0.0, 100.0)
     dp_range_bar: Range = (0.0, 200.0)
@@ -297,6 +302,17 @@ class ValveConfig(_Section):
         return self
 
     @model_validator(mode="after")
+    def _command_has_a_unit(self) -> Self:
+        is_own = self.signals.U.measure("U").scaling("U").is_identity
+        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
+        if self.nodes.required_U is not None and not is_own and not said:
+            raise ValueError(
+                "signals.required_U: unit, or raw and range, must say in what the command is "
+                'written, because U does not come in %; unit = "%" where it does'
+            )
+        return self
+
+    @model_validator(mode="after")
     def _names_fit(self) -> Self:
         names = [estimator.name for estimator in self.estimators]
         if not names:
@@ -305,6 +321,14 @@ class ValveConfig(_Section):
         if self.inverse is not None and self.inverse not in names:
             raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
         return self
+
+
+class RecordingConfig(_Section):
+    """Columns of recordings that are no signal of a valve; left out, they are found by name."""
+
+    time: str | None = Field(None, min_length=1, description="column of the times")
+    valve: str | None = Field(None, min_length=1, description="column of the valves' names")
+    quality: str | None = Field(None, min_length=1, description="column of the qualities")
 
 
 class LogConfig(_Section):
@@ -331,6 +355,7 @@ class Config(BaseSettings):
     state: StateConfig = StateConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
+    recording: RecordingConfig = RecordingConfig()
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 
     @field_validator("valves")

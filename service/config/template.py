@@ -56,6 +56,13 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # required_U = "nsu=urn:valvemap:rig;s=Valvistor.UCommand" # feed-forward: U for FlowDemand
 # heartbeat = "nsu=urn:valvemap:rig;s=Valvistor.Heartbeat" # UInt32 that counts meanwhile
 
+# [valves.signals] # units and names of a plant's own, live and in recordings: docs/units.md
+# U = {{ raw = [4, 20], range = [0, 100], column = "FCV-101.cmd" }} # mA, or counts: raw -> %
+# p1 = {{ unit = "psi" }}
+# p2 = {{ unit = "psi" }}
+# Q = {{ unit = "gpm" }} # of the United States; "imp gpm"
+# T = {{ unit = "°F" }}
+
 # [valves.feed_forward] # once an operator has called Inverse.Arm
 # range_percent = [0, 100] # never left
 # slew_percent_per_s = 100 # never exceeded

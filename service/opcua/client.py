@@ -20,6 +20,7 @@ from service.opcua.source_nodes import (
     WritableNode,
     check_nodes,
 )
+from service.opcua.source_units import Scales, check_units
 from service.opcua.subscription import Subscription, Tally, subscribe
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import SourceCounters
@@ -63,6 +64,7 @@ class OpcUaSource:
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
+        self._scales = Scales(self._valves)
 
     @property
     def counters(self) -> SourceCounters:
@@ -85,6 +87,7 @@ class OpcUaSource:
         connection = await open_connection(self._settings)
         try:
             nodes = await check_nodes(connection, self._valves)
+            await check_units(connection, self._valves, nodes)
             if self._ready is not None:
                 await self._ready()
             subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
@@ -95,7 +98,7 @@ class OpcUaSource:
         self._writable = nodes.writable
 
     async def receive(self) -> DataChanges:
-        """Wait for data changes and return all that have arrived, in order.
+        """Wait for data changes and return all that have arrived, in order and in our units.
 
         Raises
         ------
@@ -104,7 +107,7 @@ class OpcUaSource:
         """
         if self._subscription is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        return await self._subscription.receive()
+        return self._scales(await self._subscription.receive())
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -116,7 +119,8 @@ class OpcUaSource:
         SourceRejected
             if the valve has no such node, or the server refuses the value.
         """
-        await self._write(valve, REQUIRED_U, float(U))
+        scaling = self._valves[valve].measure(REQUIRED_U).scaling(REQUIRED_U)
+        await self._write(valve, REQUIRED_U, scaling.back(float(U)))
 
     async def write_heartbeat(self, valve: int, count: int) -> None:
         """Write the heartbeat (UInt32) of one valve to its node at the source.

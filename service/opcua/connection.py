@@ -277,7 +277,8 @@ def source_errors(url: str, doing: str) -> Iterator[None]:
         raise SourceLost(f"{url}: no answer while {doing}") from error
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
-        raise SourceLost(f"{url}: {reason} while {doing}") from error
+        advice = "; is the server running, and the url right?" if doing == "connecting" else ""
+        raise SourceLost(f"{url}: {reason} while {doing}{advice}") from error
     except ua.UaStatusCodeError as error:
         name = status_name(error.code)
         if error.code in _FINAL:

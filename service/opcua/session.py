@@ -84,6 +84,14 @@ class BatchSession(UaSession):
         request = ua.CreateMonitoredItemsRequest(Parameters=params)
         return (await self._ask(request, ua.CreateMonitoredItemsResponse)).Results
 
+    @override
+    async def translate_browsepaths_to_nodeids(
+        self, browse_paths: list[ua.BrowsePath]
+    ) -> list[ua.BrowsePathResult]:
+        request = ua.TranslateBrowsePathsToNodeIdsRequest()
+        request.Parameters.BrowsePaths = browse_paths
+        return (await self._ask(request, ua.TranslateBrowsePathsToNodeIdsResponse)).Results
+
     async def _ask(self, request: object, kind: type[_T]) -> _T:
         return decode_response(kind, await self.request(request))
 

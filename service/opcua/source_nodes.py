@@ -1,8 +1,8 @@
 """The nodes of a source server: their names, whether they exist, whether they hold numbers."""
 
 import re
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 from uuid import UUID
 
@@ -12,6 +12,7 @@ from service.errors import ConfigurationError, SourceRejected
 from service.opcua.connection import Connection, in_one_line, status_name
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
+from service.streaming.units import Measure
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
 
@@ -42,7 +43,8 @@ class ValveNodes:
 
     ``T``, ``sequence`` (a counter that grows by one with each sample), ``required_U`` (where the
     feed-forward voltage is written) and ``heartbeat`` (UInt32, where the source sees that it still
-    is) may be missing.
+    is) may be missing. ``measures`` says by name in what units the signals come and the command
+    goes; with ``insist`` the source may say otherwise.
     """
 
     valve: str
@@ -54,6 +56,8 @@ class ValveNodes:
     sequence: str | None = None
     required_U: str | None = None
     heartbeat: str | None = None
+    measures: Mapping[str, Measure] = field(default_factory=dict)
+    insist: bool = False
 
     def __post_init__(self) -> None:
         """Check the form of the NodeIds.
@@ -65,6 +69,10 @@ class ValveNodes:
         """
         for wanted in _of_valve(0, self):
             parse_node_id(wanted.text, ())
+
+    def measure(self, name: str) -> Measure:
+        """What is known of a signal, or of the command, beforehand."""
+        return self.measures.get(name, Measure())
 
     def signals(self) -> Iterator[tuple[Signal, str, str]]:
         """Signal, name and NodeId of all that is to be read."""

@@ -24,6 +24,7 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
+from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
     Checkpoint,
     EstimatorDescription,
@@ -61,10 +62,14 @@ class Identification:
             [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
         )
         self._next_survey = self._next_map = 0
+        self._plausibility = Plausibility(len(self.plans))
+        self._insists = np.array([plan.insist for plan in self.plans], np.bool_)
+        self._implausible = np.zeros(len(self.plans), np.bool_)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
         self._waiting, arrived = self._alignment.update(self._waiting, changes)
+        arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):
@@ -73,6 +78,30 @@ class Identification:
             segments = Segments(self._member_of[valves[own]], first, last)
             self._fleets[number].take(arrived.samples[rows], segments)
         return arrived
+
+    def _without_implausible(self, arrived: ByValve) -> ByValve:
+        """The same samples; those of valves that cannot be what they are called are BAD."""
+        self._plausibility.count(arrived.samples, arrived.segments)
+        valves, starts, stops = arrived.segments
+        self._implausible[valves] |= self._plausibility.suspicious(valves) & ~self._insists[valves]
+        refused = np.flatnonzero(self._implausible[valves])
+        if not len(refused):
+            return arrived
+        quality = arrived.samples.quality.copy()
+        for k in refused:
+            quality[starts[k] : stops[k]] = Quality.BAD
+        return replace(arrived, samples=replace(arrived.samples, quality=quality))
+
+    def implausible(self) -> NDArray[np.bool_]:
+        """Which valves are not learnt from, because their signals cannot be what they are called.
+
+        Once refused, a valve is learnt from again after a restart, with what is wrong mended.
+        """
+        return self._implausible
+
+    def findings(self, valve: int) -> list[Finding]:
+        """What speaks against a valve's signals being what they are called."""
+        return self._plausibility.findings(valve)
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples of one valve in; return them as judged, and what every estimator said."""
@@ -101,6 +130,9 @@ class Identification:
         for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
             number = self._next_map % len(self.plans)
             self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._implausible[number] |= not self._insists[number] and any(
+                finding.kind is Kind.REFUSED for finding in self.findings(number)
+            )
             self._next_map += 1
         lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
         for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):

@@ -78,6 +78,7 @@ class LiveService:
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
         self._lost = np.zeros(len(identification.plans), np.bool_)
+        self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
@@ -116,6 +117,7 @@ class LiveService:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
+        self._say_what_is_doubted()
         await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
@@ -163,6 +165,16 @@ class LiveService:
             self._store.save(self.identification.checkpoints(sorted(some)))
         except StorageError as error:
             log.warning("checkpoint not kept", reason=str(error))
+
+    def _say_what_is_doubted(self) -> None:
+        """Name the valves that are not learnt from, each once."""
+        implausible = self.identification.implausible()
+        for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
+            self._doubted[valve] = True
+            name = self.identification.plans[valve].name
+            why = [finding.sentence for finding in self.identification.findings(valve)]
+            remedy = "mend the configuration, or insist = true for this valve"
+            log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
 
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:

@@ -63,7 +63,7 @@ class ValvePlan:
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
-    valve, if at all.
+    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called.
     """
 
     name: str
@@ -74,6 +74,7 @@ class ValvePlan:
     map_Q: tuple[float, ...] = tuple(float(q) for q in range(0, 201, 10))
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
     feed_forward: FeedForward | None = None
+    insist: bool = False
 
 
 @dataclass(frozen=True)

@@ -230,3 +230,21 @@ def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolat
     assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
     identification.reset("Valvistor", "RLS")
     assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
+
+
+def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
+    samples = plant(300)
+    swapped = replace(samples, p1=samples.p2, p2=samples.p1)
+    doubting = fresh()
+    for part in (swapped[:30], swapped[30:]):
+        doubting.take(as_changes(part))
+    assert doubting.implausible().tolist() == [True]
+    assert "p1 is below p2" in doubting.findings(0)[0].sentence
+    result = doubting.result(0).estimators["RLS"]
+    assert (result.sample_count, result.status) == (0, Status.REJECTED)
+    insisting = Identification(
+        [replace(plan, insist=True) for plan in doubting.plans],
+        Alignment(AlignmentSettings(), (True,)),
+    )
+    insisting.take(as_changes(swapped))
+    assert insisting.result(0).estimators["RLS"].sample_count == 300

@@ -4,6 +4,7 @@ from itertools import repeat
 
 import numpy as np
 import pytest
+import structlog
 from support.plant import as_changes, plant
 
 from service.errors import CommandRejected, SourceLost, SourceRejected, StorageError
@@ -277,3 +278,17 @@ async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink
         await live.tick()
     assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
     assert max(len(set(some)) for some in saved) == 1
+
+
+async def test_a_valve_that_cannot_be_what_it_is_called_is_named_once_with_the_remedy(
+    live, source, clock
+):
+    samples = plant(200)
+    psi = replace(samples, p1=samples.p1 * 14.5, p2=samples.p2 * 14.5)
+    source.script = [as_changes(psi[:100]), as_changes(psi[100:])]
+    with structlog.testing.capture_logs() as logs:
+        await run_until_the_script_ends(source, live, clock)
+    (said,) = [entry for entry in logs if entry["event"] == "not learnt from"]
+    assert said["valve"] == "Valvistor"
+    assert "is it psi? signals.p1.unit" in said["why"]
+    assert "insist = true" in said["remedy"]
