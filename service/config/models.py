@@ -105,6 +105,13 @@ class AlignmentConfig(_Section):
 
     tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
     max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    reorder_ms: float = Field(
+        1_000.0,
+        ge=0.0,
+        le=60_000.0,
+        description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
+        "with every sample, but only if this is given",
+    )
     max_pending: int = Field(4_096, ge=16, le=1_000_000)
     hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
         default_factory=dict, description="signals whose last value serves for this long"

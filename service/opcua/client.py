@@ -19,6 +19,7 @@ from service.opcua.source_nodes import (
     ValveNodes,
     WritableNode,
     check_nodes,
+    start_of_source,
 )
 from service.opcua.subscription import Subscription, Tally, subscribe
 from service.streaming.data_changes import DataChanges
@@ -60,6 +61,7 @@ class OpcUaSource:
         self._clock = clock or SystemClock()
         self._ready = ready
         self._tally = Tally()
+        self._started = 0
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
@@ -68,6 +70,11 @@ class OpcUaSource:
     def counters(self) -> SourceCounters:
         """What was seen so far, over all connections."""
         return SourceCounters(**vars(self._tally))
+
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
+        return self._started
 
     async def connect(self) -> None:
         """Connect, check every node, subscribe.
@@ -85,6 +92,7 @@ class OpcUaSource:
         connection = await open_connection(self._settings)
         try:
             nodes = await check_nodes(connection, self._valves)
+            started = await start_of_source(connection)
             if self._ready is not None:
                 await self._ready()
             subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
@@ -92,6 +100,7 @@ class OpcUaSource:
             await connection.close()
             raise
         self._connection, self._subscription = connection, subscription
+        self._started = started
         self._writable = nodes.writable
 
     async def receive(self) -> DataChanges:

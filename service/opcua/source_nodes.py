@@ -3,6 +3,7 @@
 import re
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from typing import TypeVar
 from uuid import UUID
 
@@ -24,6 +25,7 @@ _NODE_ID = re.compile(
 _ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
 
 _DEFAULT_OPERATIONS = 1_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ATTRIBUTES = (
     ua.AttributeIds.NodeClass,
     ua.AttributeIds.DataType,
@@ -203,6 +205,25 @@ def _checked(
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
         raise SourceRejected(faults[0] + more)
     return CheckedNodes(tuple(monitored), writable)
+
+
+async def start_of_source(connection: Connection) -> int:
+    """When the server was started, UTC ns; 0 if it does not say.
+
+    Raises
+    ------
+    SourceLost
+    """
+    wanted = ua.ReadValueId(
+        NodeId=ua.NodeId(ua.ObjectIds.Server_ServerStatus_StartTime),
+        AttributeId=ua.AttributeIds.Value,
+    )
+    with connection.errors("reading when the source was started"):
+        (answer,) = await connection.session.read(ua.ReadParameters(NodesToRead=[wanted]))
+        value = None if answer.Value is None else answer.Value.Value
+        if not isinstance(value, datetime):
+            return 0
+        return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,24 @@ class Identification:
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
-        self._waiting, arrived = self._alignment.update(self._waiting, changes)
+        self._waiting, arrived = self._alignment.take(self._waiting, changes)
+        return self._learn(arrived)
+
+    def waits(self) -> NDArray[np.bool_]:
+        """Which valves have samples that wait for earlier ones."""
+        return self._alignment.waits(self._waiting)
+
+    def wait_no_longer(self, valves: Times) -> ByValve:
+        """Take what waits for earlier samples without them; return it as `take` does."""
+        self._waiting, arrived = self._alignment.flush(self._waiting, valves)
+        return self._learn(arrived)
+
+    def begin_source_anew(self, valves: Times) -> ByValve:
+        """The source of some valves was restarted: its running numbers begin anew."""
+        self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
+        return self._learn(arrived)
+
+    def _learn(self, arrived: ByValve) -> ByValve:
         valves, starts, stops = arrived.segments
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):

@@ -12,6 +12,7 @@ import structlog
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
 from service.identification.samples import Samples
+from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import (
     FeedForwardState,
@@ -25,6 +26,7 @@ from service.streaming.identification import Identification
 from service.streaming.ports import CheckpointStore, ResultSink, Source
 
 VALVES_AT_ONCE = 32
+LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -38,6 +40,9 @@ class LiveSettings:
     ----------
     stale_after_s : float
         Without a sample for this long a valve's sensors count as lost and its results as bad.
+    reorder_s : float
+        A sample that waits for earlier ones waits no longer than this, should no more samples come
+        that it could be told by.
     checkpoint_interval_s, map_interval_s : float
         How often states are kept, and how often the inverse tables are computed anew.
     publish_budget_s : float
@@ -49,6 +54,7 @@ class LiveSettings:
     """
 
     stale_after_s: float = 2.0
+    reorder_s: float = 1.0
     checkpoint_interval_s: float = 10.0
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
@@ -77,6 +83,9 @@ class LiveService:
         self._on_samples = on_samples
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
+        self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
+        self._held_until = now
+        self._source_started = 0
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
@@ -103,12 +112,23 @@ class LiveService:
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
+    async def connected(self, source_started: int) -> None:
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            log.warning("source restarted")
+            every = np.arange(len(self._lost))
+            await self._use(self.identification.begin_source_anew(every))
+
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
         self._connected = True
-        samples = self.identification.take(changes)
+        await self._use(self.identification.take(changes))
+
+    async def _use(self, samples: ByValve) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
+        self._held_s[members] = 0.0
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
         self._lost[members] = False
@@ -125,6 +145,7 @@ class LiveService:
     async def tick(self) -> None:
         """Look after what is due by the clock."""
         now = self._clock.monotonic()
+        await self._wait_no_longer(now)
         stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
         await self._lose(np.flatnonzero(stale).tolist())
         if now - self._fed_at >= FEED_AGAIN_S:
@@ -134,6 +155,20 @@ class LiveService:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
         self._keep_in_turn(now)
+
+    async def _wait_no_longer(self, now: float) -> None:
+        """Go on without what samples wait for, where nothing has left for too long.
+
+        Time counts only while there is a connection, and our own standstills do not.
+        """
+        passed, self._held_until = now - self._held_until, now
+        if not self._connected:
+            return
+        self._held_s += min(passed, LONGEST_TICK_S)
+        self._held_s[~self.identification.waits()] = 0.0
+        due = self._held_s > self._settings.reorder_s
+        if due.any():
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)))
 
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""

@@ -81,6 +81,10 @@ class Source(Protocol):
     def counters(self) -> SourceCounters:
         """What was seen so far."""
 
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said at `connect`; 0 if it did not."""
+
 
 @dataclass(frozen=True)
 class EstimatorDescription:

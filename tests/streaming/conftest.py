@@ -54,6 +54,7 @@ class FakeSource:
     refuses: bool = False
     closed: int = 0
     counters: SourceCounters = field(default_factory=SourceCounters)
+    started: int = 0
 
     async def connect(self):
         if self.connects:

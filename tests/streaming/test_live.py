@@ -92,6 +92,62 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
     assert [r.estimators["RLS"].quality for r in sink.published] == [Quality.GOOD, Quality.BAD]
 
 
+@pytest.fixture
+def numbered(plan, source, sink, store, clock):
+    """A service whose valve has a running number."""
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    return LiveService(Identification([plan], align), source, sink, store, clock, LiveSettings())
+
+
+def count(live):
+    return live.identification.result(0).estimators["RLS"].sample_count
+
+
+async def test_what_waits_for_a_lost_sample_waits_no_longer_than_a_second(numbered, clock):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    for _ in range(4):
+        clock.advance(0.25)
+        await numbered.tick()
+    assert count(numbered) == 200
+    clock.advance(0.25)
+    await numbered.tick()
+    assert count(numbered) == 209
+    assert numbered.identification.counters(0)["gaps"] == 1
+
+
+async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_count(
+    numbered, clock
+):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    clock.advance(60.0)  # we stood still
+    await numbered.tick()
+    await numbered.lost(SourceLost("cut"))
+    for _ in range(100):
+        clock.advance(0.25)
+        await numbered.tick()
+    await numbered.take(changes[6 * 200 : 6 * 201])
+    assert count(numbered) == 210
+    assert numbered.identification.counters(0)["gaps"] == 0
+
+
+async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
+    await numbered.connected(1)
+    await numbered.take(as_changes(plant(300)))
+    await numbered.connected(1)
+    assert numbered.identification.counters(0)["restarts"] == 0
+    await numbered.connected(2)
+    again = as_changes(plant(300, first=360))
+    again.value[5::6] += 900
+    await numbered.take(again)
+    counters = numbered.identification.counters(0)
+    assert (counters["gaps"], counters["restarts"], counters["lost_by_time"]) == (0, 1, 60)
+    assert count(numbered) == 600
+
+
 async def leading(live, source, clock):
     """A service that has led its valve to the answer; returns the samples taken so far."""
     await live.take(as_changes(plant(1000)))
