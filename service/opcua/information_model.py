@@ -362,7 +362,7 @@ _COUNTERS = {
     "late": "Signals that came after their sample had been given up.",
     "missing": "Samples given up because a signal did not come.",
     "duplicates": "Signals that came twice for one sample.",
-    "clock_steps": "Steps back of the source's clock.",
+    "clock_steps": "Jumps of the source's clock backwards.",
     "lost_by_time": "Samples that the usual pace shows as lost where no Sequence tells.",
     "restarts": "How often the source's Sequence began anew.",
     "gaps": "Samples that the source's Sequence shows as lost.",
