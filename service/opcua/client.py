@@ -16,10 +16,11 @@ from service.opcua.connection import (
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
+    SourceClock,
     ValveNodes,
     WritableNode,
     check_nodes,
-    start_of_source,
+    clock_of_source,
 )
 from service.opcua.subscription import Subscription, Tally, subscribe
 from service.streaming.data_changes import DataChanges
@@ -62,6 +63,7 @@ class OpcUaSource:
         self._ready = ready
         self._tally = Tally()
         self._started = 0
+        self._clock_offset_s = 0.0
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
@@ -75,6 +77,11 @@ class OpcUaSource:
     def started(self) -> int:
         """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
         return self._started
+
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock was ahead of ours when we connected."""
+        return self._clock_offset_s
 
     async def connect(self) -> None:
         """Connect, check every node, subscribe.
@@ -92,7 +99,7 @@ class OpcUaSource:
         connection = await open_connection(self._settings)
         try:
             nodes = await check_nodes(connection, self._valves)
-            started = await start_of_source(connection)
+            source_clock = await self._read_clock(connection)
             if self._ready is not None:
                 await self._ready()
             subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
@@ -100,7 +107,7 @@ class OpcUaSource:
             await connection.close()
             raise
         self._connection, self._subscription = connection, subscription
-        self._started = started
+        self._started = source_clock.started
         self._writable = nodes.writable
 
     async def receive(self) -> DataChanges:
@@ -162,6 +169,14 @@ class OpcUaSource:
                 f"{status_name(status.value)}"
             )
 
+    async def _read_clock(self, connection: Connection) -> SourceClock:
+        asked = self._clock.monotonic()
+        found = await clock_of_source(connection)
+        doubt_s = (self._clock.monotonic() - asked) / 2 + _CLOCKS_AGREE_S
+        ahead_s = (found.now - self._clock.now()) * 1e-9
+        self._clock_offset_s = ahead_s if found.now and abs(ahead_s) > doubt_s else 0.0
+        return found
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
         subscription, self._subscription = self._subscription, None
@@ -172,4 +187,5 @@ class OpcUaSource:
             await connection.close()
 
 
+_CLOCKS_AGREE_S = 0.1  # closer together no age is told better by the source's clock
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

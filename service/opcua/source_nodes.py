@@ -207,23 +207,34 @@ def _checked(
     return CheckedNodes(tuple(monitored), writable)
 
 
-async def start_of_source(connection: Connection) -> int:
-    """When the server was started, UTC ns; 0 if it does not say.
+@dataclass(frozen=True)
+class SourceClock:
+    """When the server was started and what time it has, UTC ns; 0 where it does not say."""
+
+    started: int
+    now: int
+
+
+async def clock_of_source(connection: Connection) -> SourceClock:
+    """Read what the server says of its time.
 
     Raises
     ------
     SourceLost
     """
-    wanted = ua.ReadValueId(
-        NodeId=ua.NodeId(ua.ObjectIds.Server_ServerStatus_StartTime),
-        AttributeId=ua.AttributeIds.Value,
+    ids = (
+        ua.ObjectIds.Server_ServerStatus_StartTime,
+        ua.ObjectIds.Server_ServerStatus_CurrentTime,
     )
-    with connection.errors("reading when the source was started"):
-        (answer,) = await connection.session.read(ua.ReadParameters(NodesToRead=[wanted]))
-        value = None if answer.Value is None else answer.Value.Value
-        if not isinstance(value, datetime):
-            return 0
-        return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
+    parameters = ua.ReadParameters(
+        NodesToRead=[
+            ua.ReadValueId(NodeId=ua.NodeId(number), AttributeId=ua.AttributeIds.Value)
+            for number in ids
+        ]
+    )
+    with connection.errors("reading the source's time"):
+        started, now = await connection.session.read(parameters)
+        return SourceClock(_ns_of(started), _ns_of(now))
 
 
 @dataclass(frozen=True)
@@ -272,6 +283,13 @@ async def in_chunks(
                 raise
             size //= 2
     return results
+
+
+def _ns_of(answer: ua.DataValue) -> int:
+    value = None if answer.Value is None else answer.Value.Value
+    if not isinstance(value, datetime):
+        return 0
+    return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
 
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:

@@ -152,6 +152,10 @@ class Alignment:
         kernel.find_waiting(self._rules, waiting, found)
         return found
 
+    def pending(self, waiting: Waiting) -> Times:
+        """How many samples of each valve wait, (V,)."""
+        return waiting.order[:, slots.SIZE].copy()
+
     def flush(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
         """Have what waits for earlier samples leave without them; ``waiting`` as in `take`."""
         return self._run(waiting, DataChanges.empty(), valves, slots.FLUSH)

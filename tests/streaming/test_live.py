@@ -333,3 +333,47 @@ async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink
         await live.tick()
     assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
     assert max(len(set(some)) for some in saved) == 1
+
+
+async def test_data_that_come_late_are_uncertain_and_then_bad_though_they_keep_coming(
+    live, sink, clock
+):
+    first, qualities = 0, []
+    for behind_s in (0.0, 1.5, 2.5, 4.5, 28.0, 0.0):
+        samples = plant(300, first=first)
+        clock.advance((int(samples.t[-1]) - clock.now()) * 1e-9 + behind_s)
+        await live.take(as_changes(samples))
+        await live.tick()
+        clock.advance(0.1)
+        qualities.append(sink.published[-1].estimators["RLS"].quality)
+        assert sink.health.age_s[0] == pytest.approx(behind_s, abs=1e-6)
+        first += 10_000
+    good, uncertain, bad = Quality.GOOD, Quality.UNCERTAIN, Quality.BAD
+    assert qualities == [good, good, uncertain, bad, bad, good]
+
+
+async def test_the_age_is_told_by_the_source_s_clock(live, source, sink, clock):
+    source.clock_offset_s = -3600.0
+    await live.take(as_changes(plant(300)))
+    clock.advance(3603.0)
+    await live.take(as_changes(plant(1, first=300)))
+    await live.tick()
+    assert sink.health.age_s[0] == pytest.approx(0.0, abs=1e-6)
+    assert sink.published[-1].estimators["RLS"].quality is Quality.GOOD
+
+
+async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clock):
+    clock.advance(1.0)
+    await live.tick()
+    assert np.isnan(sink.health.checkpoint_age_s)
+    clock.advance(10.0)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.0, 0)
+    store.save = full_disk
+    clock.advance(10.0)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (10.0, 1)
+
+
+def full_disk(_):
+    raise StorageError("state.sqlite: disk full")
