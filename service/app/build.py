@@ -45,13 +45,20 @@ def build_identification(config: Config) -> Identification:
 def build_alignment(config: Config) -> Alignment:
     """How the signals of all valves find together."""
     signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
+    given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
-        tolerance_ns=round(config.alignment.tolerance_ms * 1e6),
-        max_wait_ns=round(config.alignment.max_wait_s * 1e9),
-        max_pending=config.alignment.max_pending,
-        hold_ns={signals[name]: round(s * 1e9) for name, s in config.alignment.hold_s.items()},
+        tolerance_ns=round(given.tolerance_ms * 1e6),
+        max_wait_ns=round(given.max_wait_s * 1e9),
+        max_pending=given.max_pending,
+        reorder_ns=reorder_ns,
+        reorder_by_time_ns=reorder_ns if "reorder_ms" in given.model_fields_set else 0,
+        hold_ns={signals[name]: round(s * 1e9) for name, s in given.hold_s.items()},
     )
-    return Alignment(settings, tuple(valve.nodes.T is not None for valve in config.valves))
+    return Alignment(
+        settings,
+        has_T=tuple(valve.nodes.T is not None for valve in config.valves),
+        has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
+    )
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
@@ -134,6 +141,7 @@ def build_live_settings(config: Config) -> LiveSettings:
     """When results are stale, when states are kept."""
     return LiveSettings(
         stale_after_s=config.alignment.stale_after_s,
+        reorder_s=config.alignment.reorder_ms * 1e-3,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
     )
 

@@ -97,8 +97,11 @@ async def serve(
 
 @contextmanager
 def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
-    """Set ``stop`` on Ctrl-C or a termination signal, on every platform."""
+    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up."""
     loop = asyncio.get_running_loop()
+
+    def on_hang_up(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(log.info, "hang-up: the service goes on")
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         loop.call_soon_threadsafe(stop.set)
@@ -107,6 +110,8 @@ def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
     with suppress(AttributeError):
         numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
     before = {number: signal.signal(number, on_signal) for number in numbers}
+    with suppress(AttributeError):
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, on_hang_up)
     try:
         yield
     finally:

@@ -22,6 +22,8 @@ from service.streaming.data_changes import Signal
 from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
+RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
+RESERVED_ESTIMATORS = ("Signals", "Alarms", "Diagnostics", "Inverse", "Frame", "FrameNames")
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
@@ -106,6 +108,13 @@ class AlignmentConfig(_Section):
 
     tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
     max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    reorder_ms: float = Field(
+        1_000.0,
+        ge=0.0,
+        le=60_000.0,
+        description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
+        "with every sample, but only if this is given",
+    )
     max_pending: int = Field(4_096, ge=16, le=1_000_000)
     hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
         default_factory=dict, description="signals whose last value serves for this long"
@@ -317,7 +326,8 @@ class ValveConfig(_Section):
         names = [estimator.name for estimator in self.estimators]
         if not names:
             raise ValueError("estimators: at least one is needed")
-        _unique("estimator", [*names, "Inverse", "Diagnostics"])
+        _unique("estimator", names)
+        _not_reserved("estimator", names, RESERVED_ESTIMATORS)
         if self.inverse is not None and self.inverse not in names:
             raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
         return self
@@ -364,6 +374,7 @@ class Config(BaseSettings):
         if not valves:
             raise ValueError("at least one valve is needed")
         _unique("valve", [valve.name for valve in valves])
+        _not_reserved("valve", [valve.name for valve in valves], RESERVED_VALVES)
         return valves
 
     @model_validator(mode="after")
@@ -395,3 +406,9 @@ def _unique(what: str, names: list[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f"{what} name {twice[0]!r} is taken twice")
+
+
+def _not_reserved(what: str, names: list[str], reserved: tuple[str, ...]) -> None:
+    for name in names:
+        if name in reserved:
+            raise ValueError(f"{what} name {name!r} is taken: reserved are {', '.join(reserved)}")

@@ -40,6 +40,7 @@ checkpoint_interval_s = 10
 [alignment] # which signals make one sample
 tolerance_ms = 0 # 0 = the same SourceTimestamp
 # hold_s = {{ T = 10 }} # a signal that reports less often than the others
+# reorder_ms = 1000 # behind a hole in nodes.sequence; without one nothing waits unless given
 
 [[valves]]
 name = "Valvistor"

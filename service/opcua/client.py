@@ -16,9 +16,11 @@ from service.opcua.connection import (
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
+    SourceClock,
     ValveNodes,
     WritableNode,
     check_nodes,
+    clock_of_source,
 )
 from service.opcua.source_units import Scales, check_units
 from service.opcua.subscription import Subscription, Tally, subscribe
@@ -61,6 +63,8 @@ class OpcUaSource:
         self._clock = clock or SystemClock()
         self._ready = ready
         self._tally = Tally()
+        self._started = 0
+        self._clock_offset_s = 0.0
         self._connection: Connection | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
@@ -70,6 +74,16 @@ class OpcUaSource:
     def counters(self) -> SourceCounters:
         """What was seen so far, over all connections."""
         return SourceCounters(**vars(self._tally))
+
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
+        return self._started
+
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock was ahead of ours when we connected."""
+        return self._clock_offset_s
 
     async def connect(self) -> None:
         """Connect, check every node, subscribe.
@@ -88,6 +102,7 @@ class OpcUaSource:
         try:
             nodes = await check_nodes(connection, self._valves)
             await check_units(connection, self._valves, nodes)
+            source_clock = await self._read_clock(connection)
             if self._ready is not None:
                 await self._ready()
             subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
@@ -95,6 +110,7 @@ class OpcUaSource:
             await connection.close()
             raise
         self._connection, self._subscription = connection, subscription
+        self._started = source_clock.started
         self._writable = nodes.writable
 
     async def receive(self) -> DataChanges:
@@ -157,6 +173,14 @@ class OpcUaSource:
                 f"{status_name(status.value)}"
             )
 
+    async def _read_clock(self, connection: Connection) -> SourceClock:
+        asked = self._clock.monotonic()
+        found = await clock_of_source(connection)
+        doubt_s = (self._clock.monotonic() - asked) / 2 + _CLOCKS_AGREE_S
+        ahead_s = (found.now - self._clock.now()) * 1e-9
+        self._clock_offset_s = ahead_s if found.now and abs(ahead_s) > doubt_s else 0.0
+        return found
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
         subscription, self._subscription = self._subscription, None
@@ -167,4 +191,5 @@ class OpcUaSource:
             await connection.close()
 
 
+_CLOCKS_AGREE_S = 0.1  # closer together no age is told better by the source's clock
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

@@ -6,6 +6,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
+    Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 """
 
 import re
@@ -27,11 +28,14 @@ ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
+SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
+SAMPLE_AGE, WAITING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Waiting"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 
 U_RANGE = (0.0, 100.0)
 YEAR_S = 3.15e7
 
+_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS}
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 
@@ -67,12 +71,10 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
     ConfigurationError
         naming valve or estimator.
     """
-    _check_unique("valve", [valve.name for valve in valves], {ROOT})
+    _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE})
     for valve in valves:
         names = [estimator.name for estimator in valve.estimators]
-        _check_unique(
-            f"valve {valve.name}: estimator", names, {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES}
-        )
+        _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
 
 
 def estimator_variables(
@@ -328,6 +330,64 @@ def counter_variable(valve: str, counter: str) -> VariableNode:
     )
 
 
+def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
+    """How fresh a valve's data are: age of the newest sample, samples that wait."""
+    return (
+        VariableNode(
+            f"{valve}.{SAMPLE_AGE}",
+            "By how much the newest sample that was learnt is behind the source's clock.",
+            unit=Unit.SECOND,
+            range=(0.0, YEAR_S),
+        ),
+        VariableNode(
+            f"{valve}.{WAITING}",
+            "Samples that wait for signals of theirs, or for earlier samples.",
+            ua.VariantType.UInt64,
+        ),
+    )
+
+
+def service_variables() -> dict[str, tuple[VariableNode, ...]]:
+    """What is shown of the service itself, by part."""
+    counts = ua.VariantType.UInt64
+    return {
+        f"{SERVICE}.Checkpoint": (
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Age",
+                "Time since states were last kept.",
+                unit=Unit.SECOND,
+                range=(0.0, YEAR_S),
+            ),
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Failures",
+                "How often states could not be kept since the service started.",
+                counts,
+            ),
+            VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
+        ),
+        f"{SERVICE}.Source": (
+            VariableNode(
+                f"{SERVICE}.Source.Notifications", "Changes that the source sent.", counts
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.Overflows",
+                "Changes marked Overflow: the source's queue was full, and dropped some.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.MissingMessages",
+                "Messages that never came and could not be had again.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.Undecodable",
+                "Changes whose value is no number, and messages that cannot be understood.",
+                counts,
+            ),
+        ),
+    }
+
+
 def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     """Describe one axis of the map (Part 8, 5.6.6)."""
     return ua.AxisInformation(
@@ -362,7 +422,9 @@ _COUNTERS = {
     "late": "Signals that came after their sample had been given up.",
     "missing": "Samples given up because a signal did not come.",
     "duplicates": "Signals that came twice for one sample.",
-    "clock_steps": "Jumps of the source's clock.",
+    "clock_steps": "Jumps of the source's clock backwards.",
+    "lost_by_time": "Samples that the usual pace shows as lost where no Sequence tells.",
+    "restarts": "How often the source's Sequence began anew.",
     "gaps": "Samples that the source's Sequence shows as lost.",
     "bad_status": "Samples rejected for their OPC UA status.",
     "not_finite": "Samples rejected for a value that is no finite number.",

@@ -17,6 +17,7 @@ Status, SampleCount and the like are the service's own words: they stay readable
 UncertainLastUsableValue, while the rest is Bad.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -31,7 +32,7 @@ from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.opcua.information_model import ARMED, FEED_FORWARD_STATUS, INVERSE
-from service.streaming.ports import EstimatorResults, InverseResults, Results
+from service.streaming.ports import EstimatorResults, Health, InverseResults, Results
 
 _Codes = ua.StatusCodes
 _BAD = 0x8000_0000
@@ -103,6 +104,22 @@ def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
     """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
     yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
     yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
+
+
+def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
+    """Identifier, value and StatusCode of what is shown of the service itself."""
+    never = math.isnan(health.checkpoint_age_s)
+    age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
+    yield "Service.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
+    for name, count in (
+        ("Checkpoint.Failures", health.checkpoint_failures),
+        ("Checkpoint.Size", health.checkpoint_bytes),
+        ("Source.Notifications", health.source.notifications),
+        ("Source.Overflows", health.source.overflows),
+        ("Source.MissingMessages", health.source.missing_messages),
+        ("Source.Undecodable", health.source.undecodable),
+    ):
+        yield f"Service.{name}", count, int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:

@@ -39,7 +39,10 @@ from service.opcua.information_model import (
     INVERSE,
     NAMESPACE,
     ROOT,
+    SAMPLE_AGE,
+    SERVICE,
     U_RANGE,
+    WAITING,
     VariableNode,
     axis,
     check_names,
@@ -47,19 +50,31 @@ from service.opcua.information_model import (
     counter_variable,
     discovery_variables,
     estimator_variables,
+    health_variables,
     inverse_variables,
     map_variable,
+    service_variables,
     survey_axes,
     survey_variables,
 )
 from service.opcua.result_blocks import Place, ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.opcua.result_values import columns_of
+from service.opcua.result_values import Column, columns_of, service_values
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.ports import EstimatorDescription, Operator, Results, ValveDescription
+from service.streaming.ports import (
+    EstimatorDescription,
+    Health,
+    Operator,
+    Results,
+    ValveDescription,
+)
 
 __all__ = ["NAMESPACE", "ResultsServer"]
 
+_PARTS = {
+    f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
+    f"{SERVICE}.Source": "What came from the source since the service started.",
+}
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -138,6 +153,7 @@ class ResultsServer(Startable):
         with many_nodes():
             for number, valve in enumerate(self._valves):
                 await self._add_valve(server, root, number, valve)
+            await self._add_service(server, root)
         self._blocks = ResultBlocks(server, len(self._valves), self._places)
         await server.start()
         self._server = server
@@ -166,6 +182,24 @@ class ResultsServer(Startable):
             variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")
             if variable is not None:
                 self._server.write([(variable, new.value, new.code, new.t)])
+
+    async def show_health(self, health: Health) -> None:
+        """Show how the service itself stands."""
+        if self._server is None:
+            return
+        now, every = self._clock.now(), np.arange(len(self._valves))
+        t = np.full(len(every), now)
+        good = np.full(len(every), ua.StatusCodes.Good, np.uint32)
+        waits = np.uint32(ua.StatusCodes.BadWaitingForInitialData)
+        known = np.where(np.isnan(health.age_s), waits, good)
+        self._blocks.write(
+            every,
+            [Column(SAMPLE_AGE, health.age_s, known, t), Column(WAITING, health.waiting, good, t)],
+        )
+        self._server.write(
+            (self._variables[name], value, code, now)
+            for name, value, code in service_values(health)
+        )
 
     def _due(self, results: Results) -> NDArray[np.bool_]:
         """Whose single variables are told of now, (M,)."""
@@ -202,6 +236,21 @@ class ResultsServer(Startable):
             node = counter_variable(valve.name, counter)
             variable = await self._add_variable(server, diagnostics, node, 0)
             self._places.append(Place(number, counter_name(counter), variable, None))
+
+        for shown in health_variables(valve.name):
+            variable = await self._add_variable(server, diagnostics, shown, None)
+            self._places.append(
+                Place(number, shown.id.removeprefix(f"{valve.name}."), variable, None)
+            )
+
+    async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
+        folder = await add_object(
+            server, root, SERVICE, description="How the service itself stands."
+        )
+        for part, variables in service_variables().items():
+            parent = await add_object(server, folder, part, description=_PARTS[part])
+            for node in variables:
+                await self._add_variable(server, parent, node, None)
 
     async def _add_estimator(
         self,

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import TypeVar
 from uuid import UUID
 
@@ -25,6 +26,7 @@ _NODE_ID = re.compile(
 _ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
 
 _DEFAULT_OPERATIONS = 1_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ATTRIBUTES = (
     ua.AttributeIds.NodeClass,
     ua.AttributeIds.DataType,
@@ -214,6 +216,36 @@ def _checked(
 
 
 @dataclass(frozen=True)
+class SourceClock:
+    """When the server was started and what time it has, UTC ns; 0 where it does not say."""
+
+    started: int
+    now: int
+
+
+async def clock_of_source(connection: Connection) -> SourceClock:
+    """Read what the server says of its time.
+
+    Raises
+    ------
+    SourceLost
+    """
+    ids = (
+        ua.ObjectIds.Server_ServerStatus_StartTime,
+        ua.ObjectIds.Server_ServerStatus_CurrentTime,
+    )
+    parameters = ua.ReadParameters(
+        NodesToRead=[
+            ua.ReadValueId(NodeId=ua.NodeId(number), AttributeId=ua.AttributeIds.Value)
+            for number in ids
+        ]
+    )
+    with connection.errors("reading the source's time"):
+        started, now = await connection.session.read(parameters)
+        return SourceClock(_ns_of(started), _ns_of(now))
+
+
+@dataclass(frozen=True)
 class OperationLimits:
     """How many operations the server takes in one request."""
 
@@ -259,6 +291,13 @@ async def in_chunks(
                 raise
             size //= 2
     return results
+
+
+def _ns_of(answer: ua.DataValue) -> int:
+    value = None if answer.Value is None else answer.Value.Value
+    if not isinstance(value, datetime):
+        return 0
+    return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
 
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:

@@ -104,6 +104,12 @@ class CheckpointFile:
             for valve, estimator, key, t, state, lam, frozen in rows
         ]
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file and its log."""
+        parts = (self.path, self.path.with_name(f"{self.path.name}-wal"))
+        return sum(part.stat().st_size for part in parts if part.exists())
+
     def close(self) -> None:
         """Close the file and fold its log into it; safe to call twice."""
         with self._lock, _naming(self.path):

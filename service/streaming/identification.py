@@ -14,7 +14,16 @@ from service.errors import CommandRejected
 from service.identification.auto import Auto
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import InverseStatus, Inversion
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Status,
+    Times,
+    Trace,
+)
 from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
@@ -68,7 +77,28 @@ class Identification:
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
-        self._waiting, arrived = self._alignment.update(self._waiting, changes)
+        self._waiting, arrived = self._alignment.take(self._waiting, changes)
+        return self._learn(arrived)
+
+    def waits(self) -> NDArray[np.bool_]:
+        """Which valves have samples that wait for earlier ones."""
+        return self._alignment.waits(self._waiting)
+
+    def pending(self) -> Times:
+        """How many samples of each valve wait for signals or for earlier samples."""
+        return self._alignment.pending(self._waiting)
+
+    def wait_no_longer(self, valves: Times) -> ByValve:
+        """Take what waits for earlier samples without them; return it as `take` does."""
+        self._waiting, arrived = self._alignment.flush(self._waiting, valves)
+        return self._learn(arrived)
+
+    def begin_source_anew(self, valves: Times) -> ByValve:
+        """The source of some valves was restarted: its running numbers begin anew."""
+        self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
+        return self._learn(arrived)
+
+    def _learn(self, arrived: ByValve) -> ByValve:
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
         fleets = self._fleet_of[valves]
@@ -142,30 +172,38 @@ class Identification:
             self._next_survey += 1
 
     def results(
-        self, valves: Sequence[int], lost: NDArray[np.bool_] | None = None
+        self,
+        valves: Sequence[int],
+        lost: NDArray[np.bool_] | None = None,
+        old: NDArray[np.bool_] | None = None,
     ) -> Iterator[Results]:
         """What is published of some valves, those treated alike together.
 
-        All of it is BAD where ``lost``, an array over all valves, says that the sensors are.
+        All of it is BAD where ``lost``, an array over all valves, says that the sensors are, and
+        at best UNCERTAIN where ``old`` says that the newest sample is.
         """
         chosen = np.array(valves, np.int64)
         fleets = self._fleet_of[chosen]
         for number in np.unique(fleets):
             own = chosen[fleets == number]
-            gone = np.zeros(len(own), np.bool_) if lost is None else lost[own]
-            yield self._results(self._fleets[number], own, gone)
+            at_best = np.full(len(own), np.uint8(Quality.GOOD))
+            if old is not None:
+                at_best[old[own]] = Quality.UNCERTAIN
+            if lost is not None:
+                at_best[lost[own]] = Quality.BAD
+            yield self._results(self._fleets[number], own, at_best)
 
     def result(self, valve: int) -> ValveResult:
         """The same of one valve."""
         (results,) = self.results([valve])
         return results.one(0)
 
-    def _results(self, fleet: Fleet, valves: Times, lost: NDArray[np.bool_]) -> Results:
+    def _results(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         places = self._member_of[valves]
         estimators = {
             name: replace(
                 found,
-                quality=np.where(lost, np.uint8(Quality.BAD), found.quality),
+                quality=np.maximum(found.quality, at_best),
                 survey=[self._surveys[valve].get(name) for valve in valves],
             )
             for name, found in fleet.results(places).items()

@@ -11,7 +11,8 @@ import structlog
 
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
-from service.identification.samples import Samples
+from service.identification.samples import Floats, Samples
+from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import (
     FeedForwardState,
@@ -22,9 +23,12 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import Identification
-from service.streaming.ports import CheckpointStore, ResultSink, Source
+from service.streaming.ports import CheckpointStore, Health, ResultSink, Source
 
 VALVES_AT_ONCE = 32
+OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
+HEALTH_EVERY_S = 0.5  # the service's own condition is shown
+LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -37,7 +41,12 @@ class LiveSettings:
     Attributes
     ----------
     stale_after_s : float
-        Without a sample for this long a valve's sensors count as lost and its results as bad.
+        Without a sample for this long a valve's sensors count as lost and its results as bad. Once
+        the newest sample is older than this by the source's clock, results are uncertain; once it
+        is OLD times as old, bad.
+    reorder_s : float
+        A sample that waits for earlier ones waits no longer than this, should no more samples come
+        that it could be told by.
     checkpoint_interval_s, map_interval_s : float
         How often states are kept, and how often the inverse tables are computed anew.
     publish_budget_s : float
@@ -49,6 +58,7 @@ class LiveSettings:
     """
 
     stale_after_s: float = 2.0
+    reorder_s: float = 1.0
     checkpoint_interval_s: float = 10.0
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
@@ -77,8 +87,15 @@ class LiveService:
         self._on_samples = on_samples
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
+        self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
+        self._held_until = now
+        self._source_started = 0
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
+        self._old = np.zeros(len(identification.plans), np.bool_)
+        self._health_due = now
+        self._kept_at = math.nan
+        self._failures = 0
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
@@ -104,15 +121,28 @@ class LiveService:
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
+    async def connected(self, source_started: int) -> None:
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            log.warning("source restarted")
+            every = np.arange(len(self._lost))
+            await self._use(self.identification.begin_source_anew(every))
+
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
         self._connected = True
-        samples = self.identification.take(changes)
+        await self._use(self.identification.take(changes))
+
+    async def _use(self, samples: ByValve) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
+        self._held_s[members] = 0.0
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
-        self._lost[members] = False
+        ages = self._ages()
+        self._lost[members] = ages[members] > OLD * self._settings.stale_after_s
+        self._old[members] = ages[members] > self._settings.stale_after_s
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
@@ -127,8 +157,8 @@ class LiveService:
     async def tick(self) -> None:
         """Look after what is due by the clock."""
         now = self._clock.monotonic()
-        stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
-        await self._lose(np.flatnonzero(stale).tolist())
+        await self._wait_no_longer(now)
+        await self._doubt(now)
         if now - self._fed_at >= FEED_AGAIN_S:
             await self._feed_forward()
         await self._publish_in_turn()
@@ -136,6 +166,52 @@ class LiveService:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
         self._keep_in_turn(now)
+        await self._show_health(now)
+
+    async def _doubt(self, now: float) -> None:
+        """Call old what has become it since the last sample."""
+        ages, limit = self._ages(), self._settings.stale_after_s
+        stale = (now - self._last_sample > limit) | (ages > OLD * limit)
+        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        old = np.flatnonzero((ages > limit) & ~self._old)
+        if len(old):
+            self._old[old] = True
+            self._unpublished.update(dict.fromkeys(old.tolist()))
+
+    def _ages(self) -> Floats:
+        """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
+        now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
+        ages = np.maximum((now - self._newest) * 1e-9, 0.0)
+        return np.where(self._newest > 0, ages, np.nan)
+
+    async def _show_health(self, now: float) -> None:
+        if now < self._health_due:
+            return
+        self._health_due = now + HEALTH_EVERY_S
+        await self._sink.show_health(
+            Health(
+                age_s=self._ages(),
+                waiting=self.identification.pending(),
+                source=self._source.counters,
+                checkpoint_age_s=now - self._kept_at,
+                checkpoint_failures=self._failures,
+                checkpoint_bytes=self._store.size,
+            )
+        )
+
+    async def _wait_no_longer(self, now: float) -> None:
+        """Go on without what samples wait for, where nothing has left for too long.
+
+        Time counts only while there is a connection, and our own standstills do not.
+        """
+        passed, self._held_until = now - self._held_until, now
+        if not self._connected:
+            return
+        self._held_s += min(passed, LONGEST_TICK_S)
+        self._held_s[~self.identification.waits()] = 0.0
+        due = self._held_s > self._settings.reorder_s
+        if due.any():
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)))
 
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""
@@ -163,7 +239,9 @@ class LiveService:
             return
         try:
             self._store.save(self.identification.checkpoints(sorted(some)))
+            self._kept_at = now
         except StorageError as error:
+            self._failures += 1
             log.warning("checkpoint not kept", reason=str(error))
 
     def _say_what_is_doubted(self) -> None:
@@ -201,7 +279,7 @@ class LiveService:
             some = list(islice(self._unpublished, VALVES_AT_ONCE))
             for valve in some:
                 del self._unpublished[valve]
-            for results in self.identification.results(some, self._lost):
+            for results in self.identification.results(some, self._lost, self._old):
                 await self._sink.publish(results)
             if self._clock.monotonic() >= end:
                 break
@@ -241,7 +319,7 @@ class LiveService:
         if not (armed and self._connected):
             return Situation(armed, self._connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = (self._clock.now() - int(self._newest[valve])) * 1e-9
+        behind = self._ages()[valve]
         answer, status = self.identification.required(valve)
         return Situation(
             armed=armed,

@@ -81,6 +81,14 @@ class Source(Protocol):
     def counters(self) -> SourceCounters:
         """What was seen so far."""
 
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock was ahead of ours at `connect`; 0 if it did not say."""
+
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said at `connect`; 0 if it did not."""
+
 
 @dataclass(frozen=True)
 class EstimatorDescription:
@@ -242,11 +250,40 @@ class Results:
         )
 
 
+@dataclass(frozen=True)
+class Health:
+    """How fresh the data are, and whether what is learnt is safe; arrays over all valves.
+
+    Attributes
+    ----------
+    age_s : float64
+        By how much the newest sample is behind the source's clock, s; NaN before the first.
+    waiting : int64
+        Samples that wait for signals of theirs, or for earlier samples.
+    source
+        What was seen of the source.
+    checkpoint_age_s : float
+        Since the states were last kept; NaN before.
+    checkpoint_failures, checkpoint_bytes : int
+        How often they could not be, and how much room they take.
+    """
+
+    age_s: Floats
+    waiting: Times
+    source: SourceCounters = SourceCounters()
+    checkpoint_age_s: float = np.nan
+    checkpoint_failures: int = 0
+    checkpoint_bytes: int = 0
+
+
 class ResultSink(Protocol):
     """Where results go; ``publish`` never waits for a reader."""
 
     async def publish(self, results: Results) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
+
+    async def show_health(self, health: Health) -> None:
+        """Show how the service itself stands."""
 
 
 class Operator(Protocol):
@@ -305,6 +342,10 @@ class CheckpointStore(Protocol):
 
     def load(self) -> Sequence["Checkpoint"]:
         """All that is kept, newest of each (valve, estimator)."""
+
+    @property
+    def size(self) -> int:
+        """Bytes that all of it takes."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ log = structlog.get_logger(__name__)
 class Consumer(Protocol):
     """Who uses the data changes; called by the supervisor, one call at a time."""
 
+    async def connected(self, source_started: int) -> None:
+        """There is a connection, to a source started then (UTC ns; 0: unknown)."""
+
     async def take(self, changes: DataChanges) -> None:
         """Data changes have arrived."""
 
@@ -66,6 +69,7 @@ async def supervise(
             try:
                 await source.connect()
                 log.info("source connected")
+                await consumer.connected(source.started)
                 ever_connected, pauses = True, settings.pauses()
                 await _receive(source, consumer, stop, settings.tick_s)
             except (SourceLost, SourceRejected) as error:

@@ -19,7 +19,9 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResult,
+    Health,
     InverseResult,
+    SourceCounters,
     ValveDescription,
 )
 
@@ -208,6 +210,8 @@ async def test_before_any_result_everything_waits(observer):
         "Identification/Valvistor/Inverse/Arm",
         "Identification/Valvistor/Inverse/Disarm",
         "Identification/V2/Inverse/RequiredU",
+        "Identification/V2/Diagnostics/SampleAge",
+        "Identification/Service/Checkpoint/Age",
     ],
 )
 async def test_paths_lead_to_the_ids_of_the_contract(observer, path):
@@ -283,6 +287,33 @@ async def test_counters_are_told_as_they_grow(server, observer):
     assert (await value(observer, "Valvistor.Diagnostics.BadStatus"))[0] == 1
     await server.publish(result(late=5, bad_status=1))
     assert (await value(observer, "Valvistor.Diagnostics.Late"))[0] == 5
+
+
+async def test_the_service_s_own_condition_is_shown(server, observer):
+    health = Health(
+        age_s=np.array([0.25, np.nan, 2.0]),
+        waiting=np.array([3, 0, 0]),
+        source=SourceCounters(100, 10, missing_messages=2, overflows=4, undecodable=1),
+        checkpoint_age_s=1.5,
+        checkpoint_failures=7,
+        checkpoint_bytes=4096,
+    )
+    await server.show_health(health)
+    assert (await value(observer, "Valvistor.Diagnostics.SampleAge"))[:2] == (0.25, Codes.Good)
+    unknown = Codes.BadWaitingForInitialData
+    assert (await value(observer, "V2.Diagnostics.SampleAge"))[1] == unknown
+    assert (await value(observer, "Valvistor.Diagnostics.Waiting"))[0] == 3
+    shown = {
+        "Checkpoint.Age": 1.5,
+        "Checkpoint.Failures": 7,
+        "Checkpoint.Size": 4096,
+        "Source.Notifications": 100,
+        "Source.Overflows": 4,
+        "Source.MissingMessages": 2,
+        "Source.Undecodable": 1,
+    }
+    for name, expected in shown.items():
+        assert (await value(observer, f"Service.{name}"))[:2] == (expected, Codes.Good)
 
 
 async def test_units_ranges_and_names_of_values_are_there(observer):

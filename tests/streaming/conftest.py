@@ -14,7 +14,7 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.feedforward import FeedForward
 from service.streaming.identification import Identification
 from service.streaming.pipeline import ValvePlan
-from service.streaming.ports import SourceCounters
+from service.streaming.ports import Health, SourceCounters
 from service.streaming.quality_gate import QualityGate
 
 
@@ -54,6 +54,8 @@ class FakeSource:
     refuses: bool = False
     closed: int = 0
     counters: SourceCounters = field(default_factory=SourceCounters)
+    started: int = 0
+    clock_offset_s: float = 0.0
 
     async def connect(self):
         if self.connects:
@@ -84,14 +86,19 @@ class FakeSource:
 @dataclass
 class FakeSink:
     published: list = field(default_factory=list)
+    health: Health | None = None
 
     async def publish(self, results):
         self.published += [results.one(m) for m in range(len(results.valves))]
+
+    async def show_health(self, health):
+        self.health = health
 
 
 @dataclass
 class FakeStore:
     kept: list = field(default_factory=list)
+    size: int = 0
 
     def save(self, checkpoints):
         self.kept = list(checkpoints)

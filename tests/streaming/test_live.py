@@ -93,6 +93,62 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
     assert [r.estimators["RLS"].quality for r in sink.published] == [Quality.GOOD, Quality.BAD]
 
 
+@pytest.fixture
+def numbered(plan, source, sink, store, clock):
+    """A service whose valve has a running number."""
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    return LiveService(Identification([plan], align), source, sink, store, clock, LiveSettings())
+
+
+def count(live):
+    return live.identification.result(0).estimators["RLS"].sample_count
+
+
+async def test_what_waits_for_a_lost_sample_waits_no_longer_than_a_second(numbered, clock):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    for _ in range(4):
+        clock.advance(0.25)
+        await numbered.tick()
+    assert count(numbered) == 200
+    clock.advance(0.25)
+    await numbered.tick()
+    assert count(numbered) == 209
+    assert numbered.identification.counters(0)["gaps"] == 1
+
+
+async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_count(
+    numbered, clock
+):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    clock.advance(60.0)  # we stood still
+    await numbered.tick()
+    await numbered.lost(SourceLost("cut"))
+    for _ in range(100):
+        clock.advance(0.25)
+        await numbered.tick()
+    await numbered.take(changes[6 * 200 : 6 * 201])
+    assert count(numbered) == 210
+    assert numbered.identification.counters(0)["gaps"] == 0
+
+
+async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
+    await numbered.connected(1)
+    await numbered.take(as_changes(plant(300)))
+    await numbered.connected(1)
+    assert numbered.identification.counters(0)["restarts"] == 0
+    await numbered.connected(2)
+    again = as_changes(plant(300, first=360))
+    again.value[5::6] += 900
+    await numbered.take(again)
+    counters = numbered.identification.counters(0)
+    assert (counters["gaps"], counters["restarts"], counters["lost_by_time"]) == (0, 1, 60)
+    assert count(numbered) == 600
+
+
 async def leading(live, source, clock):
     """A service that has led its valve to the answer; returns the samples taken so far."""
     await live.take(as_changes(plant(1000)))
@@ -292,3 +348,47 @@ async def test_a_valve_that_cannot_be_what_it_is_called_is_named_once_with_the_r
     assert said["valve"] == "Valvistor"
     assert "is it psi? signals.p1.unit" in said["why"]
     assert "insist = true" in said["remedy"]
+
+
+async def test_data_that_come_late_are_uncertain_and_then_bad_though_they_keep_coming(
+    live, sink, clock
+):
+    first, qualities = 0, []
+    for behind_s in (0.0, 1.5, 2.5, 4.5, 28.0, 0.0):
+        samples = plant(300, first=first)
+        clock.advance((int(samples.t[-1]) - clock.now()) * 1e-9 + behind_s)
+        await live.take(as_changes(samples))
+        await live.tick()
+        clock.advance(0.1)
+        qualities.append(sink.published[-1].estimators["RLS"].quality)
+        assert sink.health.age_s[0] == pytest.approx(behind_s, abs=1e-6)
+        first += 10_000
+    good, uncertain, bad = Quality.GOOD, Quality.UNCERTAIN, Quality.BAD
+    assert qualities == [good, good, uncertain, bad, bad, good]
+
+
+async def test_the_age_is_told_by_the_source_s_clock(live, source, sink, clock):
+    source.clock_offset_s = -3600.0
+    await live.take(as_changes(plant(300)))
+    clock.advance(3603.0)
+    await live.take(as_changes(plant(1, first=300)))
+    await live.tick()
+    assert sink.health.age_s[0] == pytest.approx(0.0, abs=1e-6)
+    assert sink.published[-1].estimators["RLS"].quality is Quality.GOOD
+
+
+async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clock):
+    clock.advance(1.0)
+    await live.tick()
+    assert np.isnan(sink.health.checkpoint_age_s)
+    clock.advance(10.0)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.0, 0)
+    store.save = full_disk
+    clock.advance(10.0)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (10.0, 1)
+
+
+def full_disk(_):
+    raise StorageError("state.sqlite: disk full")
