@@ -24,16 +24,16 @@ LAST_U, TOWARDS = 0, 1
 NOISE, NOISE_WEIGHT, POWER, COLOUR, LAST_RESIDUAL, LEFT_U, LEFT_S = 2, 3, 4, 5, 6, 7, 8
 CHAMPION_SQUARES, CHALLENGER_SQUARES, EXCITATION, VARIANCE = 9, 10, 11, 12
 MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17, 18, 19
-GAIN_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE = 20, 21, 22, 23
-LAGS = 24  # from here on see `lag`
+GAIN_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY = 20, 21, 22, 23, 24
+LAGS = 25  # from here on see `lag`
 SCALARS = LAGS + lag.SCALARS
 
 # Places in `counters`.
 USED, NEXT_FIT, OPENED, ALARMS, FITTED, NEW_CELLS = 0, 1, 2, 3, 4, 5
 SPENT, NEXT_LOOK, TOO_FAST = 6, 7, 8
 SUSPECT_SAMPLE, SUSPECT_TIME, CHANGE_SAMPLE, CHANGE_TIME, FRESH = 9, 10, 11, 12, 13
-MAY_ASK, FIT_AT, COMPARED = 14, 15, 16
-LAGGING = 17  # from here on see `lag`
+MAY_ASK, FIT_AT, COMPARED, WATCHED = 14, 15, 16, 17
+LAGGING = 18  # from here on see `lag`
 COUNTERS = LAGGING + lag.COUNTERS
 
 PLAY = 4  # place of the play in a shape
@@ -55,6 +55,7 @@ FITTING = 4.0  # σ that a cell may lie off the map and still tell a change
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
 SLOW_MEMORY = 1000.0  # samples: what lies off for so long is drift, not a change
+MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm
 SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0  # σ: slack of the CUSUMs, cut, alarm
 ASKING = 1.5  # mean square of the residuals over the noise that asks for a fit
 KEPT = 0.01  # samples' weight that a cell keeps when the valve has changed
@@ -242,9 +243,12 @@ def _take(
         return status
     if path[lag.FAMILIAR] > lag.WELL_KNOWN:
         Q -= path[lag.OFFSET]
-    cell = memory.cells[place(at_U, at_s, direction)]
+    here = place(at_U, at_s, direction)
+    cell = memory.cells[here]
     if counters[FITTED] and cell[WEIGHT] >= KNOWN:
-        Q = _compare(champion, cell, Q, forecast, at_s, batch.t[i], scalars, counters, scratch)
+        Q = _compare(
+            champion, cell, Q, forecast, at_s, batch.t[i], here, scalars, counters, scratch
+        )
     if cell[WEIGHT] < NEW:
         counters[NEW_CELLS] -= 1
     _learn(cell, _news(at_U, at_s, scalars), longest, at_U, at_s, T, direction, Q)
@@ -281,8 +285,8 @@ def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratc
 
 @inner
 def _compare(
-    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, scalars: Floats,
-    counters: np.ndarray, scratch: Floats,
+    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, here: int,
+    scalars: Floats, counters: np.ndarray, scratch: Floats,
 ) -> float:  # fmt: skip
     """Hold a sample against its own cell: noise without misfit, change of the valve, outliers.
 
@@ -299,7 +303,8 @@ def _compare(
         _know_noise(error * whitening, NOISE_MEMORY, scalars)
         return Q
     if s >= PLAIN_S and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:
-        _watch(error * whitening / max(sigma, 1e-9), error, t, scalars, counters)
+        if counters[USED] - counters[OPENED] >= YOUNG:
+            _watch(error * whitening / max(sigma, 1e-9), error, t, here, scalars, counters)
     if counters[USED] - counters[OPENED] >= YOUNG and cell[WEIGHT] >= SETTLED_CELL:
         _know_colour(error, counters[USED] - counters[COMPARED], scalars)
         _know_gain(error, forecast, scalars)
@@ -377,7 +382,9 @@ def _news(U: float, s: float, scalars: Floats) -> float:
 
 
 @inner
-def _watch(z: float, error: float, t: int, scalars: Floats, counters: np.ndarray) -> None:
+def _watch(
+    z: float, error: float, t: int, here: int, scalars: Floats, counters: np.ndarray
+) -> None:
     """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
     rho = colour(scalars)
     white = (z - rho * scalars[LAST_Z]) / math.sqrt(1.0 - rho * rho)
@@ -385,9 +392,13 @@ def _watch(z: float, error: float, t: int, scalars: Floats, counters: np.ndarray
     clipped = min(max(white, -FAR), FAR)
     scalars[SLOW] += (clipped - scalars[SLOW]) / SLOW_MEMORY
     clipped -= scalars[SLOW]
-    scalars[MORE] = max(0.0, scalars[MORE] + clipped - SHIFT)
-    scalars[LESS] = max(0.0, scalars[LESS] - clipped - SHIFT)
-    scalars[WILDER] = max(0.0, scalars[WILDER] + abs(clipped) - WILD)
+    if here != counters[WATCHED]:
+        counters[WATCHED], scalars[STAY] = here, 0.0
+    left = max(MOST_OF_A_STAY - scalars[STAY], 0.0)
+    scalars[MORE] = max(0.0, scalars[MORE] + min(clipped - SHIFT, left))
+    scalars[LESS] = max(0.0, scalars[LESS] + min(-clipped - SHIFT, left))
+    scalars[WILDER] = max(0.0, scalars[WILDER] + min(abs(clipped) - WILD, left))
+    scalars[STAY] += max(abs(clipped) - SHIFT, 0.0)
     scalars[SUSPECT_SUM] += error
     if scalars[MORE] + scalars[LESS] + scalars[WILDER] == 0.0:
         scalars[SUSPECT_SUM] = 0.0

@@ -29,7 +29,7 @@ DEAD_BANDS = np.array([2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0])  # %, tried 
 SATURATIONS = np.array([98.0, 97.0, 95.0, 93.0, 90.0, 85.0, 80.0, 70.0])  # %, tried first
 KINK_STEPS = np.array([0.25, 0.5, 1.0, 2.0])  # %
 PLAY_STEPS = np.array([0.25, -0.25, 0.1, -0.1, 0.03, -0.03, 1.0, -1.0])  # %
-LEAST_DEAD, MOST_DEAD, LEAST_FULL, MOST_FULL, MOST_PLAY = 0.5, 40.0, 60.0, 99.5, 6.0  # %
+LEAST_DEAD, MOST_DEAD, LEAST_FULL, MOST_FULL, MOST_PLAY = 0.5, 40.0, 60.0, 99.5, 3.0  # %
 
 
 @inner
