@@ -8,7 +8,12 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.identification.samples import Times
-from service.opcua.information_model import FEED_FORWARD_STATUS, INVERSE, counter_name
+from service.opcua.information_model import (
+    DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
+    INVERSE,
+    counter_name,
+)
 from service.opcua.result_values import (
     Column,
     Shown,
@@ -16,6 +21,7 @@ from service.opcua.result_values import (
     estimator_own_words,
     feed_forward_values,
     inverse_codes,
+    lag_values,
     map_value,
     survey_values,
 )
@@ -61,7 +67,10 @@ class ChangedResults:
             t = _times(found.t, now)
             discoveries = zip(found.change, found.structure, strict=True)
             for m, discovery in enumerate(discoveries):
-                valve, code = valves[m], codes[m]
+                valve, code, lags = valves[m], codes[m], found.lags[m]
+                if lags is not None and self._is_new(valve, DIAGNOSTICS, None, *lags, code):
+                    for new in lag_values(lags, code, t[m]):
+                        yield valve, new
                 if self._is_new(valve, f"{name}.Coverage", found.survey[m], code):
                     for new in survey_values(name, found.survey[m], code, t[m]):
                         yield valve, new

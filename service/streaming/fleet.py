@@ -219,6 +219,7 @@ class _Lanes:
             survey=[None] * len(chosen),
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
+            lags=self._states.lags(chosen),
         )
 
     def put(self, m: int, lane: Lane) -> None:
@@ -277,6 +278,10 @@ class _Stacked:
         describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
         return [describe(member(self._all, m)) if describe else None for m in chosen]
 
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
+        found = self._estimator.lags if isinstance(self._estimator, Auto) else None
+        return [found(member(self._all, m)) if found else None for m in chosen]
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -313,6 +318,9 @@ class _Listed:
         return [None] * len(chosen)
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
+        return [None] * len(chosen)
+
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         return [None] * len(chosen)
 
     def put(self, m: int, state: State) -> None:
