@@ -14,7 +14,7 @@ from service.identification.change import Change
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import lag, map_fit
+from service.identification.kernels import grid, lag, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
@@ -61,8 +61,10 @@ class AutoState(State):
 
     Attributes
     ----------
-    cells : (1088, 6) float32
-        Weight and means of U, s, T, direction and Q of each cell's samples.
+    cells : (704, 6) float32
+        Weight and means of U, s, T, direction and Q of the samples of each cell that has a slot.
+    slots : (3264,) uint16
+        One more than the slot of each cell of the grid, see :mod:`kernels.grid`; 0 for none.
     recent : (704, 4) float32
         The last samples, for the search for lags, see :mod:`kernels.lag`.
     shapes : (3, 6), top : (1,)
@@ -81,6 +83,7 @@ class AutoState(State):
     """
 
     cells: NDArray[np.float32]
+    slots: NDArray[np.uint16]
     recent: NDArray[np.float32]
     shapes: Floats
     top: Floats
@@ -101,12 +104,13 @@ class AutoState(State):
 class Auto:
     """Chooses the structure of the map online, and with it identifies the map.
 
-    A grid of cells over (U, √dp), split by direction of U, remembers the mean of the samples that
-    fell into each. To these means, weighted by their numbers, any structure is fitted by least
-    squares, eq. (16), when news and the budget (:mod:`~service.identification.fit_budget`) call
-    for it. The ladder (:class:`~service.identification.map_shapes.Shape`) leads from eq. (7) to
-    cubic tensor splines of many cells, with a dead band, a saturation, hysteresis (U lags by half
-    its width) and a trend with temperature.
+    A grid of cells over (U, √dp), split by temperature and direction of U, remembers the mean of
+    the samples that fell into each. To these means, weighted by their numbers, any structure is
+    fitted by least squares, eq. (16), when news and the budget
+    (:mod:`~service.identification.fit_budget`) call for it. The ladder
+    (:class:`~service.identification.map_shapes.Shape`) leads from eq. (7) to cubic tensor splines
+    of many cells, with a dead band, a saturation, hysteresis (U lags by half its width) and a trend
+    with temperature.
 
     U's effect may lag behind U, and the meter behind the flow, both of first order. The lags are
     those that leave least unexplained in the last samples (:mod:`~service.identification
@@ -187,7 +191,8 @@ class Auto:
         looked_for = self.lag_U is None or self.lag_Q is None
         counters[memory.NEXT_LOOK] = FIRST_LOOK if looked_for else np.iinfo(np.int64).max
         return AutoState(
-            cells=np.zeros((memory.CELLS, len(memory.COLUMNS)), np.float32),
+            cells=np.zeros((grid.SLOTS, len(grid.COLUMNS)), np.float32),
+            slots=np.zeros(grid.PLACES * grid.CELLS_OF_A_PLACE, np.uint16),
             recent=np.zeros((lag.ROWS, 4), np.float32),
             shapes=np.stack([Shape().to_array()] * 3),
             top=np.array([dp_top(0.0)]),
@@ -376,11 +381,11 @@ class Auto:
             return
         gain, doubt = drift.gain(scalars)
         if abs(gain) > drift.CLEAR * math.sqrt(doubt) and abs(gain) > drift.LEAST:
-            points[:, memory.MEAN_Q] *= 1.0 + gain
-            state.cells[:, memory.MEAN_Q] *= np.float32(1.0 + gain)
+            points[:, grid.MEAN_Q] *= 1.0 + gain
+            state.cells[:, grid.MEAN_Q] *= np.float32(1.0 + gain)
             scalars[memory.ERROR_Q] = 0.0
         scalars[memory.GAIN_VARIANCE] = gain**2 + doubt
-        top = dp_top(float(points[:, memory.MEAN_S].max()))
+        top = dp_top(float(points[:, grid.MEAN_S].max()))
         champion, challenger, explorer = (Shape.from_array(shape) for shape in state.shapes)
         if scalars[memory.CHALLENGER_SQUARES] <= WORSE * scalars[memory.CHAMPION_SQUARES]:
             champion = challenger
@@ -389,7 +394,7 @@ class Auto:
         if len(points) > NEW_START * progress[STARTED, 1]:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            varied = variety(state.cells.astype(np.float64), points, max(self.lags(state)))
+            varied = variety(_weights(state), points, max(self.lags(state)))
             challenger, explorer = self._climb(
                 points, challenger, explorer, top, varied, progress, counters
             )
@@ -472,17 +477,23 @@ def _cost(points: Floats, shape: Shape) -> int:
 
 def _trusted(state: AutoState) -> Floats:
     """Cells that hold samples, but for those of a few samples far off all others: spikes."""
-    points = state.cells[state.cells[:, memory.WEIGHT] > 0.0].astype(np.float64)
+    points = state.cells[state.cells[:, grid.WEIGHT] > 0.0].astype(np.float64)
     if not state.counters[memory.FITTED] or not len(points):
         return points
     misfit = kernel.misfit(_surface(state, CHAMPION), points)
     usual = max(
         float(np.median(misfit)),
         math.sqrt(state.scalars[memory.NOISE]),
-        1e-4 * float(np.abs(points[:, memory.MEAN_Q]).max()),
+        1e-4 * float(np.abs(points[:, grid.MEAN_Q]).max()),
     )
-    spiked = (misfit > SPIKE * usual) & (points[:, memory.WEIGHT] < FEW)
+    spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
+
+
+def _weights(state: AutoState) -> Floats:
+    """Samples in the cells of either direction, (N, 2), of all that have any."""
+    held = np.concatenate([[0.0], state.cells[:, grid.WEIGHT]])[state.slots].reshape(-1, 2)
+    return held[held.any(axis=1)]
 
 
 def _surface(state: AutoState, which: int) -> Surface:

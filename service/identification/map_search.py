@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from service.identification.kernels import climb as kernel
 from service.identification.kernels import map_fit
-from service.identification.kernels.cells import MEAN_T, WEIGHT
 from service.identification.kernels.climb import IDLE
+from service.identification.kernels.grid import MEAN_T, WEIGHT
 from service.identification.kernels.surface import BORDER
 from service.identification.map_shapes import BAND, Shape, Variety
 from service.identification.samples import Floats
@@ -51,11 +51,13 @@ def noise(points: Floats, shape: Shape, top: float) -> float:
     return float(kernel.noise(points, shape.to_array(), top))
 
 
-def variety(cells: Floats, points: Floats, lag: float = 0.0) -> Variety:
-    """What the memory can tell apart, behind a lag known to be ``lag`` s."""
+def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
+    """What the memory can tell apart, behind a lag known to be ``lag`` s.
+
+    ``sides`` (N, 2): samples with U falling and rising, cell by cell.
+    """
     weight = points[:, WEIGHT] / points[:, WEIGHT].sum()
-    falling, rising = cells[::2, WEIGHT], cells[1::2, WEIGHT]
-    shared = np.minimum(falling, rising).sum() / (falling + rising).sum()
+    shared = sides.min(axis=1).sum() / sides.sum()
     T = points[:, MEAN_T]
     return Variety(
         least_play=max(LEAST_PLAY, LAG_DOUBT * lag) if shared > LEAST_SHARE else math.inf,

@@ -8,6 +8,7 @@ from service.identification import fit_budget as budget
 from service.identification.auto import Auto
 from service.identification.fleet import member, repeated
 from service.identification.kernels import cells as memory
+from service.identification.kernels import grid
 from service.identification.samples import Samples, Segments
 
 
@@ -27,7 +28,7 @@ def test_what_is_spent_stays_within_what_the_samples_grant():
         spent.append(int(state.counters[memory.SPENT]))
     young = budget.YOUNG * budget.YOUNG_NS
     most = young + budget.SETTLED_NS * np.arange(0, 20_000, 1000)
-    fits = 20 * budget.cost(memory.CELLS, 160, 31)
+    fits = 20 * budget.cost(grid.SLOTS, 160, 31)
     assert (np.array(spent) <= most + fits).all()
     assert spent[-1] - spent[-2] <= budget.SETTLED_NS * 1000 + fits
 

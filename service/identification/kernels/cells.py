@@ -1,7 +1,7 @@
-"""The memory of a map: a grid of cells, each with the mean of the samples that fell into it.
+"""One pass over the samples: through the lags, against the map and the cells, into the cell.
 
-One pass over the samples: U through the lag of its effect, Q against the map through the meter's
-lag, and the rest into the cell.
+U goes through the lag of its effect, Q is held against the map through the meter's lag, and what
+remains is held against the mean of the sample's own cell (see :mod:`kernels.grid`), then learnt.
 """
 
 import math
@@ -9,15 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels import lag
+from service.identification.kernels import grid, lag
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_S, MEAN_T, MEAN_U, WEIGHT
 from service.identification.kernels.surface import T_REFERENCE, T_UNIT, Surface, value
 from service.identification.samples import Floats, Status, Times
-
-CELLS_U, CELLS_S = 32, 17  # 3.1 % of U by 0.3 to 1.8 √bar; times two directions: 26 kB
-CELLS = CELLS_U * CELLS_S * 2
-S_TOP = 20.0  # √bar: the grid reaches to 400 bar
-COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q = 0, 1, 2, 3, 4, 5
 
 # Places in `scalars`: of the path, the noise, the competition, the watch for changes, the lags.
 LAST_U, TOWARDS = 0, 1
@@ -33,14 +29,16 @@ USED, NEXT_FIT, OPENED, ALARMS, FITTED, NEW_CELLS = 0, 1, 2, 3, 4, 5
 SPENT, NEXT_LOOK, TOO_FAST = 6, 7, 8
 SUSPECT_SAMPLE, SUSPECT_TIME, CHANGE_SAMPLE, CHANGE_TIME, FRESH = 9, 10, 11, 12, 13
 MAY_ASK, FIT_AT, COMPARED, WATCHED = 14, 15, 16, 17
-LAGGING = 18  # from here on see `lag`
+TAKEN = 18
+LAGGING = 19  # from here on see `lag`
 COUNTERS = LAGGING + lag.COUNTERS
 
 PLAY = 4  # place of the play in a shape
 NODES_T = np.array([T_REFERENCE, T_REFERENCE + T_UNIT])
 HUGE = 1e9  # of any signal: beyond it squares leave the range of numbers
 LEAST_PLAY = 0.1  # %: way of U that turns its direction while no play is known
-KNOWN = 1.0  # samples in a cell from which on another one is held against it
+KNOWN = 1.0  # samples in a cell from which on another one is held against it ...
+NEAR_T = 10.0  # K: ... if it is not farther from their mean: the map may not know the trend yet
 NEW = 0.02  # samples' weight below which a cell counts as new
 NOISE_KNOWN = 64.0  # samples held against their cells before a change is looked for
 NOISE_MEMORY = 1000.0  # samples over which noise is averaged
@@ -70,6 +68,7 @@ class Memory(NamedTuple):
     """One valve's arrays that samples change; see `AutoState`."""
 
     cells: Floats
+    slots: np.ndarray
     recent: Floats
     scalars: Floats
     counters: np.ndarray
@@ -79,6 +78,7 @@ class Fleet(NamedTuple):
     """The arrays of M valves, with a leading axis M; see `AutoState`."""
 
     cells: Floats
+    slots: np.ndarray
     recent: Floats
     scalars: Floats
     counters: np.ndarray
@@ -117,7 +117,9 @@ def run_many(
     """
     for k in range(segment, len(members)):
         m = members[k]
-        memory = Memory(fleet.cells[m], fleet.recent[m], fleet.scalars[m], fleet.counters[m])
+        memory = Memory(
+            fleet.cells[m], fleet.slots[m], fleet.recent[m], fleet.scalars[m], fleet.counters[m]
+        )
         champion, challenger = surface(fleet, m, 0), surface(fleet, m, 1)
         row = run(
             row if k == segment else starts[k],
@@ -221,7 +223,7 @@ def _take(
     lag.follow(batch.t[i], U, s, path, counters[LAGGING:])
     U, at_U, at_s = path[lag.U_EFFECT], path[lag.U_METERED], path[lag.S_METERED]
     direction = follow(U, champion.play, scalars)
-    weight = memory.cells[place(U, s, direction), WEIGHT]
+    weight = grid.known(grid.number(U, s, T, direction), memory.slots, memory.cells)
     if counters[USED] - counters[OPENED] < YOUNG:
         weight = 0.0
     settled = lag.belongs(s, weight, path)
@@ -243,15 +245,22 @@ def _take(
         return status
     if path[lag.FAMILIAR] > lag.WELL_KNOWN:
         Q -= path[lag.OFFSET]
-    here = place(at_U, at_s, direction)
+    here = grid.slot_of(
+        grid.number(at_U, at_s, T, direction),
+        champion.play,
+        memory.slots,
+        memory.cells,
+        counters[TAKEN : TAKEN + 1],
+    )
     cell = memory.cells[here]
-    if counters[FITTED] and cell[WEIGHT] >= KNOWN:
+    near = abs(T - cell[MEAN_T]) <= NEAR_T
+    if counters[FITTED] and cell[WEIGHT] >= KNOWN and near:
         Q = _compare(
             champion, cell, Q, forecast, at_s, batch.t[i], here, scalars, counters, scratch
         )
     if cell[WEIGHT] < NEW:
         counters[NEW_CELLS] -= 1
-    _learn(cell, _news(at_U, at_s, scalars), longest, at_U, at_s, T, direction, Q)
+    grid.learn(cell, _news(at_U, at_s, scalars), longest, at_U, at_s, T, direction, Q)
     return status
 
 
@@ -263,18 +272,6 @@ def follow(U: float, play: float, scalars: Floats) -> float:
     towards: float = min(max(scalars[TOWARDS] + step / max(play, LEAST_PLAY), -1.0), 1.0)
     scalars[LAST_U], scalars[TOWARDS] = U, towards
     return towards
-
-
-@kernel
-def place(U: float, s: float, direction: float) -> int:
-    """Which cell a point falls into; those of both directions stand side by side.
-
-    Cells in s are narrow near 0, where the flow is laminar; the first is for reversed flow.
-    """
-    in_U = int(min(max(U * (CELLS_U / 100.0), 0.0), CELLS_U - 1.0))
-    share = min(max(s, 0.0), 0.999 * S_TOP) / S_TOP
-    in_s = 1 + int((CELLS_S - 1) * share ** (2.0 / 3.0)) if s >= 0.0 else 0
-    return (in_U * CELLS_S + in_s) * 2 + (1 if direction > 0.0 else 0)
 
 
 @inner
@@ -403,21 +400,6 @@ def _watch(
     if scalars[MORE] + scalars[LESS] + scalars[WILDER] == 0.0:
         scalars[SUSPECT_SUM] = 0.0
         counters[SUSPECT_SAMPLE], counters[SUSPECT_TIME] = counters[USED] + 1, t
-
-
-@inner
-def _learn(
-    cell: Floats, news: float, longest: float, U: float, s: float, T: float, direction: float,
-    Q: float,
-) -> None:  # fmt: skip
-    weight = min(cell[WEIGHT] + news, longest)
-    share = min(news / weight, 1.0)
-    cell[WEIGHT] = weight
-    cell[MEAN_U] += (U - cell[MEAN_U]) * share
-    cell[MEAN_S] += (s - cell[MEAN_S]) * share
-    cell[MEAN_T] += (T - cell[MEAN_T]) * share
-    cell[DIRECTION] += (direction - cell[DIRECTION]) * share
-    cell[MEAN_Q] += (Q - cell[MEAN_Q]) * share
 
 
 @inner

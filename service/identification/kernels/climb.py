@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.cells import MEAN_Q
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.grid import MEAN_Q
 from service.identification.kernels.map_fit import fit, plan_of
 from service.identification.kernels.surface import BORDER
 from service.identification.samples import Floats
@@ -24,13 +24,20 @@ def climb(
 ) -> None:  # fmt: skip
     """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
 
-    ``shape`` (6,) and ``progress`` (2,) are written: the number of the next neighbour, and how many
-    were tried in vain since the last gain.
+    A trend is tried each time, where there is none and the samples can tell one: temperature may
+    have moved just now. ``shape`` (6,) and ``progress`` (2,) are written: the number of the next
+    neighbour, and how many were tried in vain since the last gain.
     """
     around = np.empty((ladder.MOST_NEIGHBOURS, len(shape)))
-    count = ladder.neighbours(shape, least_play, trends, around)
     sigma_2 = noise(points, shape, top)
     best = bic(points, shape, top, sigma_2)
+    if trends and shape[ladder.TREND] == 0.0:
+        around[0] = shape
+        around[0, ladder.TREND] = 1.0
+        warm = bic(points, around[0], top, sigma_2)
+        if warm < best - LEAST_GAIN:
+            shape[:], best, progress[IDLE] = around[0], warm, 0
+    count = ladder.neighbours(shape, least_play, trends, around)
     for _ in range(steps):
         candidate = around[progress[MOVE] % count]
         if bic(points, candidate, top, sigma_2) >= best - LEAST_GAIN:
