@@ -23,6 +23,7 @@ from service.identification.recursive_least_squares import RecursiveLeastSquares
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
+Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
 Range = tuple[float, float]
 
 
@@ -73,6 +74,8 @@ class AutoConfig(_EstimatorSection):
     kind: Literal["Auto"] = "Auto"
     name: Name = "Auto"
     lam: Lam = 0.998
+    lag_U_s: Lag = Field(None, description="lag of the effect of U; none: looked for")
+    lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: looked for")
 
 
 AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig
@@ -103,7 +106,7 @@ def build_estimator(
                 Q_scale=max(abs(Q_range[0]), abs(Q_range[1])),
             )
         case AutoConfig():
-            return Auto(lam=config.lam)
+            return Auto(lam=config.lam, lag_U=config.lag_U_s, lag_Q=config.lag_Q_s)
         case _:
             assert_never(config)
 

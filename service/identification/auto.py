@@ -1,21 +1,24 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification import drift, lag_search
+from service.identification import fit_budget as budget
+from service.identification.change import Change
 from service.identification.estimator import State
+from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
+from service.identification.kernels import grid, lag, map_fit
 from service.identification.kernels import surface as kernel
+from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
 from service.identification.map_search import (
-    BAND,
-    IDLE,
-    MOST,
     STARTS,
     climb,
     fit,
@@ -24,18 +27,30 @@ from service.identification.map_search import (
     is_resting,
     variety,
 )
-from service.identification.map_shapes import NODES_T, Shape, Variety, dp_top
+from service.identification.map_shapes import (
+    AXES,
+    BAND,
+    MOST,
+    MOST_S,
+    MOST_U,
+    Shape,
+    Variety,
+    dp_top,
+)
 from service.identification.model_structures import FiveTerms, Structure
-from service.identification.samples import Floats, Quality, Samples, Trace
+from service.identification.samples import Floats, Quality, Samples, Segments, Trace
 
 CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
 STARTED: Final = 0
-ENOUGH_CELLS: Final = 24
-RESTING_STEPS: Final = 2
-RESTED: Final = 60
-SHORTEST_WAIT, TRIAL, LONGEST_WAIT = 16, 64, 512
-UNKNOWN: Final = 1e4
-SPIKE, FEW = 30.0, 3.0
+ENOUGH_CELLS: Final = 24  # cells from which on shapes are compared
+RESTING_STEPS: Final = 2  # neighbours tried at a fit once all were tried in vain
+RESTED: Final = 60  # neighbours tried in vain from which on fits are rare
+WORSE: Final = 1.02**2  # how much larger a challenger's squares may be that becomes champion
+UNKNOWN: Final = 1e4  # variance over σ² of a map that says nothing
+SPIKE, FEW = 30.0, 3.0  # usual misfits, samples: farther off and of fewer, a cell is a spike
+NEW_START: Final = 1.25  # growth of the known cells that has the search start anew
+FIRST_LOOK: Final = lag.ROWS  # samples kept before lags are looked for
+LAG_MOVED: Final = 0.15, 0.004  # share, s: a lag that moves farther has the map start anew
 Counts = NDArray[np.int64]
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
@@ -46,14 +61,20 @@ class AutoState(State):
 
     Attributes
     ----------
-    cells : (5040, 6)
-        Weight and means of U, s, T, direction and Q of each cell's samples.
-    shapes : (3, 6), top : ()
+    cells : (704, 6) float32
+        Weight and means of U, s, T, direction and Q of the samples of each cell that has a slot.
+    slots : (3264,) uint16
+        One more than the slot of each cell of the grid, see :mod:`kernels.grid`; 0 for none.
+    recent : (704, 4) float32
+        The last samples, for the search for lags, see :mod:`kernels.lag`.
+    shapes : (3, 6), top : (1,)
         Shapes of champion, challenger and explorer, and the pressure their splines reach to, bar.
-    theta : (2, n + 8)
-        Parameters of champion and challenger, padded with 0.
+    knots_U, knots_s, coefficients, sizes : (2, …)
+        The maps of champion and challenger, padded with 0; sizes (n_U, n_s).
+    theta : (n + 8,)
+        Parameters of the champion, padded with 0.
     inverse, mixed, corner
-        The champion's inverse information, see :func:`kernels.surface.fit`.
+        The champion's inverse information, see :func:`kernels.map_fit.fit`; float32 but the last.
     scalars, counters
         See :mod:`kernels.cells`.
     progress : (3, 2)
@@ -61,12 +82,18 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
-    cells: Floats
+    cells: NDArray[np.float32]
+    slots: NDArray[np.uint16]
+    recent: NDArray[np.float32]
     shapes: Floats
     top: Floats
+    knots_U: Floats
+    knots_s: Floats
+    coefficients: Floats
+    sizes: Counts
     theta: Floats
-    inverse: Floats
-    mixed: Floats
+    inverse: NDArray[np.float32]
+    mixed: NDArray[np.float32]
     corner: Floats
     scalars: Floats
     counters: Counts
@@ -79,10 +106,16 @@ class Auto:
 
     A grid of cells over (U, √dp), split by temperature and direction of U, remembers the mean of
     the samples that fell into each. To these means, weighted by their numbers, any structure is
-    fitted by least squares, eq. (16), whenever some more samples are in. The ladder
+    fitted by least squares, eq. (16), when news and the budget
+    (:mod:`~service.identification.fit_budget`) call for it. The ladder
     (:class:`~service.identification.map_shapes.Shape`) leads from eq. (7) to cubic tensor splines
     of many cells, with a dead band, a saturation, hysteresis (U lags by half its width) and a trend
     with temperature.
+
+    U's effect may lag behind U, and the meter behind the flow, both of first order. The lags are
+    those that leave least unexplained in the last samples (:mod:`~service.identification
+    .lag_search`), looked for now and then, or given. A sample is then learnt at where U and s lag
+    to, and what the meter's lag makes of the map beyond that is taken off.
 
     Two shapes run at once. The *challenger* climbs, a few steps of the ladder at each fit, to a
     smaller::
@@ -105,7 +138,9 @@ class Auto:
     lam
         Forgetting factor of a cell, per sample that falls into it; 0 < lam <= 1.
     steps
-        Steps of the ladder tried at each fit.
+        Steps of the ladder tried at each fit, at most.
+    lag_U, lag_Q
+        First-order lag of U's effect and of the flow meter, s; None: looked for.
 
     Examples
     --------
@@ -124,8 +159,14 @@ class Auto:
 
     lam: float = 0.998
     steps: int = 16
+    lag_U: float | None = None
+    lag_Q: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("lag_U", "lag_Q"):
+            tau = getattr(self, name)
+            if tau is not None and not 0.0 <= tau < math.inf:
+                raise ValueError(f"{name} = {tau!r} s is not a time")
         if not 0.0 < self.lam <= 1.0:
             raise ValueError(f"forgetting factor lam = {self.lam!r} is not in (0, 1]")
 
@@ -141,16 +182,27 @@ class Auto:
     def initial_state(self) -> AutoState:
         """State before the first sample."""
         scalars = np.zeros(memory.SCALARS)
-        scalars[memory.LAST_U] = scalars[memory.VARIANCE] = math.nan
+        scalars[[memory.LAST_U, memory.VARIANCE, memory.LEFT_U]] = math.nan
+        path = scalars[memory.LAGS :]
+        path[lag.U_EFFECT] = path[lag.Q_METERED] = path[lag.RIVAL_METERED] = math.nan
+        path[lag.LAG_U], path[lag.LAG_Q] = self.lag_U or 0.0, self.lag_Q or 0.0
         counters = np.zeros(memory.COUNTERS, np.int64)
-        counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = 8
+        counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = budget.FIRST_FIT
+        looked_for = self.lag_U is None or self.lag_Q is None
+        counters[memory.NEXT_LOOK] = FIRST_LOOK if looked_for else np.iinfo(np.int64).max
         return AutoState(
-            cells=np.zeros((memory.CELLS_U * memory.CELLS_S * memory.CELLS_T * 2, 6)),
+            cells=np.zeros((grid.SLOTS, len(grid.COLUMNS)), np.float32),
+            slots=np.zeros(grid.PLACES * grid.CELLS_OF_A_PLACE, np.uint16),
+            recent=np.zeros((lag.ROWS, 4), np.float32),
             shapes=np.stack([Shape().to_array()] * 3),
-            top=np.array(dp_top(0.0)),
-            theta=np.zeros((2, MOST + kernel.BORDER)),
-            inverse=np.zeros((MOST, BAND)),
-            mixed=np.zeros((MOST, kernel.BORDER)),
+            top=np.array([dp_top(0.0)]),
+            knots_U=np.zeros((2, MOST_U + 4)),
+            knots_s=np.zeros((2, MOST_S + 4)),
+            coefficients=np.zeros((2, 2 * MOST)),
+            sizes=np.zeros((2, 2), np.int64),
+            theta=np.zeros(MOST + kernel.BORDER),
+            inverse=np.zeros((MOST, BAND), np.float32),
+            mixed=np.zeros((MOST, kernel.BORDER), np.float32),
             corner=np.zeros((kernel.BORDER, kernel.BORDER)),
             scalars=scalars,
             counters=counters,
@@ -159,40 +211,37 @@ class Auto:
 
     def update(self, state: AutoState, samples: Samples) -> tuple[AutoState, Trace]:
         """Take N samples in, one after another."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: AutoState, samples: Samples, segments: Segments) -> Trace:
+        """Take the samples of many valves in; their states are written in place."""
         N = len(samples)
-        predicted, residual = np.empty((2, N))
-        trace = Trace(predicted, residual, residual, np.empty(N, np.uint8))
-        usable = samples.quality != Quality.BAD
-        longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
-        dp, done = samples.dp, 0
-        state = replace(
-            state,
-            cells=state.cells.copy(),
-            scalars=state.scalars.copy(),
-            counters=state.counters.copy(),
+        predicted, residual = np.full((2, N), np.nan)
+        trace = Trace(predicted, residual, residual, np.zeros(N, np.uint8))
+        batch = memory.Batch(
+            t=samples.t,
+            U=samples.U,
+            dp=samples.dp,
+            T=samples.T,
+            Q=samples.Q,
+            usable=samples.quality != Quality.BAD,
+            predicted=predicted,
+            residual=residual,
+            status=trace.status,
         )
+        fleet = memory.Fleet(*(getattr(states, name) for name in memory.Fleet._fields))
+        longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
+        segment, row = 0, int(segments.starts[0]) if len(segments.starts) else 0
         with np.errstate(all="ignore"):
-            while done < N:
-                done = memory.run(
-                    done,
-                    samples.U,
-                    dp,
-                    samples.T,
-                    samples.Q,
-                    usable,
-                    longest,
-                    state.cells,
-                    _surface(state, CHAMPION),
-                    _surface(state, CHALLENGER),
-                    state.scalars,
-                    state.counters,
-                    trace.predicted,
-                    trace.residual,
-                    trace.status,
-                )
-                if memory.is_due(state.counters):
-                    state = self._refit(state)
-        return state, trace
+            while segment < len(segments.members):
+                segment, row = memory.run_many(segment, row, batch, *segments, longest, fleet)
+                if segment < len(segments.members):
+                    self._attend(member(states, int(segments.members[segment])))
+        return trace
+
+    def parameters_many(self, states: AutoState) -> tuple[Floats, Floats]:
+        """What ``parameters`` gives valve by valve, both (M, 55)."""
+        return one_by_one(self, states)
 
     def predict(self, state: AutoState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) in the middle of the hysteresis and its standard deviation (N,), l/min."""
@@ -206,8 +255,8 @@ class Auto:
         Q, spread = np.empty(len(U)), np.empty(len(U))
         kernel.evaluate(
             *_surface(state, CHAMPION),
-            state.inverse[:n],
-            state.mixed[:n],
+            state.inverse[:n].astype(np.float64),
+            state.mixed[:n].astype(np.float64),
             state.corner,
             U,
             dp,
@@ -218,7 +267,8 @@ class Auto:
         )
         unknown = ~(spread < UNKNOWN) | (state.counters[memory.FITTED] == 0)
         with np.errstate(all="ignore"):
-            std = np.sqrt(spread * state.scalars[memory.VARIANCE])
+            known, gain = state.scalars[[memory.VARIANCE, memory.GAIN_VARIANCE]]
+            std = np.sqrt(spread * known + gain * Q**2)
         return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
 
     def directions(self, state: AutoState, U: Floats) -> Floats:
@@ -258,48 +308,117 @@ class Auto:
         """Eq. (7), where it speaks alone; None for a spline, known only where samples were."""
         return None if _shape(state, CHAMPION).cells else FiveTerms()
 
-    def _refit(self, state: AutoState) -> AutoState:
-        """Promote the challenger if it did well, let it climb, fit both; a pure function."""
+    def lags(self, state: AutoState) -> tuple[float, float]:
+        """Lag of U's effect and of the flow meter, s, as they are taken into account."""
+        path = state.scalars[memory.LAGS :]
+        return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+
+    def too_fast(self, state: AutoState) -> int:
+        """How many samples were not learnt from, as the signals moved too fast for the lags."""
+        return int(state.counters[memory.TOO_FAST])
+
+    def change_counts(self, states: AutoState) -> Counts:
+        """How many changes were found of each of M valves."""
+        return np.asarray(states.counters[..., memory.ALARMS])
+
+    def last_change(self, state: AutoState) -> Change | None:
+        """Return the last change of the valve that was found, None if there was none."""
+        counters = state.counters.tolist()
+        if not counters[memory.ALARMS]:
+            return None
+        return Change(
+            count=counters[memory.ALARMS],
+            sample=counters[memory.CHANGE_SAMPLE],
+            t=counters[memory.CHANGE_TIME],
+            size=float(state.scalars[memory.CHANGE_SIZE]),
+        )
+
+    def _attend(self, state: AutoState) -> None:
+        """Do what is due of one valve; its state is written in place."""
+        kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+        if kept >= state.counters[memory.NEXT_LOOK]:
+            self._look_for_lags(state, kept)
+            state.counters[memory.NEXT_LOOK] = 2 * kept
+        if memory.is_due(state.counters):
+            self._refit(state)
+
+    def _look_for_lags(self, state: AutoState, kept: int) -> None:
+        """Weigh what the last samples say of the lags; where they move, the map starts anew."""
+        rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0).astype(np.float64)
+        path = state.scalars[memory.LAGS :]
+        before = path[lag.LAG_U], path[lag.LAG_Q]
+        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], (self.lag_U, self.lag_Q))
+        share, least = LAG_MOVED
+        moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
+        path[lag.LAG_U], path[lag.LAG_Q] = found
+        if moved:
+            self._start_anew(state)
+
+    def _start_anew(self, state: AutoState) -> None:
+        """Forget the map, and keep what is known of time, lags and changes."""
+        fresh, path = self.initial_state(), state.scalars[memory.LAGS :].copy()
+        path[[lag.Q_METERED, lag.RIVAL_METERED]] = math.nan
+        kept = [
+            *(memory.USED, memory.ALARMS, memory.NEXT_LOOK, memory.TOO_FAST),
+            *(memory.CHANGE_SAMPLE, memory.CHANGE_TIME),
+            *range(memory.LAGGING, memory.COUNTERS),
+        ]
+        counters, size = fresh.counters, state.scalars[memory.CHANGE_SIZE]
+        counters[kept] = state.counters[kept]
+        counters[memory.OPENED] = counters[memory.USED]
+        counters[memory.NEXT_FIT] += counters[memory.USED]
+        for field in fields(state):
+            if field.name != "recent":
+                getattr(state, field.name)[...] = getattr(fresh, field.name)
+        state.scalars[memory.LAGS :], state.scalars[memory.CHANGE_SIZE] = path, size
+
+    def _refit(self, state: AutoState) -> None:
+        """Promote the challenger if it did well, let it climb, fit both."""
         points = _trusted(state)
-        top = dp_top(float(points[:, memory.MEAN_S].max()))
-        scalars, counters = state.scalars.copy(), state.counters.copy()
+        scalars, counters, progress = state.scalars, state.counters, state.progress
+        if not len(points):
+            budget.next_fit(counters, 0, at_rest=False)
+            return
+        gain, doubt = drift.gain(scalars)
+        if abs(gain) > drift.CLEAR * math.sqrt(doubt) and abs(gain) > drift.LEAST:
+            points[:, grid.MEAN_Q] *= 1.0 + gain
+            state.cells[:, grid.MEAN_Q] *= np.float32(1.0 + gain)
+            scalars[memory.ERROR_Q] = 0.0
+        scalars[memory.GAIN_VARIANCE] = gain**2 + doubt
+        top = dp_top(float(points[:, grid.MEAN_S].max()))
         champion, challenger, explorer = (Shape.from_array(shape) for shape in state.shapes)
-        squares = scalars[memory.CHAMPION_SQUARES], scalars[memory.CHALLENGER_SQUARES]
-        if squares[1] <= 1.02**2 * squares[0]:
+        if scalars[memory.CHALLENGER_SQUARES] <= WORSE * scalars[memory.CHAMPION_SQUARES]:
             champion = challenger
-        progress = state.progress.copy()
         if counters[memory.NEW_CELLS] <= 0:
             progress[CHALLENGER, IDLE] = 0
-        if len(points) > 1.25 * progress[STARTED, 1]:
+        if len(points) > NEW_START * progress[STARTED, 1]:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            varied = variety(state.cells, points)
-            challenger, explorer = self._climb(points, challenger, explorer, top, varied, progress)
-        best, rival = fit(points, champion, top), fit(points, challenger, top)
+            varied = variety(_weights(state), points, max(self.lags(state)))
+            challenger, explorer = self._climb(
+                points, challenger, explorer, top, varied, progress, counters
+            )
+        best = fit(points, champion, top)
+        rival = best if challenger == champion else fit(points, challenger, top)
+        budget.spend(counters, 2 * _cost(points, challenger))
         freedom = max(len(points) - best.n_effective, 1.0)
-        scalars[memory.VARIANCE] = max(best.rss / freedom, scalars[memory.NOISE])
+        scalars[memory.VARIANCE] = max(
+            best.rss / freedom, scalars[memory.NOISE], scalars[memory.POWER]
+        )
         scalars[memory.EXCITATION] = best.n_effective
         scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
-        since = counters[memory.USED] - counters[memory.OPENED]
         at_rest = champion == challenger and progress[CHALLENGER, IDLE] > RESTED
-        longest = LONGEST_WAIT if at_rest else TRIAL
-        counters[memory.NEXT_FIT] = counters[memory.USED] + min(
-            max(since // 16, SHORTEST_WAIT), longest
-        )
-        counters[memory.NEW_CELLS] = max(8, len(points) // 24)
-        counters[memory.FITTED] = 1
-        return replace(
-            state,
-            shapes=np.stack([x.to_array() for x in (champion, challenger, explorer)]),
-            top=np.array(top),
-            theta=np.stack([_padded(best.theta), _padded(rival.theta)]),
-            inverse=best.inverse,
-            mixed=best.mixed,
-            corner=best.corner,
-            scalars=scalars,
-            counters=counters,
-            progress=progress,
-        )
+        budget.next_fit(counters, len(points), at_rest=at_rest)
+        counters[[memory.FITTED, memory.FRESH]] = 1
+        state.shapes[:] = [x.to_array() for x in (champion, challenger, explorer)]
+        state.top[0] = top
+        n = champion.size
+        state.theta[:] = 0.0
+        state.theta[:n], state.theta[MOST:] = best.theta[:n], best.theta[n:]
+        state.inverse[:n], state.mixed[:n], state.corner[:] = best.inverse, best.mixed, best.corner
+        state.inverse[n:], state.mixed[n:] = 0.0, 0.0
+        for which, shape, found in ((CHAMPION, champion, best), (CHALLENGER, challenger, rival)):
+            write_map(state, which, shape, found.theta, top)
 
     def _climb(
         self,
@@ -309,53 +428,87 @@ class Auto:
         top: float,
         varied: Variety,
         progress: Counts,
+        counters: Counts,
     ) -> tuple[Shape, Shape]:
         """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
         resting = is_resting(challenger, varied, progress[CHALLENGER])
-        steps = RESTING_STEPS if resting else self.steps
+        steps = self._affordable(counters, points, challenger)
+        steps = min(steps, RESTING_STEPS) if resting else steps
+        if steps < 1:
+            return challenger, explorer
         challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER])
+        budget.spend(counters, (steps + 2) * _cost(points, challenger))
         if not resting or progress[STARTED, 0] > len(STARTS):
             return challenger, explorer
         if is_resting(explorer, varied, progress[EXPLORER]) or not progress[STARTED, 0]:
             explorer = fresh_start(progress[STARTED, 0], challenger)
             progress[STARTED, 0] += 1
             progress[EXPLORER] = 0
-        explorer = climb(points, explorer, top, varied, self.steps, progress[EXPLORER])
+        steps = self._affordable(counters, points, explorer)
+        if steps < 1:
+            return challenger, explorer
+        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER])
+        budget.spend(counters, (steps + 5) * _cost(points, explorer))
         if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top):
             challenger = explorer
             progress[CHALLENGER] = 0
         return challenger, explorer
 
+    def _affordable(self, counters: Counts, points: Floats, shape: Shape) -> int:
+        """Steps of the ladder that the budget allows now."""
+        return budget.steps(counters, _cost(points, shape), self.steps)
+
+
+def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: float) -> None:
+    """Write the map of champion or challenger as the kernels take it."""
+    plan = shape.plan(top)
+    n_U, n_s = len(plan.sites_U), len(plan.sites_s)
+    table = np.empty((n_U, n_s, 2))
+    map_fit.coefficients(plan, theta, table)
+    state.sizes[which] = n_U, n_s
+    state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
+    state.coefficients[which, : table.size] = table.ravel()
+
+
+def _cost(points: Floats, shape: Shape) -> int:
+    band = 3 * (len(AXES[shape.axis]) + 2) + 4
+    return budget.cost(len(points), shape.size, band)
+
 
 def _trusted(state: AutoState) -> Floats:
     """Cells that hold samples, but for those of a few samples far off all others: spikes."""
-    points = state.cells[state.cells[:, memory.WEIGHT] > 0.0]
-    if not state.counters[memory.FITTED]:
+    points = state.cells[state.cells[:, grid.WEIGHT] > 0.0].astype(np.float64)
+    if not state.counters[memory.FITTED] or not len(points):
         return points
     misfit = kernel.misfit(_surface(state, CHAMPION), points)
     usual = max(
         float(np.median(misfit)),
         math.sqrt(state.scalars[memory.NOISE]),
-        1e-4 * float(np.abs(points[:, memory.MEAN_Q]).max()),
+        1e-4 * float(np.abs(points[:, grid.MEAN_Q]).max()),
     )
-    spiked = (misfit > SPIKE * usual) & (points[:, memory.WEIGHT] < FEW)
+    spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
 
 
+def _weights(state: AutoState) -> Floats:
+    """Samples in the cells of either direction, (N, 2), of all that have any."""
+    held = np.concatenate([[0.0], state.cells[:, grid.WEIGHT]])[state.slots].reshape(-1, 2)
+    return held[held.any(axis=1)]
+
+
 def _surface(state: AutoState, which: int) -> Surface:
-    shape, top = _shape(state, which), float(state.top)
-    spline = shape.spline(top)
-    theta = np.concatenate([state.theta[which, : shape.size], state.theta[which, MOST:]])
-    coefficients = np.ascontiguousarray(shape.coefficients(theta, top))
-    return Surface(spline.knots[0], spline.knots[1], NODES_T, coefficients, shape.play)
+    n_U, n_s = state.sizes[which].tolist()
+    if not n_U:
+        return Surface(np.zeros(8), np.zeros(8), memory.NODES_T, np.zeros((4, 4, 2)), 0.0)
+    table = state.coefficients[which, : 2 * n_U * n_s].reshape(n_U, n_s, 2)
+    return Surface(
+        state.knots_U[which, : n_U + 4],
+        state.knots_s[which, : n_s + 4],
+        memory.NODES_T,
+        table,
+        _shape(state, which).play,
+    )
 
 
 def _shape(state: AutoState, which: int) -> Shape:
     return Shape.from_array(state.shapes[which])
-
-
-def _padded(theta: Floats) -> Floats:
-    padded = np.zeros(MOST + kernel.BORDER)
-    n = len(theta) - kernel.BORDER
-    padded[:n], padded[MOST:] = theta[:n], theta[n:]
-    return padded

@@ -1,31 +1,31 @@
 """The ladder's climb: one shape fitted to the cells of the memory, and its neighbours by BIC."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels import surface as kernel
-from service.identification.kernels.cells import MEAN_Q, MEAN_T, WEIGHT
-from service.identification.map_shapes import MOST_S, MOST_U, Shape, Variety
+from service.identification.kernels import climb as kernel
+from service.identification.kernels import map_fit
+from service.identification.kernels.climb import IDLE
+from service.identification.kernels.grid import MEAN_T, WEIGHT
+from service.identification.kernels.surface import BORDER
+from service.identification.map_shapes import BAND, Shape, Variety
 from service.identification.samples import Floats
 
-MOST: Final = MOST_U * MOST_S
-BAND: Final = 3 * MOST_S + 4
-RICH: Final = {"cells": 20, "axis": 2}
-LEAST_GAIN: Final = 0.1
-NEVER_BELOW: Final = 1e-5
-FALLING: Final = 0.2  # weight of a fall in the choice
 STARTS: Final = tuple(product((None, 4.0, 8.0, 14.0), (None, 97.0)))
-MOVE, IDLE = 0, 1
+LEAST_SHARE: Final = 0.05  # of the samples where U came from either side: a loop could be seen
+LEAST_PLAY: Final = 0.1  # %: less is not told from a lag of a few ms
+LAG_DOUBT: Final = 2.0  # %/s: play that 2 % of doubt about a lag makes at 100 %/s
+LEAST_SPREAD: Final = 2.0  # K of T: a trend could be seen
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A shape's least-squares fit; arrays as :func:`kernels.surface.fit` fills them."""
+    """A shape's least-squares fit; arrays as :func:`kernels.map_fit.fit` fills them."""
 
     theta: Floats
     inverse: Floats
@@ -36,64 +36,32 @@ class Fit:
     fall: float
     n_effective: float
 
-    def bic(self, sigma_2: float, n_points: int) -> float:
-        """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
-        misfit = (self.rss + self.penalty + self.fall) / sigma_2
-        bic = misfit + self.n_effective * math.log(n_points)
-        return bic if math.isfinite(bic) else math.inf
-
 
 def fit(points: Floats, shape: Shape, top: float) -> Fit:
     """Weighted least squares, eq. (16), of a shape up to ``top`` bar to the cells' means."""
-    spline = shape.spline(top)
-    (knots_U, knots_s), (along_U, along_s) = spline.knots, spline.roughness
     n = shape.size
-    rough_U = along_U.T @ along_U if n else np.zeros((0, 0))
-    theta = np.zeros(n + kernel.BORDER)
-    inverse = np.zeros((MOST, BAND))
-    mixed, corner = np.zeros((MOST, kernel.BORDER)), np.zeros((kernel.BORDER, kernel.BORDER))
-    rss, penalty, n_effective = kernel.fit(
-        points,
-        shape.play,
-        knots_U,
-        knots_s,
-        rough_U,
-        along_s.T @ along_s,
-        shape.columns,
-        theta,
-        inverse[:n],
-        mixed[:n],
-        corner,
-    )
-    fall = _fall(shape.coefficients(theta, top)[:, :, 0])
-    return Fit(theta, inverse, mixed, corner, rss, penalty, fall, n_effective)
-
-
-def _fall(coefficients: Floats) -> float:
-    """How far the map falls where U rises, (l/min)²: between levels of U nothing else forbids it.
-
-    A valve opens with U; a fall that the samples do show outweighs this.
-    """
-    falls = np.minimum(np.diff(coefficients, axis=0), 0.0).sum(axis=0)
-    return FALLING * float(np.square(falls).sum())
+    theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))
+    inverse, mixed = np.empty((n, BAND)), np.empty((n, BORDER))
+    said = map_fit.fit(points, shape.plan(top), theta, inverse, mixed, corner)
+    return Fit(theta, inverse, mixed, corner, *said)
 
 
 def noise(points: Floats, shape: Shape, top: float) -> float:
     """σ² that the richest spline with the shape's kinks and play leaves."""
-    rich = fit(points, replace(shape, **RICH), top)
-    floor = (NEVER_BELOW * float(np.abs(points[:, MEAN_Q]).max())) ** 2
-    return max(rich.rss / max(len(points) - rich.n_effective, 1.0), floor, 1e-30)
+    return float(kernel.noise(points, shape.to_array(), top))
 
 
-def variety(cells: Floats, points: Floats) -> Variety:
-    """What the memory can tell apart."""
+def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
+    """What the memory can tell apart, behind a lag known to be ``lag`` s.
+
+    ``sides`` (N, 2): samples with U falling and rising, cell by cell.
+    """
     weight = points[:, WEIGHT] / points[:, WEIGHT].sum()
-    falling, rising = cells[::2, WEIGHT], cells[1::2, WEIGHT]
-    shared = np.minimum(falling, rising).sum() / (falling + rising).sum()
+    shared = sides.min(axis=1).sum() / sides.sum()
     T = points[:, MEAN_T]
     return Variety(
-        both_directions=shared > 0.05,
-        temperatures=math.sqrt(float(weight @ (T - weight @ T) ** 2)) > 2.0,
+        least_play=max(LEAST_PLAY, LAG_DOUBT * lag) if shared > LEAST_SHARE else math.inf,
+        temperatures=math.sqrt(float(weight @ (T - weight @ T) ** 2)) > LEAST_SPREAD,
     )
 
 
@@ -110,19 +78,9 @@ def climb(
     ``progress`` (2,) is carried on: the number of the next neighbour, and how many were tried in
     vain since the last gain.
     """
-    around = shape.neighbours(varied)
-    sigma_2 = noise(points, shape, top)
-    best = fit(points, shape, top).bic(sigma_2, len(points))
-    for _ in range(steps):
-        candidate = around[progress[MOVE] % len(around)]
-        if fit(points, candidate, top).bic(sigma_2, len(points)) >= best - LEAST_GAIN:
-            progress += 1
-        else:
-            shape, progress[IDLE] = candidate, 0
-            around = shape.neighbours(varied)
-            sigma_2 = noise(points, shape, top)
-            best = fit(points, shape, top).bic(sigma_2, len(points))
-    return shape
+    numbers = shape.to_array()
+    kernel.climb(points, numbers, top, varied.least_play, int(varied.temperatures), steps, progress)
+    return Shape.from_array(numbers)
 
 
 def is_resting(shape: Shape, varied: Variety, progress: NDArray[np.int64]) -> bool:
@@ -132,9 +90,7 @@ def is_resting(shape: Shape, varied: Variety, progress: NDArray[np.int64]) -> bo
 
 def is_better(points: Floats, shape: Shape, than: Shape, top: float) -> bool:
     """Whether a shape has the smaller BIC, with the σ² of the other."""
-    sigma_2 = noise(points, than, top)
-    old, new = (fit(points, x, top).bic(sigma_2, len(points)) for x in (than, shape))
-    return new < old - LEAST_GAIN
+    return bool(kernel.is_better(points, shape.to_array(), than.to_array(), top))
 
 
 def fresh_start(number: int, like: Shape) -> Shape:

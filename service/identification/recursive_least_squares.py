@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from service.identification.change import Change
 from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels.change_detection import EVERY
@@ -23,7 +24,7 @@ from service.identification.least_squares_state import (
     variances,
 )
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
-from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 __all__ = [
     "Change",
@@ -33,28 +34,6 @@ __all__ = [
     "parameter_covariance",
     "recursive_least_squares",
 ]
-
-
-@dataclass(frozen=True)
-class Change:
-    """A change of the plant that :class:`~service.identification.forgetting.Adaptive` found.
-
-    Attributes
-    ----------
-    count : int
-        How many changes were found so far, this one included.
-    sample : int
-        Number of the first sample (of those used, from 0) after the change, as estimated.
-    t : int
-        Time of the last sample before it, UTC ns.
-    size : float
-        Mean innovation from the change to its detection, l/min.
-    """
-
-    count: int
-    sample: int
-    t: int
-    size: float
 
 
 @dataclass(frozen=True)
@@ -167,6 +146,10 @@ class RecursiveLeastSquares:
     def information(self, state: RlsState) -> Floats:
         """P⁻¹ (n, n); singular while theta is not determined."""
         return information(state)
+
+    def change_counts(self, states: RlsState) -> Times:
+        """How many changes of the plant were found of each of M models (M,)."""
+        return np.asarray(states.counters[..., CHANGES])
 
     def last_change(self, state: RlsState) -> Change | None:
         """Return the last change of the plant that was found, None if there was none."""

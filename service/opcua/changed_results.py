@@ -8,7 +8,12 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.identification.samples import Times
-from service.opcua.information_model import FEED_FORWARD_STATUS, INVERSE, counter_name
+from service.opcua.information_model import (
+    DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
+    INVERSE,
+    counter_name,
+)
 from service.opcua.result_values import (
     Column,
     Shown,
@@ -16,10 +21,11 @@ from service.opcua.result_values import (
     estimator_own_words,
     feed_forward_values,
     inverse_codes,
+    lag_values,
     map_value,
     survey_values,
 )
-from service.streaming.ports import Results
+from service.streaming.ports import EstimatorResults, Results
 
 
 class ChangedResults:
@@ -59,15 +65,21 @@ class ChangedResults:
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
-            discoveries = zip(found.change, found.structure, strict=True)
-            for m, discovery in enumerate(discoveries):
-                valve, code = valves[m], codes[m]
-                if self._is_new(valve, f"{name}.Coverage", found.survey[m], code):
-                    for new in survey_values(name, found.survey[m], code, t[m]):
-                        yield valve, new
-                if self._is_new(valve, name, None, *discovery, code):
-                    for new in discovery_values(name, *discovery, code, t[m]):
-                        yield valve, new
+            for m, valve in enumerate(valves):
+                for new in self._of_estimator(valve, name, found, m, codes[m], t[m]):
+                    yield valve, new
+
+    def _of_estimator(
+        self, valve: int, name: str, found: EstimatorResults, m: int, code: int, t: int
+    ) -> Iterator[Shown]:
+        survey, lags = found.survey[m], found.lags[m]
+        discovery = found.change[m], found.structure[m]
+        if lags is not None and self._is_new(valve, DIAGNOSTICS, None, *lags, code):
+            yield from lag_values(lags, code, t)
+        if self._is_new(valve, f"{name}.Coverage", survey, code):
+            yield from survey_values(name, survey, code, t)
+        if self._is_new(valve, name, None, *discovery, code):
+            yield from discovery_values(name, *discovery, code, t)
 
     def _feed_forward(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
         armed, statuses = results.inverse.armed.tolist(), results.inverse.feed_forward.tolist()

@@ -27,6 +27,7 @@ NAMESPACE = "urn:valvemap:service"
 ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
+LAG_U, LAG_Q = "LagU", "LagQ"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, WAITING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Waiting"
@@ -240,6 +241,27 @@ def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
             unit=Unit.BAR,
             range=valve.dp_range,
             dimensions=(0,),
+        ),
+    )
+
+
+def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """How late the signals come, where an estimator of the valve finds that out."""
+    if not any(estimator.finds_lags for estimator in valve.estimators):
+        return ()
+    prefix = f"{valve.name}.{DIAGNOSTICS}"
+    return (
+        VariableNode(
+            f"{prefix}.{LAG_U}",
+            "First-order lag from U to its effect on the flow, as taken into account.",
+            unit=Unit.SECOND,
+            range=(0.0, 1.0),
+        ),
+        VariableNode(
+            f"{prefix}.{LAG_Q}",
+            "First-order lag of the flow meter, as taken into account.",
+            unit=Unit.SECOND,
+            range=(0.0, 1.0),
         ),
     )
 

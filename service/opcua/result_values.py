@@ -31,7 +31,14 @@ from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
-from service.opcua.information_model import ARMED, FEED_FORWARD_STATUS, INVERSE
+from service.opcua.information_model import (
+    ARMED,
+    DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
+    INVERSE,
+    LAG_Q,
+    LAG_U,
+)
 from service.streaming.ports import EstimatorResults, Health, InverseResults, Results
 
 _Codes = ua.StatusCodes
@@ -98,6 +105,13 @@ def discovery_values(
     yield Shown(f"{name}.ChangeTime", moment, code, t)
     yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
     yield Shown(f"{name}.Structure", structure or "", own, t)
+
+
+def lag_values(lags: tuple[float, float], own: int, t: int) -> Iterator[Shown]:
+    """How late U's effect and the flow meter are, s."""
+    for name, lag in zip((LAG_U, LAG_Q), lags, strict=True):
+        code = own if np.isfinite(lag) else int(_Codes.BadNoData)
+        yield Shown(f"{DIAGNOSTICS}.{name}", lag, code, t)
 
 
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:

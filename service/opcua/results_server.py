@@ -52,6 +52,7 @@ from service.opcua.information_model import (
     estimator_variables,
     health_variables,
     inverse_variables,
+    lag_variables,
     map_variable,
     service_variables,
     survey_axes,
@@ -232,6 +233,8 @@ class ResultsServer(Startable):
         )
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
             await self._add_variable(server, diagnostics, node, middles.tolist())
+        for node in lag_variables(valve):
+            await self._add_variable(server, diagnostics, node, None)
         for counter in valve.counters:
             node = counter_variable(valve.name, counter)
             variable = await self._add_variable(server, diagnostics, node, 0)

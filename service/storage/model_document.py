@@ -8,15 +8,14 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from service.identification.auto import Auto, AutoState
+from service.identification.auto import Auto, AutoState, write_map
 from service.identification.estimator import Estimator
 from service.identification.kernels import cells as auto_memory
 from service.identification.kernels import lack_of_fit
 from service.identification.kernels.support import PLACES_OF_CELL, T_LOW
 from service.identification.kernels.surface import BORDER
 from service.identification.linear_map import LinearMap, LinearMapState
-from service.identification.map_search import BAND, MOST
-from service.identification.map_shapes import Shape
+from service.identification.map_shapes import BAND, MOST, Shape
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import Polynomial, Structure, TensorSpline
 from service.identification.monotone import Monotone
@@ -128,6 +127,7 @@ class AutoSection(_Section):
     mixed: Rows
     corner: Rows
     variance: float
+    gain_variance: float = 0.0
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> "AutoSection":
@@ -336,16 +336,17 @@ def _auto_section(state: AutoState) -> AutoSection:
     if not state.counters[auto_memory.FITTED]:
         raise ValueError("its map is not determined yet")
     shape = Shape.from_array(state.shapes[0])
-    theta, n = state.theta[0], shape.size
+    theta, n = state.theta, shape.size
     return AutoSection(
         shape=tuple(None if np.isnan(x) else float(x) for x in state.shapes[0]),
-        dp_top=float(state.top),
+        dp_top=float(state.top[0]),
         theta=_numbers(theta[:n]),
         beside=_numbers(theta[MOST:]),
-        inverse=_rows(state.inverse[:n]),
-        mixed=_rows(state.mixed[:n]),
+        inverse=_rows(state.inverse[:n].astype(np.float64)),
+        mixed=_rows(state.mixed[:n].astype(np.float64)),
         corner=_rows(state.corner),
         variance=float(state.scalars[auto_memory.VARIANCE]),
+        gain_variance=float(state.scalars[auto_memory.GAIN_VARIANCE]),
     )
 
 
@@ -353,24 +354,18 @@ def _auto_state(section: AutoSection) -> AutoState:
     blank = Auto().initial_state()
     n = _shape(section).size
     shape = np.array([np.nan if x is None else x for x in section.shape])
-    theta, inverse, mixed = blank.theta.copy(), blank.inverse.copy(), blank.mixed.copy()
-    theta[:, :n], theta[:, MOST:] = section.theta, section.beside
-    inverse[:n] = np.reshape(section.inverse, (n, BAND))
-    mixed[:n] = np.reshape(section.mixed, (n, BORDER))
-    scalars, counters = blank.scalars.copy(), blank.counters.copy()
-    scalars[auto_memory.VARIANCE], counters[auto_memory.FITTED] = section.variance, 1
-    return AutoState(
-        cells=blank.cells,
-        shapes=np.stack([shape] * 3),
-        top=np.array(section.dp_top),
-        theta=theta,
-        inverse=inverse,
-        mixed=mixed,
-        corner=np.array(section.corner),
-        scalars=scalars,
-        counters=counters,
-        progress=blank.progress,
-    )
+    blank.theta[:n], blank.theta[MOST:] = section.theta, section.beside
+    blank.inverse[:n] = np.reshape(section.inverse, (n, BAND))
+    blank.mixed[:n] = np.reshape(section.mixed, (n, BORDER))
+    blank.corner[:] = section.corner
+    blank.shapes[:], blank.top[:] = shape, section.dp_top
+    blank.scalars[auto_memory.VARIANCE] = section.variance
+    blank.scalars[auto_memory.GAIN_VARIANCE] = section.gain_variance
+    blank.counters[auto_memory.FITTED] = 1
+    theta = np.concatenate([section.theta, section.beside])
+    for which in (0, 1):
+        write_map(blank, which, _shape(section), theta, section.dp_top)
+    return blank
 
 
 def _shape(section: AutoSection) -> Shape:

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.auto import Auto
+from service.identification.change import Change, FindsChanges
 from service.identification.estimator import State
 from service.identification.extrapolation import U_range_of
 from service.identification.fleet import ManyModels, copied, member, members, repeated
 from service.identification.kernels import residual_spread as spread_kernel
-from service.identification.kernels.row_layout import CHANGES
-from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
 from service.identification.support import Support
@@ -220,6 +219,7 @@ class _Lanes:
             survey=[None] * len(chosen),
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
+            lags=self._states.lags(chosen),
         )
 
     def put(self, m: int, lane: Lane) -> None:
@@ -267,15 +267,20 @@ class _Stacked:
         return self._estimator.parameters_many(members(self._all, chosen))
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        if isinstance(self._estimator, RecursiveLeastSquares):
-            counts = self._all.counters[chosen, CHANGES]
+        if isinstance(self._estimator, FindsChanges):
+            counts = self._estimator.change_counts(self._all)[chosen]
             for m in chosen[counts != self._changed[chosen]]:
                 self._changes[m] = self._estimator.last_change(member(self._all, m))
             self._changed[chosen] = counts
         return [self._changes[m] for m in chosen]
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
-        return [None] * len(chosen)
+        describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
+        return [describe(member(self._all, m)) if describe else None for m in chosen]
+
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
+        found = self._estimator.lags if isinstance(self._estimator, Auto) else None
+        return [found(member(self._all, m)) if found else None for m in chosen]
 
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
@@ -313,8 +318,10 @@ class _Listed:
         return [None] * len(chosen)
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
-        describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
-        return [describe(self._all[m]) if describe else None for m in chosen]
+        return [None] * len(chosen)
+
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
+        return [None] * len(chosen)
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

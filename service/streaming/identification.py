@@ -261,6 +261,7 @@ class Identification:
                         has_forgetting_factor=isinstance(estimator, Forgetful),
                         finds_changes=pipeline.finds_changes(estimator),
                         chooses_structure=isinstance(estimator, Auto),
+                        finds_lags=isinstance(estimator, Auto),
                     )
                     for name, estimator in plan.estimators.items()
                 ),

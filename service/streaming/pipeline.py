@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
+from service.identification.change import FindsChanges
 from service.identification.estimator import Estimator, State, StateMismatchError, key_of
 from service.identification.extrapolation import trusted
 from service.identification.forgetting import Adaptive
@@ -121,9 +122,9 @@ def nothing_seen(plan: ValvePlan) -> Support:
 
 def finds_changes(estimator: AnyEstimator) -> bool:
     """Whether an estimator looks for abrupt changes of the valve and tells of them."""
-    return isinstance(estimator, RecursiveLeastSquares) and isinstance(
-        estimator.forgetting, Adaptive
-    )
+    if isinstance(estimator, RecursiveLeastSquares):
+        return isinstance(estimator.forgetting, Adaptive)
+    return isinstance(estimator, FindsChanges)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:

@@ -100,6 +100,7 @@ class EstimatorDescription:
     has_forgetting_factor: bool
     finds_changes: bool = False
     chooses_structure: bool = False
+    finds_lags: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ class EstimatorResult:
     ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
-    ``change`` is the last change of the valve that was found, ``structure`` what was chosen.
+    ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
+    ``lags`` those of U's effect and of the flow meter, s.
     """
 
     t: int
@@ -138,6 +140,7 @@ class EstimatorResult:
     survey: Survey | None = None
     change: Change | None = None
     structure: str | None = None
+    lags: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,7 @@ class EstimatorResults:
     survey: Sequence[Survey | None]
     change: Sequence[Change | None]
     structure: Sequence[str | None]
+    lags: Sequence[tuple[float, float] | None]
 
 
 @dataclass(frozen=True)
@@ -234,6 +238,7 @@ class Results:
                     survey=found.survey[m],
                     change=found.change[m],
                     structure=found.structure[m],
+                    lags=found.lags[m],
                 )
                 for name, found in self.estimators.items()
             },

@@ -52,7 +52,7 @@ VALVES = (
         (
             EstimatorDescription("RLS", "", (), has_forgetting_factor=True, finds_changes=True),
             EstimatorDescription(
-                "Auto", "", (), has_forgetting_factor=True, chooses_structure=True
+                "Auto", "", (), has_forgetting_factor=True, chooses_structure=True, finds_lags=True
             ),
         ),
     ),
@@ -507,6 +507,15 @@ async def test_a_change_that_was_found_is_told_with_its_time_and_size(server, ob
     moment, code, _ = await value(observer, "V3.RLS.ChangeTime")
     assert code == Codes.Good
     assert ua.datetime_to_win_epoch(moment) * 100 == T - 5_000_000_000 + 11_644_473_600_000_000_000
+
+
+async def test_lags_that_were_found_stand_with_the_valves_diagnostics(server, observer):
+    found = replace(WITHOUT_PARAMETERS, lags=(0.03, 0.2))
+    await server.publish(results_of(2, {"Auto": found}, INVERSE))
+    assert (await value(observer, "V3.Diagnostics.LagU"))[:2] == (0.03, Codes.Good)
+    assert (await value(observer, "V3.Diagnostics.LagQ"))[:2] == (0.2, Codes.Good)
+    with pytest.raises(ua.UaStatusCodeError):
+        await (await node(observer, "V1.Diagnostics.LagQ")).read_value()
 
 
 async def test_a_structure_that_was_chosen_is_told_in_words(server, observer):

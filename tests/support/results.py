@@ -32,7 +32,7 @@ def results_settings(**more):
 
 
 def _arrays(kind, one):
-    lists = {"survey", "change", "structure", "map_U"}
+    lists = {"survey", "change", "structure", "lags", "map_U"}
     types = {"quality": np.uint8, "status": np.uint8}
     return kind(
         **{

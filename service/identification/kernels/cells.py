@@ -1,101 +1,267 @@
-"""The memory of a map: a grid of cells, each with the mean of the samples that fell into it."""
+"""One pass over the samples: through the lags, against the map and the cells, into the cell.
+
+U goes through the lag of its effect, Q is held against the map through the meter's lag, and what
+remains is held against the mean of the sample's own cell (see :mod:`kernels.grid`), then learnt.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from service.identification.kernels import grid, lag
 from service.identification.kernels.compiled import inner, kernel
-from service.identification.kernels.surface import T_REFERENCE, Surface, value
-from service.identification.samples import Floats, Status
+from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_S, MEAN_T, MEAN_U, WEIGHT
+from service.identification.kernels.surface import T_REFERENCE, T_UNIT, Surface, value
+from service.identification.samples import Floats, Status, Times
 
-CELLS_U, CELLS_S, CELLS_T = 40, 21, 3
-S_TOP = 20.0
-COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q = 0, 1, 2, 3, 4, 5
+# Places in `scalars`: of the path, the noise, the competition, the watch for changes, the lags.
+LAST_U, TOWARDS = 0, 1
+NOISE, NOISE_WEIGHT, POWER, COLOUR, LAST_RESIDUAL, LEFT_U, LEFT_S = 2, 3, 4, 5, 6, 7, 8
+CHAMPION_SQUARES, CHALLENGER_SQUARES, EXCITATION, VARIANCE = 9, 10, 11, 12
+MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17, 18, 19
+GAIN_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY = 20, 21, 22, 23, 24
+LAGS = 25  # from here on see `lag`
+SCALARS = LAGS + lag.SCALARS
 
-LAST_U, TOWARDS, NOISE, NOISE_WEIGHT, CHAMPION_SQUARES, CHALLENGER_SQUARES = 0, 1, 2, 3, 4, 5
-EXCITATION, VARIANCE, MORE, LESS, WILDER = 6, 7, 8, 9, 10
-SCALARS = 11
+# Places in `counters`.
 USED, NEXT_FIT, OPENED, ALARMS, FITTED, NEW_CELLS = 0, 1, 2, 3, 4, 5
-COUNTERS = 6
+SPENT, NEXT_LOOK, TOO_FAST = 6, 7, 8
+SUSPECT_SAMPLE, SUSPECT_TIME, CHANGE_SAMPLE, CHANGE_TIME, FRESH = 9, 10, 11, 12, 13
+MAY_ASK, FIT_AT, COMPARED, WATCHED = 14, 15, 16, 17
+TAKEN = 18
+LAGGING = 19  # from here on see `lag`
+COUNTERS = LAGGING + lag.COUNTERS
 
-HUGE = 1e9
-LEAST_PLAY = 0.1
-KNOWN = 1.0
-NOISE_KNOWN = 64.0
-NOISE_MEMORY = 1000.0
-PLAIN_S = 0.7
-FITTING = 4.0
-CLIP = 8.0
-NOISE_CLIP = 3.0
-SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0
-KEPT = 0.01
-SETTLE = 32
-EXCITED = 3.0
+PLAY = 4  # place of the play in a shape
+NODES_T = np.array([T_REFERENCE, T_REFERENCE + T_UNIT])
+HUGE = 1e9  # of any signal: beyond it squares leave the range of numbers
+LEAST_PLAY = 0.1  # %: way of U that turns its direction while no play is known
+KNOWN = 1.0  # samples in a cell from which on another one is held against it ...
+NEAR_T = 10.0  # K: ... if it is not farther from their mean: the map may not know the trend yet
+NEW = 0.02  # samples' weight below which a cell counts as new
+NOISE_KNOWN = 64.0  # samples held against their cells before a change is looked for
+NOISE_MEMORY = 1000.0  # samples over which noise is averaged
+COLOUR_MEMORY = 2000.0  # samples over which the noise's correlation is averaged
+GAIN_MEMORY = 4000.0  # samples over which a gain that drifts is looked at
+MOST_COLOUR = 0.97  # correlation of successive errors, at most
+SETTLED_CELL = 4.0  # samples in a cell from which on its error tells of colour and drift
+SMOOTH_U, SMOOTH_S = 15.0, 3.0  # %, √bar: over what ways a map says the same again
+YOUNG = 1000  # samples for which a map is too young to say what the meter's lag makes of it
+PLAIN_S = 0.7  # √bar: below it the map is too steep in s for a cell to tell a change
+FITTING = 4.0  # σ that a cell may lie off the map and still tell a change
+CLIP = 8.0  # σ at which an outlier is cut before it is taken in
+NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
+SLOW_MEMORY = 1000.0  # samples: what lies off for so long is drift, not a change
+MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm
+SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0  # σ: slack of the CUSUMs, cut, alarm
+ASKING = 1.5  # mean square of the residuals over the noise that asks for a fit
+KEPT = 0.01  # samples' weight that a cell keeps when the valve has changed
+SETTLE = 32  # samples from a change to the next fit
+EXCITED = 3.0  # parameters that the samples must determine for a status of OK
 
 _OK, _WARMING_UP, _UNEXCITED = int(Status.OK), int(Status.WARMING_UP), int(Status.UNEXCITED)
 _REJECTED, _HELD = int(Status.REJECTED), int(Status.HELD)
 
 
+class Memory(NamedTuple):
+    """One valve's arrays that samples change; see `AutoState`."""
+
+    cells: Floats
+    slots: np.ndarray
+    recent: Floats
+    scalars: Floats
+    counters: np.ndarray
+
+
+class Fleet(NamedTuple):
+    """The arrays of M valves, with a leading axis M; see `AutoState`."""
+
+    cells: Floats
+    slots: np.ndarray
+    recent: Floats
+    scalars: Floats
+    counters: np.ndarray
+    knots_U: Floats
+    knots_s: Floats
+    coefficients: Floats
+    sizes: np.ndarray
+    shapes: Floats
+
+
+class Batch(NamedTuple):
+    """Samples, and what is said of them; all (N,)."""
+
+    t: Times
+    U: Floats
+    dp: Floats
+    T: Floats
+    Q: Floats
+    usable: np.ndarray
+    predicted: Floats
+    residual: Floats
+    status: np.ndarray
+
+
 @kernel
+def run_many(
+    segment: int, row: int, batch: Batch, members: Times, starts: Times, stops: Times,
+    longest: float, fleet: Fleet,
+) -> tuple[int, int]:  # fmt: skip
+    """Take samples of many valves in, from ``row`` of a segment on, until one of them is due.
+
+    Returns
+    -------
+    segment, row
+        Whose fit or look is due, and where to go on afterwards; ``len(members)`` at the end.
+    """
+    for k in range(segment, len(members)):
+        m = members[k]
+        memory = Memory(
+            fleet.cells[m], fleet.slots[m], fleet.recent[m], fleet.scalars[m], fleet.counters[m]
+        )
+        champion, challenger = surface(fleet, m, 0), surface(fleet, m, 1)
+        row = run(
+            row if k == segment else starts[k],
+            stops[k],
+            batch,
+            longest,
+            memory,
+            champion,
+            challenger,
+        )
+        if is_due(memory.counters):
+            return k, row
+    return len(members), 0
+
+
+@inner
+def surface(fleet: Fleet, m: int, which: int) -> Surface:
+    """The map of a valve's champion (0) or challenger (1)."""
+    n_U, n_s = fleet.sizes[m, which, 0], fleet.sizes[m, which, 1]
+    return Surface(
+        fleet.knots_U[m, which, : n_U + 4],
+        fleet.knots_s[m, which, : n_s + 4],
+        NODES_T,
+        fleet.coefficients[m, which, : n_U * n_s * 2].reshape((n_U, n_s, 2)),
+        fleet.shapes[m, which, PLAY],
+    )
+
+
+@inner
 def run(
-    start: int,
-    U: Floats,
-    dp: Floats,
-    T: Floats,
-    Q: Floats,
-    usable: np.ndarray,
-    longest: float,
-    cells: Floats,
-    champion: Surface,
+    start: int, stop: int, batch: Batch, longest: float, memory: Memory, champion: Surface,
     challenger: Surface,
-    scalars: Floats,
-    counters: np.ndarray,
-    predicted: Floats,
-    residual: Floats,
-    status: np.ndarray,
-) -> int:
-    """Take samples in from ``start`` on until the next fit is due; give the next sample's place.
+) -> int:  # fmt: skip
+    """Take samples ``start`` … ``stop`` - 1 in until a fit or a look is due; give the next one.
 
     ``longest`` bounds the weight of a cell: then its mean is exponential, λ = 1 - 1/longest.
     """
+    scalars, counters = memory.scalars, memory.counters
     scratch = np.empty((4, 4))
-    for i in range(start, len(U)):
-        predicted[i] = residual[i] = math.nan
-        if not (usable[i] and math.isfinite(U[i] + dp[i] + Q[i])):
-            status[i] = _REJECTED
+    for i in range(start, stop):
+        U, dp, Q = batch.U[i], batch.dp[i], batch.Q[i]
+        batch.predicted[i] = batch.residual[i] = math.nan
+        if not (batch.usable[i] and math.isfinite(U + dp + Q)):
+            batch.status[i] = _REJECTED
             continue
-        if max(abs(U[i]), abs(dp[i]), abs(Q[i])) > HUGE:
-            status[i] = _HELD
+        if max(abs(U), abs(dp), abs(Q)) > HUGE:
+            batch.status[i] = _HELD
             continue
-        s = math.copysign(math.sqrt(abs(dp[i])), dp[i])
-        warmth = T[i] if math.isfinite(T[i]) and abs(T[i]) < HUGE else T_REFERENCE
-        direction = follow(U[i], champion.play, scalars)
-        cell = cells[place(U[i], s, warmth, direction)]
-        flow, status[i] = Q[i], _WARMING_UP
-        if counters[FITTED]:
-            status[i] = _OK if scalars[EXCITATION] >= EXCITED else _UNEXCITED
-            forecast = _of(champion, U[i], s, warmth, direction, scratch)
-            predicted[i], residual[i] = forecast, flow - forecast
-            scalars[CHAMPION_SQUARES] += residual[i] ** 2
-            miss = flow - _of(challenger, U[i], s, warmth, direction, scratch)
-            scalars[CHALLENGER_SQUARES] += miss**2
-            if cell[WEIGHT] >= KNOWN:
-                flow = _compare(champion, cell, flow, forecast, s, scalars, scratch)
-        if cell[WEIGHT] < 1.0:
-            counters[NEW_CELLS] -= 1
-        _learn(cell, longest, U[i], s, warmth, direction, flow)
+        s = math.copysign(math.sqrt(abs(dp)), dp)
+        T = batch.T[i]
+        if not (math.isfinite(T) and abs(T) < HUGE):
+            T = T_REFERENCE
+        lag.keep(batch.t[i], U, s, Q, memory.recent, counters[LAGGING:])
+        batch.status[i] = _take(
+            i, batch, U, s, T, Q, longest, memory, champion, challenger, scratch
+        )
         counters[USED] += 1
         if max(scalars[MORE], scalars[LESS], scalars[WILDER]) > ALARM_LEVEL:
-            _open(cells, scalars, counters)
+            _open(memory)
+        if _asks(scalars, counters):
+            counters[NEXT_FIT] = counters[USED]
         if is_due(counters):
             return i + 1
-    return len(U)
+    return stop
 
 
 @kernel
 def is_due(counters: np.ndarray) -> bool:
-    """Whether enough samples, or enough new cells, came in for a new fit."""
-    return bool(counters[USED] >= counters[NEXT_FIT] or counters[NEW_CELLS] <= 0)
+    """Whether a new fit is due, or a look at the lags."""
+    return bool(
+        counters[USED] >= counters[NEXT_FIT]
+        or counters[NEW_CELLS] <= 0
+        or counters[LAGGING + lag.KEPT_ROWS] >= counters[NEXT_LOOK]
+    )
+
+
+@inner
+def _asks(scalars: Floats, counters: np.ndarray) -> bool:
+    """Whether the residuals since the last fit are so large that they ask for another one."""
+    if counters[USED] < counters[MAY_ASK] or scalars[NOISE_WEIGHT] < NOISE_KNOWN:
+        return False
+    samples = counters[USED] - counters[FIT_AT]
+    return bool(scalars[CHAMPION_SQUARES] > ASKING * scalars[NOISE] * samples)
+
+
+@inner
+def _take(
+    i: int, batch: Batch, U: float, s: float, T: float, Q: float, longest: float, memory: Memory,
+    champion: Surface, challenger: Surface, scratch: Floats,
+) -> int:  # fmt: skip
+    """One sample: through the lags, against the map, into its cell; its status."""
+    scalars, counters = memory.scalars, memory.counters
+    path = scalars[LAGS:]
+    direction = scalars[TOWARDS]
+    if counters[FRESH] and path[lag.LAG_Q] > 0.0:  # the lagged Q is that of the map before
+        here = _of(champion, path[lag.U_METERED], path[lag.S_METERED], T, direction, scratch)
+        there = _of(challenger, path[lag.U_METERED], path[lag.S_METERED], T, direction, scratch)
+        path[lag.Q_METERED] = here + path[lag.OFFSET]
+        path[lag.RIVAL_METERED] = there + path[lag.OFFSET]
+    counters[FRESH] = 0
+    lag.follow(batch.t[i], U, s, path, counters[LAGGING:])
+    U, at_U, at_s = path[lag.U_EFFECT], path[lag.U_METERED], path[lag.S_METERED]
+    direction = follow(U, champion.play, scalars)
+    weight = grid.known(grid.number(U, s, T, direction), memory.slots, memory.cells)
+    if counters[USED] - counters[OPENED] < YOUNG:
+        weight = 0.0
+    settled = lag.belongs(s, weight, path)
+    status, forecast = _WARMING_UP, 0.0
+    if counters[FITTED]:
+        status = _OK if scalars[EXCITATION] >= EXCITED else _UNEXCITED
+        said = lag.metered(_of(champion, U, s, T, direction, scratch), lag.Q_METERED, path)
+        rival = lag.metered(_of(challenger, U, s, T, direction, scratch), lag.RIVAL_METERED, path)
+        batch.predicted[i], batch.residual[i] = said, Q - said
+        forecast = said
+        if path[lag.LAG_Q] > 0.0:
+            forecast = _of(champion, at_U, at_s, T, direction, scratch)
+            path[lag.OFFSET] = said - forecast  # the lagged map is not the map of what lags
+        if settled:
+            scalars[CHAMPION_SQUARES] += (Q - said) ** 2
+            scalars[CHALLENGER_SQUARES] += (Q - rival) ** 2
+    if not settled:
+        counters[TOO_FAST] += 1
+        return status
+    if path[lag.FAMILIAR] > lag.WELL_KNOWN:
+        Q -= path[lag.OFFSET]
+    here = grid.slot_of(
+        grid.number(at_U, at_s, T, direction),
+        champion.play,
+        memory.slots,
+        memory.cells,
+        counters[TAKEN : TAKEN + 1],
+    )
+    cell = memory.cells[here]
+    near = abs(T - cell[MEAN_T]) <= NEAR_T
+    if counters[FITTED] and cell[WEIGHT] >= KNOWN and near:
+        Q = _compare(
+            champion, cell, Q, forecast, at_s, batch.t[i], here, scalars, counters, scratch
+        )
+    if cell[WEIGHT] < NEW:
+        counters[NEW_CELLS] -= 1
+    grid.learn(cell, _news(at_U, at_s, scalars), longest, at_U, at_s, T, direction, Q)
+    return status
 
 
 @kernel
@@ -108,20 +274,6 @@ def follow(U: float, play: float, scalars: Floats) -> float:
     return towards
 
 
-@kernel
-def place(U: float, s: float, T: float, direction: float) -> int:
-    """Which cell a point falls into; those of both directions stand side by side.
-
-    Cells in s are narrow near 0, where the flow is laminar; the first is for reversed flow.
-    """
-    in_U = int(min(max(U * (CELLS_U / 100.0), 0.0), CELLS_U - 1.0))
-    share = min(max(s, 0.0), 0.999 * S_TOP) / S_TOP
-    in_s = 1 + int((CELLS_S - 1) * share ** (2.0 / 3.0)) if s >= 0.0 else 0
-    in_T = 0 if T < 30.0 else (1 if T < 50.0 else 2)
-    rising = 1 if direction > 0.0 else 0
-    return ((in_U * CELLS_S + in_s) * CELLS_T + in_T) * 2 + rising
-
-
 @inner
 def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratch: Floats) -> float:
     at, knots_U, knots_s = U - surface.play * direction, surface.knots_U, surface.knots_s
@@ -130,14 +282,9 @@ def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratc
 
 @inner
 def _compare(
-    model: Surface,
-    cell: Floats,
-    Q: float,
-    forecast: float,
-    s: float,
-    scalars: Floats,
-    scratch: Floats,
-) -> float:
+    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, here: int,
+    scalars: Floats, counters: np.ndarray, scratch: Floats,
+) -> float:  # fmt: skip
     """Hold a sample against its own cell: noise without misfit, change of the valve, outliers.
 
     The model only carries the cell's mean over to the sample's point, so what it cannot represent
@@ -150,14 +297,21 @@ def _compare(
     whitening = math.sqrt(cell[WEIGHT] / (cell[WEIGHT] + 1.0))
     sigma = math.sqrt(scalars[NOISE])
     if scalars[NOISE_WEIGHT] < NOISE_KNOWN:
-        _know_noise(error * whitening, scalars)
+        _know_noise(error * whitening, NOISE_MEMORY, scalars)
         return Q
     if s >= PLAIN_S and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:
-        _watch(error * whitening / max(sigma, 1e-9), scalars)
+        if counters[USED] - counters[OPENED] >= YOUNG:
+            _watch(error * whitening / max(sigma, 1e-9), error, t, here, scalars, counters)
+    if counters[USED] - counters[OPENED] >= YOUNG and cell[WEIGHT] >= SETTLED_CELL:
+        _know_colour(error, counters[USED] - counters[COMPARED], scalars)
+        _know_gain(error, forecast, scalars)
+        counters[COMPARED] = counters[USED]
     bound = CLIP * sigma / whitening
     if max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL:
         limit = NOISE_CLIP * sigma
-        _know_noise(min(max(error * whitening, -limit), limit), scalars)
+        since = counters[USED] - counters[OPENED]
+        longest = min(max(0.25 * since, NOISE_KNOWN), NOISE_MEMORY)
+        _know_noise(min(max(error * whitening, -limit), limit), longest, scalars)
     if abs(error) <= bound:
         return Q
     if abs(Q - forecast) < 0.5 * abs(cell[MEAN_Q] - at_mean):
@@ -168,41 +322,102 @@ def _compare(
 
 
 @inner
-def _know_noise(error: float, scalars: Floats) -> None:
-    scalars[NOISE_WEIGHT] = min(scalars[NOISE_WEIGHT] + 1.0, NOISE_MEMORY)
+def _know_noise(error: float, longest: float, scalars: Floats) -> None:
+    """Mean square over as many samples at most: few while the map is young and far off."""
+    scalars[NOISE_WEIGHT] = min(scalars[NOISE_WEIGHT] + 1.0, longest)
     scalars[NOISE] += (error**2 - scalars[NOISE]) / scalars[NOISE_WEIGHT]
 
 
 @inner
-def _watch(z: float, scalars: Floats) -> None:
-    """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
-    clipped = min(max(z, -FAR), FAR)
-    scalars[MORE] = max(0.0, scalars[MORE] + clipped - SHIFT)
-    scalars[LESS] = max(0.0, scalars[LESS] - clipped - SHIFT)
-    scalars[WILDER] = max(0.0, scalars[WILDER] + abs(clipped) - WILD)
+def _know_colour(error: float, ago: int, scalars: Floats) -> None:
+    """Mean square of the errors against the cells, and mean product of successive ones.
+
+    A misfit cancels in them, so what is coloured is the noise. ``ago``: samples since the one
+    before.
+    """
+    limit = NOISE_CLIP * math.sqrt(max(scalars[NOISE], scalars[POWER]))
+    error = min(max(error, -limit), limit)
+    if ago == 1:
+        scalars[POWER] += (error * error - scalars[POWER]) / COLOUR_MEMORY
+        scalars[COLOUR] += (error * scalars[LAST_RESIDUAL] - scalars[COLOUR]) / COLOUR_MEMORY
+    scalars[LAST_RESIDUAL] = error
 
 
 @inner
-def _learn(
-    cell: Floats, longest: float, U: float, s: float, T: float, direction: float, Q: float
+def _know_gain(error: float, said: float, scalars: Floats) -> None:
+    """Mean of the error against a cell times the flow said, and of that flow's square."""
+    limit = CLIP * math.sqrt(scalars[NOISE])
+    error = min(max(error, -limit), limit)
+    scalars[GAIN_WEIGHT] = min(scalars[GAIN_WEIGHT] + 1.0, GAIN_MEMORY)
+    scalars[ERROR_Q] += (error * said - scalars[ERROR_Q]) / scalars[GAIN_WEIGHT]
+    scalars[SQUARE_Q] += (said * said - scalars[SQUARE_Q]) / scalars[GAIN_WEIGHT]
+
+
+@kernel
+def colour(scalars: Floats) -> float:
+    """Correlation of successive residuals, 0 to .99."""
+    if not scalars[POWER] > 0.0:
+        return 0.0
+    rho: float = min(max(scalars[COLOUR] / scalars[POWER], 0.0), MOST_COLOUR)
+    return rho
+
+
+@inner
+def _news(U: float, s: float, scalars: Floats) -> float:
+    """How much of a white sample's worth a sample is: coloured noise says the same again.
+
+    A direction of regressors whose correlation from sample to sample is ρₓ, under noise of
+    correlation ρₑ, is learnt from N samples as well as from N·(1 - ρₓρₑ)/(1 + ρₓρₑ) white ones.
+    """
+    way = max(abs(U - scalars[LEFT_U]) / SMOOTH_U, abs(s - scalars[LEFT_S]) / SMOOTH_S)
+    scalars[LEFT_U], scalars[LEFT_S] = U, s
+    rho = colour(scalars)
+    if not (rho > 0.0 and math.isfinite(way)):
+        return 1.0
+    again = rho * math.exp(-way)
+    return (1.0 - again) / (1.0 + again)
+
+
+@inner
+def _watch(
+    z: float, error: float, t: int, here: int, scalars: Floats, counters: np.ndarray
 ) -> None:
-    weight = min(cell[WEIGHT] + 1.0, longest)
-    cell[WEIGHT] = weight
-    cell[MEAN_U] += (U - cell[MEAN_U]) / weight
-    cell[MEAN_S] += (s - cell[MEAN_S]) / weight
-    cell[MEAN_T] += (T - cell[MEAN_T]) / weight
-    cell[DIRECTION] += (direction - cell[DIRECTION]) / weight
-    cell[MEAN_Q] += (Q - cell[MEAN_Q]) / weight
+    """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
+    rho = colour(scalars)
+    white = (z - rho * scalars[LAST_Z]) / math.sqrt(1.0 - rho * rho)
+    scalars[LAST_Z] = min(max(z, -FAR), FAR)
+    clipped = min(max(white, -FAR), FAR)
+    scalars[SLOW] += (clipped - scalars[SLOW]) / SLOW_MEMORY
+    clipped -= scalars[SLOW]
+    if here != counters[WATCHED]:
+        counters[WATCHED], scalars[STAY] = here, 0.0
+    left = max(MOST_OF_A_STAY - scalars[STAY], 0.0)
+    scalars[MORE] = max(0.0, scalars[MORE] + min(clipped - SHIFT, left))
+    scalars[LESS] = max(0.0, scalars[LESS] + min(-clipped - SHIFT, left))
+    scalars[WILDER] = max(0.0, scalars[WILDER] + min(abs(clipped) - WILD, left))
+    scalars[STAY] += max(abs(clipped) - SHIFT, 0.0)
+    scalars[SUSPECT_SUM] += error
+    if scalars[MORE] + scalars[LESS] + scalars[WILDER] == 0.0:
+        scalars[SUSPECT_SUM] = 0.0
+        counters[SUSPECT_SAMPLE], counters[SUSPECT_TIME] = counters[USED] + 1, t
 
 
 @inner
-def _open(cells: Floats, scalars: Floats, counters: np.ndarray) -> None:
+def _open(memory: Memory) -> None:
     """Open the memory: the valve has changed, what was learnt stays as a faint prior."""
+    cells, scalars, counters = memory.cells, memory.scalars, memory.counters
     for i in range(len(cells)):
         cells[i, WEIGHT] = KEPT * min(cells[i, WEIGHT], 1.0)
-    scalars[MORE] = scalars[LESS] = scalars[WILDER] = 0.0
-    scalars[NOISE_WEIGHT] = 0.0
     counters[ALARMS] += 1
+    counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = (
+        counters[SUSPECT_SAMPLE],
+        counters[SUSPECT_TIME],
+    )
+    samples = max(counters[USED] - counters[SUSPECT_SAMPLE], 1)
+    scalars[CHANGE_SIZE] = scalars[SUSPECT_SUM] / samples
+    scalars[MORE] = scalars[LESS] = scalars[WILDER] = scalars[SLOW] = scalars[SUSPECT_SUM] = 0.0
+    scalars[NOISE_WEIGHT] = scalars[COLOUR] = scalars[GAIN_WEIGHT] = scalars[ERROR_Q] = 0.0
     counters[OPENED] = counters[USED]
+    counters[SPENT] = 0
     counters[NEXT_FIT] = counters[USED] + SETTLE
     counters[NEW_CELLS] = SETTLE

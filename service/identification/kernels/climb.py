@@ -1,0 +1,93 @@
+"""The climb on the ladder: shapes fitted to the cells of the memory, compared by BIC."""
+
+import math
+
+import numpy as np
+
+from service.identification.kernels import ladder
+from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.grid import MEAN_Q
+from service.identification.kernels.map_fit import fit, plan_of
+from service.identification.kernels.surface import BORDER
+from service.identification.samples import Floats
+
+RICH_CELLS, RICH_AXIS = 20.0, 2.0  # the richest spline, whose residual is taken for the noise
+LEAST_GAIN = 0.1  # in BIC: less is rounding
+NEVER_BELOW = 1e-5  # of the largest flow: the noise of samples without any
+MOVE, IDLE = 0, 1
+
+
+@kernel
+def climb(
+    points: Floats, shape: Floats, top: float, least_play: float, trends: int,
+    steps: int, progress: np.ndarray,
+) -> None:  # fmt: skip
+    """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
+
+    A trend is tried each time, where there is none and the samples can tell one: temperature may
+    have moved just now. ``shape`` (6,) and ``progress`` (2,) are written: the number of the next
+    neighbour, and how many were tried in vain since the last gain.
+    """
+    around = np.empty((ladder.MOST_NEIGHBOURS, len(shape)))
+    sigma_2 = noise(points, shape, top)
+    best = bic(points, shape, top, sigma_2)
+    if trends and shape[ladder.TREND] == 0.0:
+        around[0] = shape
+        around[0, ladder.TREND] = 1.0
+        warm = bic(points, around[0], top, sigma_2)
+        if warm < best - LEAST_GAIN:
+            shape[:], best, progress[IDLE] = around[0], warm, 0
+    count = ladder.neighbours(shape, least_play, trends, around)
+    for _ in range(steps):
+        candidate = around[progress[MOVE] % count]
+        if bic(points, candidate, top, sigma_2) >= best - LEAST_GAIN:
+            progress[MOVE] += 1
+            progress[IDLE] += 1
+        else:
+            shape[:] = candidate
+            progress[IDLE] = 0
+            count = ladder.neighbours(shape, least_play, trends, around)
+            sigma_2 = noise(points, shape, top)
+            best = bic(points, shape, top, sigma_2)
+
+
+@kernel
+def is_better(points: Floats, shape: Floats, than: Floats, top: float) -> bool:
+    """Whether a shape has the smaller BIC, with the σ² of the other."""
+    sigma_2 = noise(points, than, top)
+    return bic(points, shape, top, sigma_2) < bic(points, than, top, sigma_2) - LEAST_GAIN
+
+
+@kernel
+def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
+    """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
+    rss, penalty, fall, n_effective = _fit(points, shape, top)
+    criterion = (rss + penalty + fall) / sigma_2 + n_effective * math.log(len(points))
+    return criterion if math.isfinite(criterion) else math.inf
+
+
+@kernel
+def noise(points: Floats, shape: Floats, top: float) -> float:
+    """σ² that the richest spline with the shape's kinks and play leaves."""
+    rich = shape.copy()
+    rich[ladder.CELLS_OF], rich[ladder.AXIS] = RICH_CELLS, RICH_AXIS
+    rss, _, _, n_effective = _fit(points, rich, top)
+    largest = 0.0
+    for i in range(len(points)):
+        largest = max(largest, abs(points[i, MEAN_Q]))
+    floor = (NEVER_BELOW * largest) ** 2
+    return max(rss / max(len(points) - n_effective, 1.0), floor, 1e-30)
+
+
+@inner
+def _fit(points: Floats, shape: Floats, top: float) -> tuple[float, float, float, float]:
+    n = ladder.size(shape)
+    theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))
+    return fit(
+        points,
+        plan_of(shape, top),
+        theta,
+        np.empty((n, ladder.BAND)),
+        np.empty((n, BORDER)),
+        corner,
+    )

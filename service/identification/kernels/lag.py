@@ -1,0 +1,174 @@
+"""Lags between the signals: of U's effect on the valve, and of the meter that shows Q.
+
+The valve opens by U behind a first-order lag, and Q is shown behind another:
+``u' = (U - u) / LagU``, ``Q' = (f(u, s) - Q) / LagQ``. A map that is linear in its parameters lags
+as its regressors do, so the residual over the lags tried finds them both.
+"""
+
+import math
+
+import numpy as np
+
+from service.identification.kernels.compiled import inner, kernel
+from service.identification.samples import Floats
+
+# Places in this part of `scalars`.
+LAG_U, LAG_Q, SHARE_Q, U_EFFECT, U_METERED, S_METERED, Q_METERED, RIVAL_METERED = range(8)
+SINCE, FAMILIAR = 8, 9  # s since the signals began anew; share of known places along the lag
+OFFSET = 10  # Q as the meter shows it less the map at what U and s lag to, l/min
+KNOWN_LAGS = 11  # estimates of the lags, s, and the information behind them: see `lag_search`
+SCALARS = KNOWN_LAGS + 6
+
+# Places in this part of `counters`.
+TIME, KEPT_TIME, KEPT_ROWS = 0, 1, 2
+COUNTERS = 3
+
+ROWS = 704  # samples that are looked at for lags: 7 s at 100 Hz, 11 kB
+STEP, LEFT_U, LEFT_S, LEFT_Q = 0, 1, 2, 3  # columns: s since the row before, %, √bar, l/min
+LEAST_STEP = 0.0079  # s: of faster signals not every sample is kept
+GAP = 1.0  # s without samples: what lags starts anew
+SETTLED = 4.0  # lags from a start until the signals belong together
+FAST_U, FAST_S = 25.0, 4.0  # %, √bar within the meter's lag: faster samples are not learnt from
+FAST_WHERE_NEW = 0.15  # ... and that share of it where the map is not known all along the lag
+WELL_KNOWN = 0.95  # share of known places along the lag from which on it is
+NODES = np.array([0.0, 3.0, 8.0, 15.0, 25.0, 40.0, 60.0, 80.0, 100.0])  # %: a coarse map's breaks
+RIDGE = 1e-4  # samples' weight that keeps a node without samples determined
+TERMS = 2 * len(NODES) + 1
+LONGEST = 1.0  # s of a stretch that are left out, so that all lags tried are judged alike
+
+
+@inner
+def share(step: float, tau: float) -> float:
+    """What of a step shows after ``step`` s behind a first-order lag ``tau``."""
+    return 1.0 - math.exp(-step / tau) if tau > 0.0 else 1.0
+
+
+@inner
+def follow(t: int, U: float, s: float, path: Floats, counters: np.ndarray) -> None:
+    """Take U and s through the lags."""
+    step = 1e-9 * (t - counters[TIME])
+    counters[TIME] = t
+    if not 0.0 < step < GAP or math.isnan(path[U_EFFECT]):
+        path[U_EFFECT], path[U_METERED], path[S_METERED] = U, U, s
+        path[Q_METERED] = path[RIVAL_METERED] = math.nan
+        path[SHARE_Q], path[SINCE], path[FAMILIAR] = 1.0, 0.0, 0.0
+        return
+    path[U_EFFECT] += share(step, path[LAG_U]) * (U - path[U_EFFECT])
+    path[SHARE_Q] = share(step, path[LAG_Q])
+    path[U_METERED] += path[SHARE_Q] * (path[U_EFFECT] - path[U_METERED])
+    path[S_METERED] += path[SHARE_Q] * (s - path[S_METERED])
+    path[SINCE] += step
+
+
+@inner
+def belongs(s: float, weight: float, path: Floats) -> bool:
+    """Whether a sample belongs to one place of the map, as far as the meter's lag is concerned.
+
+    ``weight`` is that of the cell where U and s are. Where the map was known all along the lag, it
+    says itself what the lag makes of it; otherwise U and s must be nearly at rest.
+    """
+    slowest: float = max(path[LAG_U], path[LAG_Q])
+    if slowest == 0.0:
+        return True
+    path[FAMILIAR] += path[SHARE_Q] * ((1.0 if weight >= 1.0 else 0.0) - path[FAMILIAR])
+    fast = 1.0 if path[FAMILIAR] > WELL_KNOWN else FAST_WHERE_NEW
+    near_U = abs(path[U_EFFECT] - path[U_METERED]) <= fast * FAST_U
+    near_s = abs(s - path[S_METERED]) <= fast * FAST_S
+    return bool(near_U and near_s and path[SINCE] >= SETTLED * slowest)
+
+
+@inner
+def metered(Q: float, place: int, path: Floats) -> float:
+    """Q as the meter shows it."""
+    if math.isnan(path[place]):
+        path[place] = Q
+    path[place] += path[SHARE_Q] * (Q - path[place])
+    shown: float = path[place]
+    return shown
+
+
+@inner
+def keep(t: int, U: float, s: float, Q: float, recent: Floats, counters: np.ndarray) -> None:
+    """Keep a sample among the last ROWS."""
+    step = 1e-9 * (t - counters[KEPT_TIME])
+    if 0.0 <= step < LEAST_STEP and counters[KEPT_ROWS] > 0:
+        return
+    row = recent[counters[KEPT_ROWS] % ROWS]
+    row[STEP] = step if 0.0 < step < GAP else GAP
+    row[LEFT_U], row[LEFT_S], row[LEFT_Q] = U, s, Q
+    counters[KEPT_TIME] = t
+    counters[KEPT_ROWS] += 1
+
+
+@kernel
+def misfit(rows: Floats, lag_U: float, lag_Q: float) -> tuple[float, float]:
+    """What a coarse map leaves of the rows kept, behind such lags: squares, (l/min)²; and rows.
+
+    ``rows`` (N, 4) in the order of time; every other one counts. The map is piecewise linear in U,
+    between NODES, times s and s², and a constant; a little ridge keeps it determined.
+    """
+    information, rhs = np.zeros(TERMS * TERMS), np.zeros(TERMS)
+    x, shown = np.zeros(TERMS), np.zeros(TERMS)
+    U, total, since, counted = 0.0, 0.0, 0.0, 0.0
+    known, share_U, share_Q = -1.0, 1.0, 1.0
+    for i in range(len(rows)):
+        step = rows[i, STEP]
+        fresh = i == 0 or step >= GAP
+        if step != known:
+            known, share_U, share_Q = step, share(step, lag_U), share(step, lag_Q)
+        U = rows[i, LEFT_U] if fresh else U + share_U * (rows[i, LEFT_U] - U)
+        _regressors(U, rows[i, LEFT_S], x)
+        part = 1.0 if fresh else share_Q
+        for k in range(TERMS):
+            shown[k] += part * (x[k] - shown[k])
+        since = 0.0 if fresh else since + step
+        if since < LONGEST or i % 2:
+            continue
+        Q = rows[i, LEFT_Q]
+        for k in range(TERMS):
+            value = shown[k]
+            rhs[k] += value * Q
+            for j in range(TERMS):
+                information[k * TERMS + j] += value * shown[j]
+        total += Q * Q
+        counted += 2.0
+    A = information.reshape((TERMS, TERMS))
+    for k in range(TERMS):
+        A[k, k] += RIDGE
+    return 2.0 * (total - _explained(A, rhs)), counted
+
+
+@inner
+def _regressors(U: float, s: float, x: Floats) -> None:
+    for k in range(TERMS):
+        x[k] = 0.0
+    k = 0
+    while k < len(NODES) - 2 and NODES[k + 1] <= U:
+        k += 1
+    right = (U - NODES[k]) / (NODES[k + 1] - NODES[k])
+    root = s / 10.0
+    x[2 * k], x[2 * k + 1] = (1.0 - right) * root, (1.0 - right) * root * root
+    x[2 * k + 2], x[2 * k + 3] = right * root, right * root * root
+    x[TERMS - 1] = 1.0
+
+
+@inner
+def _explained(A: Floats, b: Floats) -> float:
+    """bᵀ·A⁻¹·b by Cholesky's factor, in place."""
+    total = 0.0
+    for i in range(len(b)):
+        for j in range(i):
+            product = A[i, j]
+            for k in range(j):
+                product -= A[i, k] * A[j, k]
+            A[i, j] = product / A[j, j]
+        pivot, value = A[i, i], b[i]
+        for k in range(i):
+            pivot -= A[i, k] * A[i, k]
+            value -= A[i, k] * b[k]
+        if not pivot > 0.0:
+            return total
+        A[i, i] = math.sqrt(pivot)
+        b[i] = value / A[i, i]
+        total += b[i] * b[i]
+    return total

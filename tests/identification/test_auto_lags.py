@@ -1,0 +1,101 @@
+"""`Auto` behind lags: they are found, the map is as good as without, and no loop is claimed."""
+
+import numpy as np
+import pytest
+
+from service.identification.auto import Auto
+from service.identification.kernels import lag as kernel
+from service.identification.lag_search import look
+from service.identification.map_shapes import Shape
+from service.identification.samples import Samples
+
+SIGMA, N = 0.4, 20_000
+
+
+def valve(U, dp):
+    u = np.clip((U - 5) / 95, 0, 1)
+    return 13 * u * (1.1 - 0.1 * u) * np.sqrt(dp)
+
+
+def ramps_and_holds(rng, n, low, high, fs):
+    t, x = [0.0], [rng.uniform(low, high)]
+    while t[-1] < n / fs:
+        ramp, level = rng.uniform(0.4, 3.0), rng.uniform(low, high)
+        t += [t[-1] + ramp, t[-1] + ramp + rng.uniform(0, 1.0)]
+        x += [level, level]
+    return np.interp(np.arange(n) / fs, t, x)
+
+
+def lagged(x, tau, fs):
+    share = 1 - np.exp(-1 / (fs * tau)) if tau > 0 else 1.0
+    out, y = np.empty(len(x)), x[0]
+    for i, value in enumerate(x):
+        y += share * (value - y)
+        out[i] = y
+    return out
+
+
+def machine(seed, tau_U=0.0, tau_Q=0.0, fs=100.0, n=N):
+    """A machine's cycle; the noise comes after the lags."""
+    rng = np.random.default_rng(seed)
+    U, dp = ramps_and_holds(rng, n, 0, 100, fs), ramps_and_holds(rng, n, 3, 195, fs)
+    Q = lagged(valve(lagged(U, tau_U, fs), dp), tau_Q, fs) + SIGMA * rng.standard_normal(n)
+    t = 1_700_000_000_000_000_000 + np.round(np.arange(n) * 1e9 / fs).astype(np.int64)
+    return Samples.of(t, U, dp + 5, np.full(n, 5.0), Q, np.full(n, 40.0))
+
+
+def error_inside(auto, state, samples):
+    """RMSE in σ where at least three samples lie within 5 % and 5 bar."""
+    rng = np.random.default_rng(0)
+    U, dp = rng.uniform(0, 100, 400), rng.uniform(1, 199, 400)
+    every = samples[::5]
+    near = (np.abs(U[:, None] - every.U) < 5) & (np.abs(dp[:, None] - every.dp) < 5)
+    inside = near.sum(axis=1) >= 3
+    Q, _ = auto.predict(state, U[inside], dp[inside], np.full(inside.sum(), 40.0))
+    return np.sqrt(np.mean((Q - valve(U, dp)[inside]) ** 2)) / SIGMA
+
+
+@pytest.mark.parametrize(
+    ("tau_U", "tau_Q"), [(0.0, 0.0), (0.0, 0.05), (0.0, 0.2), (0.1, 0.0), (0.05, 0.05)]
+)
+def test_lags_are_found_and_the_map_is_good_and_without_a_loop(tau_U, tau_Q):
+    samples, auto = machine(3, tau_U, tau_Q), Auto()
+    state, _ = auto.update(auto.initial_state(), samples)
+    for found, true in zip(auto.lags(state), (tau_U, tau_Q), strict=True):
+        assert found == pytest.approx(true, rel=0.2, abs=0.01)
+    assert error_inside(auto, state, samples) <= 0.6
+    assert Shape.from_array(state.shapes[0]).play == 0.0
+
+
+def test_the_rate_of_the_samples_does_not_matter_to_a_lag():
+    auto = Auto()
+    for fs in (50.0, 1000.0):
+        state, _ = auto.update(auto.initial_state(), machine(5, 0.0, 0.2, fs))
+        assert auto.lags(state)[1] == pytest.approx(0.2, rel=0.2)
+
+
+def test_a_lag_that_is_given_is_taken_and_no_other_is_looked_for():
+    auto = Auto(lag_U=0.0, lag_Q=0.2)
+    samples = machine(4, 0.0, 0.2)
+    state, _ = auto.update(auto.initial_state(), samples)
+    assert auto.lags(state) == (0.0, 0.2)
+    assert error_inside(auto, state, samples) <= 1.0
+    assert auto.too_fast(state) > 0
+    with pytest.raises(ValueError, match="not a time"):
+        Auto(lag_Q=-1.0)
+
+
+def test_a_signal_that_stands_still_tells_no_lag():
+    rows = np.zeros((kernel.ROWS, 4))
+    rows[:, kernel.STEP], rows[:, kernel.LEFT_U] = 0.01, 50.0
+    rows[:, kernel.LEFT_S] = 10.0
+    rows[:, kernel.LEFT_Q] = 70.0 + np.random.default_rng(0).normal(size=kernel.ROWS)
+    known = np.zeros(6)
+    assert look(rows, known, (None, None)) == (0.0, 0.0)
+    assert not known.any()
+
+
+def test_without_a_lag_no_sample_is_too_fast():
+    samples, auto = machine(6, n=4000), Auto()
+    state, _ = auto.update(auto.initial_state(), samples)
+    assert auto.too_fast(state) == 0

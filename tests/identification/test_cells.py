@@ -1,0 +1,66 @@
+"""Cells of a map: a slot each as long as there are slots, then the likest of a place become one."""
+
+import numpy as np
+
+from service.identification.auto import Auto
+from service.identification.kernels import cells as memory
+from service.identification.kernels import grid
+from service.identification.samples import Samples
+
+
+def scattered(seed, N, T, most=390):
+    rng = np.random.default_rng(seed)
+    U, dp = rng.uniform(0, 100, N), rng.uniform(1, most, N)
+    T = np.broadcast_to(np.asarray(T, float), N)
+    Q = 0.1 * U * np.sqrt(dp) * (1 + 2e-3 * (T - 40)) + 0.1 * rng.normal(size=N)
+    return Samples.of(10_000_000 * np.arange(N), U, dp, 0 * dp, Q, T)
+
+
+def learnt(*parts):
+    auto = Auto(lag_U=0.0, lag_Q=0.0)
+    state = auto.initial_state()
+    for part in parts:
+        state, _ = auto.update(state, part)
+    return auto, state
+
+
+def places_of(state):
+    return state.slots.reshape(grid.PLACES, grid.CELLS_OF_A_PLACE)
+
+
+def test_a_cell_has_a_slot_of_its_own_while_there_are_any():
+    _, state = learnt(scattered(0, 300, 40.0))
+    taken = state.slots[state.slots > 0]
+    assert len(taken) == len(set(taken.tolist())) == state.counters[memory.TAKEN] < grid.SLOTS
+    assert (state.cells[:, grid.WEIGHT] > 0).sum() == len(taken)
+
+
+def test_with_more_cells_than_slots_no_sample_is_lost_and_no_slot_serves_two_places():
+    rng = np.random.default_rng(3)
+    _, state = learnt(scattered(1, 20_000, rng.uniform(20, 60, 20_000)))
+    assert state.counters[memory.TAKEN] == grid.SLOTS
+    places = [set(row[row > 0].tolist()) for row in places_of(state)]
+    assert sum(len(slots) for slots in places) == len(set().union(*places)) <= grid.SLOTS
+    visited = (places_of(state) > 0).any(axis=1)
+    assert visited.sum() > 400
+    held = state.cells[places_of(state)[visited].max(axis=1) - 1, grid.WEIGHT]
+    assert (held > 0).all()
+
+
+def test_directions_are_made_one_before_temperatures_where_no_loop_is_known():
+    _, state = learnt(scattered(4, 12_000, 40.0, 100), scattered(5, 6_000, 60.0, 100))
+    cells = state.cells[state.cells[:, grid.WEIGHT] > 0]
+    assert state.counters[memory.TAKEN] == grid.SLOTS
+    mixed = (cells[:, grid.MEAN_T] > 41) & (cells[:, grid.MEAN_T] < 59)
+    assert not mixed.any()
+    assert (np.abs(cells[:, grid.DIRECTION]) < 0.9).mean() > 0.3
+
+
+def test_what_is_known_at_one_temperature_is_not_held_against_another():
+    auto, state = learnt(scattered(6, 8_000, 40.0))
+    state, _ = auto.update(state, scattered(7, 3_000, 60.0))
+    assert auto.change_counts(state) == 0
+    U, dp = np.array([30.0, 80.0]), np.array([60.0, 150.0])
+    for T in (40.0, 60.0):
+        Q, _ = auto.predict(state, U, dp, np.full(2, T))
+        np.testing.assert_allclose(Q, 0.1 * U * np.sqrt(dp) * (1 + 2e-3 * (T - 40)), atol=0.15)
