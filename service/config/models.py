@@ -317,7 +317,7 @@ class ValveConfig(_Section):
         names = [estimator.name for estimator in self.estimators]
         if not names:
             raise ValueError("estimators: at least one is needed")
-        _unique("estimator", [*names, "Inverse", "Diagnostics"])
+        _unique("estimator", [*names, "Inverse", "Diagnostics", "Signals"])
         if self.inverse is not None and self.inverse not in names:
             raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
         return self
