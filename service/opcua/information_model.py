@@ -3,6 +3,9 @@
 The identifiers and paths are a contract with every client and never change::
 
     Objects/Identification/<Valve>/<Estimator>/…     s=<Valve>.<Estimator>.<Variable>
+    Objects/Identification/<Valve>/<Estimator>/Parameters/…
+                                                     s=<Valve>.<Estimator>.Parameters.<Name>
+    Objects/Identification/<Valve>/Signals/…         s=<Valve>.Signals.<Signal>
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
@@ -28,12 +31,14 @@ ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 LAG_U, LAG_Q = "LagU", "LagQ"
+PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, WAITING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Waiting"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 
 U_RANGE = (0.0, 100.0)
+T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
 _TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS}
@@ -141,6 +146,41 @@ def estimator_variables(
             ua.VariantType.Int32,
             statuses=Status,
         ),
+    )
+
+
+def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """The newest sample of one valve, in the order of ``streaming.ports.SIGNALS``."""
+    p_range = 0.0, max(valve.dp_range)
+    meant = (
+        ("U", "Control voltage", Unit.PERCENT, U_RANGE),
+        ("p1", "Pressure before the valve", Unit.BAR, p_range),
+        ("p2", "Pressure behind the valve", Unit.BAR, p_range),
+        ("Q", "Flow", Unit.LITRE_PER_MINUTE, valve.Q_range),
+        ("dp", "Pressure drop p1 - p2", Unit.BAR, valve.dp_range),
+        ("T", "Oil temperature", Unit.DEGREE_CELSIUS, T_RANGE),
+    )
+    return tuple(
+        VariableNode(
+            f"{valve.name}.{SIGNALS}.{name}",
+            f"{words} of the newest sample, as measured.",
+            unit=unit,
+            range=bounds,
+        )
+        for name, words, unit, bounds in meant
+    )
+
+
+def parameter_variables(
+    valve: ValveDescription, estimator: EstimatorDescription
+) -> tuple[VariableNode, ...]:
+    """Each parameter as a variable of its own, for clients that show no arrays."""
+    if not estimator.has_named_parameters:
+        return ()
+    prefix = f"{valve.name}.{estimator.name}.{PARAMETERS}"
+    return tuple(
+        VariableNode(f"{prefix}.{name}", f"The parameter {name} of ParameterVector.")
+        for name in estimator.parameter_names
     )
 
 

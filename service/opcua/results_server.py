@@ -38,9 +38,11 @@ from service.opcua.information_model import (
     FRAME,
     INVERSE,
     NAMESPACE,
+    PARAMETERS,
     ROOT,
     SAMPLE_AGE,
     SERVICE,
+    SIGNALS,
     U_RANGE,
     WAITING,
     VariableNode,
@@ -54,7 +56,9 @@ from service.opcua.information_model import (
     inverse_variables,
     lag_variables,
     map_variable,
+    parameter_variables,
     service_variables,
+    signal_variables,
     survey_axes,
     survey_variables,
 )
@@ -175,7 +179,8 @@ class ResultsServer(Startable):
         whole = frames(described, results, self._sequences[valves], now)
         self._blocks.write(valves, [whole])
         due = self._due(results)
-        columns = columns_of(results, now)
+        by_name = [e.name for e in described.estimators if e.has_named_parameters]
+        columns = columns_of(results, now, by_name)
         if not due.all():
             columns = (column[due] for column in columns)
         self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
@@ -224,6 +229,9 @@ class ResultsServer(Startable):
         self._places.append(Place(number, FRAME, whole, len(names)))
         for estimator in valve.estimators:
             await self._add_estimator(server, folder, number, estimator)
+        await self._add_side_by_side(
+            server, folder, number, SIGNALS, signal_variables(valve), "The newest sample."
+        )
         await self._add_inverse(server, folder, number)
         diagnostics = await add_object(
             server,
@@ -280,6 +288,10 @@ class ResultsServer(Startable):
             *discovery_variables(valve, estimator),
         ):
             await self._add_variable(server, parent, node, None)
+        parameters = parameter_variables(valve, estimator)
+        if parameters:
+            name, what = f"{estimator.name}.{PARAMETERS}", "The parameters, each by itself."
+            await self._add_side_by_side(server, parent, number, name, parameters, what)
         command = partial(_add_command, server, parent, prefix)
         who = (valve.name, estimator.name)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
@@ -324,6 +336,22 @@ class ResultsServer(Startable):
             description="Where a measurement within the next 32 samples will lie: noise and what "
             f"the structure cannot follow included. Status: {_numbered(Status)}.",
         )
+
+    async def _add_side_by_side(
+        self,
+        server: HardenedServer,
+        parent: ua.NodeId,
+        number: int,
+        name: str,
+        nodes: Sequence[VariableNode],
+        description: str,
+    ) -> None:
+        """Add an object whose variables are published together under ``name``."""
+        valve = self._valves[number].name
+        folder = await add_object(server, parent, f"{valve}.{name}", description=description)
+        for k, node in enumerate(nodes):
+            variable = await self._add_variable(server, folder, node, None)
+            self._places.append(Place(number, None if k else name, variable, None))
 
     async def _add_inverse(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
         valve = self._valves[number]

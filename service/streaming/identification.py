@@ -14,6 +14,8 @@ from service.errors import CommandRejected
 from service.identification.auto import Auto
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import InverseStatus, Inversion
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import (
     Codes,
     Floats,
@@ -35,11 +37,13 @@ from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
+    SIGNALS,
     Checkpoint,
     EstimatorDescription,
     EstimatorResults,
     InverseResults,
     Results,
+    SignalResults,
     ValveDescription,
     ValveResult,
 )
@@ -71,6 +75,11 @@ class Identification:
             [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
         )
         self._next_survey = self._next_map = 0
+        self._newest = SignalResults(
+            t=np.zeros(len(self.plans), np.int64),
+            quality=np.zeros(len(self.plans), np.uint8),
+            values=np.full((len(self.plans), len(SIGNALS)), np.nan),
+        )
         self._plausibility = Plausibility(len(self.plans))
         self._insists = np.array([plan.insist for plan in self.plans], np.bool_)
         self._implausible = np.zeros(len(self.plans), np.bool_)
@@ -99,6 +108,7 @@ class Identification:
         return self._learn(arrived)
 
     def _learn(self, arrived: ByValve) -> ByValve:
+        self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
         fleets = self._fleet_of[valves]
@@ -108,6 +118,18 @@ class Identification:
             segments = Segments(self._member_of[valves[own]], first, last)
             self._fleets[number].take(arrived.samples[rows], segments)
         return arrived
+
+    def _note_newest(self, arrived: ByValve) -> None:
+        valves, _, stops = arrived.segments
+        last, newest = arrived.samples[stops - 1], self._newest
+        newest.t[valves], newest.quality[valves] = last.t, last.quality
+        columns = (getattr(last, name) for name in SIGNALS)
+        newest.values[valves] = np.stack(list(columns), axis=1)
+
+    def _signals(self, valves: Times, at_best: Codes) -> SignalResults:
+        newest = self._newest
+        quality = np.maximum(newest.quality[valves], at_best)
+        return SignalResults(newest.t[valves], quality, newest.values[valves])
 
     def _without_implausible(self, arrived: ByValve) -> ByValve:
         """The same samples; those of valves that cannot be what they are called are BAD."""
@@ -214,6 +236,7 @@ class Identification:
             inverse=self._inverse_results(fleet, valves, estimators),
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
+            signals=self._signals(valves, at_best),
         )
 
     def _inverse_results(
@@ -262,6 +285,9 @@ class Identification:
                         finds_changes=pipeline.finds_changes(estimator),
                         chooses_structure=isinstance(estimator, Auto),
                         finds_lags=isinstance(estimator, Auto),
+                        has_named_parameters=isinstance(
+                            estimator, RecursiveLeastSquares | MaximumLikelihood
+                        ),
                     )
                     for name, estimator in plan.estimators.items()
                 ),

@@ -101,6 +101,7 @@ class EstimatorDescription:
     finds_changes: bool = False
     chooses_structure: bool = False
     finds_lags: bool = False
+    has_named_parameters: bool = False  # few, each with a meaning of its own
 
 
 @dataclass(frozen=True)
@@ -206,6 +207,22 @@ class InverseResults:
     feed_forward: Codes
 
 
+SIGNALS = ("U", "p1", "p2", "Q", "dp", "T")
+
+
+@dataclass(frozen=True)
+class SignalResults:
+    """The newest sample of each of M valves, as it came, in our units.
+
+    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN is what is not there. ``quality`` (M,) is the
+    source's, BAD where the sensors are lost; ``t`` (M,) is 0 before the first sample.
+    """
+
+    t: Times
+    quality: Codes
+    values: Floats
+
+
 @dataclass(frozen=True)
 class Results:
     """All that is published of M valves that are treated alike.
@@ -218,6 +235,7 @@ class Results:
     inverse: InverseResults
     counters: Times
     counter_names: tuple[str, ...]
+    signals: SignalResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""

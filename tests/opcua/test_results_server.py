@@ -21,6 +21,7 @@ from service.streaming.ports import (
     EstimatorResult,
     Health,
     InverseResult,
+    SignalResults,
     SourceCounters,
     ValveDescription,
 )
@@ -34,7 +35,11 @@ VALVES = (
         name="Valvistor",
         estimators=(
             EstimatorDescription(
-                "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True
+                "RLS",
+                "Recursive least squares.",
+                ("a1", "a2"),
+                has_forgetting_factor=True,
+                has_named_parameters=True,
             ),
             EstimatorDescription(
                 "RBF", "Radial basis functions.", ("w1",), has_forgetting_factor=False
@@ -187,12 +192,44 @@ async def called(client, owner, name, *arguments):
     return await (await node(client, owner)).call_method(f"{index}:{name}", *arguments)
 
 
+async def test_signals_and_parameters_are_scalars_beside_the_results(server, observer):
+    measured = np.array([[50.0, 200.0, 80.0, 60.0, 120.0, np.nan]])
+    newest = SignalResults(np.array([T]), np.array([Quality.GOOD], np.uint8), measured)
+    await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, newest))
+    for name, number in zip(("U", "p1", "p2", "Q", "dp"), measured[0, :5], strict=True):
+        assert await value(observer, f"Valvistor.Signals.{name}") == (number, Codes.Good, T)
+    assert (await value(observer, "Valvistor.Signals.T"))[1] == Codes.BadNoData
+    assert await value(observer, "Valvistor.RLS.Parameters.a1") == (1.0, Codes.Good, T)
+    assert await value(observer, "Valvistor.RLS.Parameters.a2") == (-2.5, Codes.Good, T)
+    unit = await (await node(observer, "Valvistor.Signals.dp")).get_child("0:EngineeringUnits")
+    assert (await unit.read_value()).UnitId == 4342098
+    for path in ("Valvistor/Signals/Q", "Valvistor/RLS/Parameters/a2"):
+        index = await observer.get_namespace_index(NAMESPACE)
+        steps = [f"{index}:{step}" for step in f"Identification/{path}".split("/")]
+        await observer.nodes.objects.get_child(steps)
+    index = await observer.get_namespace_index(NAMESPACE)
+    with pytest.raises(ua.uaerrors.BadNoMatch):
+        await (await node(observer, "Valvistor.RBF")).get_child(f"{index}:Parameters")
+
+
+@pytest.mark.parametrize(
+    ("quality", "code"),
+    [(Quality.UNCERTAIN, Codes.Uncertain), (Quality.BAD, Codes.Bad)],
+)
+async def test_a_signal_is_as_good_as_its_source_says(server, observer, quality, code):
+    one = np.ones((1, 6))
+    newest = SignalResults(np.array([T]), np.array([quality], np.uint8), one)
+    await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, newest))
+    assert (await value(observer, "Valvistor.Signals.Q"))[1] == code
+
+
 async def test_before_any_result_everything_waits(observer):
     for name in ("PredictedFlow", "ParameterVector", "SampleCount", "Status"):
         assert (await value(observer, f"V2.RLS.{name}"))[:2] == (
             None,
             Codes.BadWaitingForInitialData,
         )
+    assert (await value(observer, "V2.Signals.Q"))[1] == Codes.BadWaitingForInitialData
     assert (await value(observer, "V2.RLS.ParameterNames"))[:2] == (["a1"], Codes.Good)
 
 

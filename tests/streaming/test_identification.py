@@ -248,3 +248,16 @@ def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
     )
     insisting.take(as_changes(swapped))
     assert insisting.result(0).estimators["RLS"].sample_count == 300
+
+
+def test_the_newest_sample_is_published_as_the_source_sent_it(identification):
+    samples = plant(20)
+    identification.take(as_changes(samples))
+    (results,) = identification.results([0])
+    last = samples[19:]
+    assert results.signals.t.tolist() == last.t.tolist()
+    expected = [x[0] for x in (last.U, last.p1, last.p2, last.Q, last.dp, last.T)]
+    assert results.signals.values.tolist() == [expected]
+    assert results.signals.quality.tolist() == [Quality.GOOD]
+    (results,) = identification.results([0], lost=np.array([True]))
+    assert results.signals.quality.tolist() == [Quality.BAD]
