@@ -10,6 +10,7 @@ from service.opcua.connection import (
     Connection,
     Security,
     SourceSettings,
+    Ticket,
     open_connection,
     status_name,
 )
@@ -23,7 +24,14 @@ from service.opcua.source_nodes import (
     clock_of_source,
 )
 from service.opcua.source_units import Scales, check_units
-from service.opcua.subscription import Subscription, Tally, subscribe
+from service.opcua.subscription import (
+    LIFETIME_S,
+    Left,
+    Subscription,
+    Tally,
+    subscribe,
+    take_over,
+)
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import SourceCounters
 
@@ -66,6 +74,10 @@ class OpcUaSource:
         self._started = 0
         self._clock_offset_s = 0.0
         self._connection: Connection | None = None
+        self._ticket: Ticket | None = None
+        self._left: Left | None = None
+        self._left_at = 0.0
+        self._undelivered: list[DataChanges] = []
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
         self._scales = Scales(self._valves)
@@ -86,7 +98,7 @@ class OpcUaSource:
         return self._clock_offset_s
 
     async def connect(self) -> None:
-        """Connect, check every node, subscribe.
+        """Connect; go on with what the server holds for us, or check every node and subscribe.
 
         Raises
         ------
@@ -97,21 +109,16 @@ class OpcUaSource:
         CertificateError
             if our own certificate or key cannot be used.
         """
-        await self.close()
-        connection = await open_connection(self._settings)
+        await self.drop()
+        connection = await open_connection(self._settings, self._ticket)
         try:
-            nodes = await check_nodes(connection, self._valves)
-            await check_units(connection, self._valves, nodes)
             source_clock = await self._read_clock(connection)
-            if self._ready is not None:
-                await self._ready()
-            subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
+            subscription = await self._take_over(connection) or await self._subscribe(connection)
         except BaseException:
-            await connection.close()
+            await (connection.hang_up() if self.is_held else connection.close())
             raise
         self._connection, self._subscription = connection, subscription
         self._started = source_clock.started
-        self._writable = nodes.writable
 
     async def receive(self) -> DataChanges:
         """Wait for data changes and return all that have arrived, in order and in our units.
@@ -121,6 +128,10 @@ class OpcUaSource:
         SourceLost
             if the connection was cut, or fell silent for longer than its keep-alives allow.
         """
+        if self._undelivered:
+            changes = DataChanges.concatenate(self._undelivered)
+            self._undelivered.clear()
+            return self._scales(changes)
         if self._subscription is None:
             raise SourceLost(f"{self._settings.url}: not connected")
         return self._scales(await self._subscription.receive())
@@ -181,8 +192,58 @@ class OpcUaSource:
         self._clock_offset_s = ahead_s if found.now and abs(ahead_s) > doubt_s else 0.0
         return found
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the server may still hold for us what we have not heard."""
+        return self._left is not None and self._clock.monotonic() - self._left_at < LIFETIME_S
+
+    async def drop(self) -> None:
+        """Hang up without a word; the server goes on to collect for us. Safe to call twice."""
+        subscription, self._subscription = self._subscription, None
+        connection, self._connection = self._connection, None
+        if subscription is not None:
+            await subscription.stop()
+            self._leave(subscription)
+        if connection is not None:
+            self._ticket = connection.ticket
+            await connection.hang_up()
+
+    def _leave(self, subscription: Subscription) -> None:
+        left = subscription.left()
+        self._left, self._left_at = left, self._clock.monotonic()
+        self._undelivered += left.buffer
+
+    async def _take_over(self, connection: Connection) -> Subscription | None:
+        """Go on with the subscription of the connection before, if the server still has it."""
+        if self._left is None:
+            return None
+        subscription = await take_over(connection, self._left, self._tally, self._clock)
+        if subscription is not None:
+            known = False
+            try:
+                known = await subscription.catch_up()
+            finally:
+                at = self._left_at
+                self._leave(subscription)
+                self._left_at = at
+            if known:
+                subscription.start()
+                return subscription
+        self._left = None
+        return None
+
+    async def _subscribe(self, connection: Connection) -> Subscription:
+        nodes = await check_nodes(connection, self._valves)
+        await check_units(connection, self._valves, nodes)
+        if self._ready is not None:
+            await self._ready()
+        subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
+        self._writable = nodes.writable
+        return subscription
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
+        self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
         if subscription is not None:

@@ -92,6 +92,26 @@ class BatchSession(UaSession):
         request.Parameters.BrowsePaths = browse_paths
         return (await self._ask(request, ua.TranslateBrowsePathsToNodeIdsResponse)).Results
 
+    async def resume(self, token: ua.NodeId) -> None:
+        """Take up a session that was made over another connection; it is to be activated."""
+        self.restore_authentication_token(token)
+        self._set_state(SessionState.CREATED)
+
+    @override
+    async def transfer_subscriptions(
+        self, params: ua.TransferSubscriptionsParameters
+    ) -> list[ua.TransferResult]:
+        request = ua.TransferSubscriptionsRequest(Parameters=params)
+        response = await self._ask(request, ua.TransferSubscriptionsResponse)
+        return response.Parameters.Results
+
+    @override
+    async def modify_monitored_items(
+        self, params: ua.ModifyMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemModifyResult]:
+        request = ua.ModifyMonitoredItemsRequest(Parameters=params)
+        return (await self._ask(request, ua.ModifyMonitoredItemsResponse)).Results
+
     async def _ask(self, request: object, kind: type[_T]) -> _T:
         return decode_response(kind, await self.request(request))
 

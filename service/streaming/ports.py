@@ -74,8 +74,15 @@ class Source(Protocol):
         SourceLost, SourceRejected
         """
 
+    async def drop(self) -> None:
+        """Leave a connection that is lost: what the source holds for us is there at `connect`."""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the source may still hold for us what we have not heard."""
+
     async def close(self) -> None:
-        """Disconnect; safe to call twice, and after a loss."""
+        """Disconnect for good; safe to call twice, and after a loss."""
 
     @property
     def counters(self) -> SourceCounters:

@@ -44,6 +44,7 @@ class SupervisorSettings:
 
     startup_timeout_s: float = 10.0
     tick_s: float = 0.25
+    longest_pause_while_held_s: float = 2.0
     pauses: Callable[[], Iterator[float]] = backoff
 
 
@@ -79,8 +80,10 @@ async def supervise(
                 )
                 if hopeless and not ever_connected:
                     raise
-                await source.close()
+                await source.drop()
                 pause = next(pauses)
+                if source.is_held:
+                    pause = min(pause, settings.longest_pause_while_held_s)
                 if ever_connected:
                     await consumer.lost(error)
                     log.warning("source lost", reason=str(error), next_try_in_s=pause)

@@ -53,6 +53,8 @@ class FakeSource:
     heartbeats: list = field(default_factory=list)
     refuses: bool = False
     closed: int = 0
+    dropped: int = 0
+    is_held: bool = False
     counters: SourceCounters = field(default_factory=SourceCounters)
     started: int = 0
     clock_offset_s: float = 0.0
@@ -78,6 +80,9 @@ class FakeSource:
 
     async def write_heartbeat(self, valve, count):
         self.heartbeats.append((valve, count))
+
+    async def drop(self):
+        self.dropped += 1
 
     async def close(self):
         self.closed += 1
