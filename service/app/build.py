@@ -3,11 +3,10 @@
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from importlib.metadata import version
-from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
-from service.errors import ConfigurationError
+from service.config.secret_files import read_secret
 from service.hardened import (
     Limits,
     OwnCertificate,
@@ -164,18 +163,3 @@ def _password(source: SourceConfig) -> str | None:
     if source.password_file is None:
         return None
     return read_secret(source.password_file)
-
-
-def read_secret(file: Path) -> str:
-    """The first line of a file that holds a password.
-
-    Raises
-    ------
-    ConfigurationError
-        naming the file.
-    """
-    try:
-        return file.read_text(encoding="utf-8").splitlines()[0]
-    except (OSError, IndexError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it holds no password"
-        raise ConfigurationError(f"{file}: {str(reason).lower()}") from None
