@@ -28,6 +28,7 @@ INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
+LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
 U_RANGE = (0.0, 100.0)
 YEAR_S = 3.15e7
@@ -239,6 +240,16 @@ def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
             range=valve.dp_range,
             dimensions=(0,),
         ),
+    )
+
+
+def last_action(valve: ValveDescription) -> VariableNode:
+    """What was done to a valve last."""
+    return VariableNode(
+        f"{valve.name}.{LAST_ACTION}",
+        "What a user did to this valve last, and who: the name, a colon, the method or the demand. "
+        "Its SourceTimestamp says when.",
+        ua.VariantType.String,
     )
 
 

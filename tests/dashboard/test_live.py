@@ -3,37 +3,14 @@
 import asyncio
 import json
 import struct
-from contextlib import asynccontextmanager
 
 import pytest
+from support.served_page import served
 from support.shown_service import Read, ShownService
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from service.clock import SystemClock
-from service.dashboard.server import open_socket, serve, url_of
-from service.dashboard.settings import PageSettings
-from service.dashboard.web import Page
-
 WATCH = {"watch": {"valve": "V1", "estimator": None, "overview": True}}
-
-
-@asynccontextmanager
-async def served(shown, **settings):
-    own = PageSettings(port=0, **settings)
-    page = Page(shown, lambda *_: (shown, None), own, SystemClock())
-    listening, stop = open_socket(own), asyncio.Event()
-    tasks = [
-        asyncio.create_task(serve(page.guard, own, listening, stop)),
-        asyncio.create_task(page.observer.run()),
-    ]
-    try:
-        yield page, url_of(own, listening)
-    finally:
-        stop.set()
-        await tasks[0]
-        tasks[1].cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def drain(socket, seconds):

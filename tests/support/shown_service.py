@@ -63,7 +63,10 @@ class ShownService:
             parts = ("RLS", "Inverse", "Diagnostics", "Signals")
             return [Node(f"{id}.Frame", is_variable=True), *(Node(f"{id}.{p}") for p in parts)]
         below = {
-            "RLS": ("ParameterStd", "Coverage", "PredictedFlow", "ParameterNames"),
+            "RLS": (
+                *("ParameterStd", "Coverage", "PredictedFlow", "ParameterNames"),
+                *("SuggestedU", "SuggestedDp"),
+            ),
             "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
             "Diagnostics": ("Aligned", "Late"),
             "Signals": ("U", "dp", "Q"),

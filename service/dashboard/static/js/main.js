@@ -24,7 +24,7 @@ const SILENT_MS = 4000; // the page hears something every second
 const live = new Live();
 const root = document.querySelector("main"), nav = document.querySelector(".views"), strip = document.querySelector(".strip");
 const link = document.querySelector(".link"), linkText = document.querySelector(".link-text");
-let close = () => {}, shown = null, chosen = {};
+let close = () => {}, shown = null, chosen = {}, searching = false;
 
 function views() { return VIEWS.filter((view) => !view.onlyWithRig || user.hasRig); }
 
@@ -61,6 +61,7 @@ function show() {
   live.watch(view.ofValve ? valve.name : null, view.withMap ? estimator : null);
   if (view.ofValve && live.valves.length > 1) root.append(valvePicker(view, valve));
   close = view.draw(root, { live, valve, estimator, choose, user }) ?? (() => {});
+  if (searching) { searching = false; root.querySelector("input[type=search]")?.focus(); }
 }
 
 function nothing() {
@@ -121,8 +122,8 @@ document.addEventListener("keydown", (event) => {
     root.focus();
   } else if (event.key === "/") {
     event.preventDefault();
-    if (place().view.key !== "overview") location.hash = "#/overview";
-    requestAnimationFrame(() => root.querySelector("input[type=search]")?.focus());
+    if (place().view.key === "overview") root.querySelector("input[type=search]")?.focus();
+    else { searching = true; location.hash = "#/overview"; }
   }
 });
 

@@ -87,7 +87,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     if (!Array.isArray(std) || !U || !dp) { say(heatWords, "The service has not surveyed this map yet."); return; }
     const { context, width, height } = pen(heat), left = 42, bottom = 34;
     const w = (width - left - 8) / dp.length, hgt = (height - bottom - 4) / U.length;
-    const known = std.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b), most = known[Math.floor(0.9 * known.length)] || 1;
+    const known = std.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);
+    const noise = of("NoiseStd"), most = noise > 0 ? noise : known[Math.floor(0.9 * known.length)] || 1;
     std.forEach((row, i) => row.forEach((s, j) => {
       const x = left + j * w, y = height - bottom - (i + 1) * hgt;
       const seen = Array.isArray(age) ? age[i]?.[j] : NaN;
@@ -110,7 +111,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     context.fillText("U in %", 0, 0);
     context.restore();
     if (Number.isFinite(u)) {
-      const x = left + (p / (2 * dp[0] + (dp.at(-1) - dp[0]))) * (w * dp.length), y = height - bottom - (u / 100) * (hgt * U.length);
+      const x = left + (cell(dp, p) + 0.5) * w, y = Math.max(height - bottom - (cell(U, u) + 0.5) * hgt, 8);
       context.beginPath();
       context.arc(x, y, 6, 0, 2 * Math.PI);
       context.fillStyle = css("--ink");
@@ -120,12 +121,20 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       context.stroke();
     }
     const never = Array.isArray(age) ? age.flatMap((row) => [...row]).filter((seconds) => !Number.isFinite(seconds)).length : 0;
-    say(heatWords, `${never} of ${U.length * dp.length} regions were never measured (pale). Colour: standard deviation, up to ${fixed(most, 2)} l/min. Paler regions: last visit more than ${span(FRESH_S)} ago.`);
+    say(heatWords, `${never} of ${U.length * dp.length} regions were never measured (palest); the pale ones not for ${span(FRESH_S)}. Red: the map is as unsure as one measurement, ± ${fixed(2 * most, 2)} l/min.`);
   }
 
   const timer = setInterval(update, REFRESH_MS);
   update();
   return () => clearInterval(timer);
+}
+
+/** Where a value lies between the middles of cells: 0 is the middle of the first. */
+function cell(middles, value) {
+  let k = 1;
+  while (k < middles.length - 1 && middles[k] < value) k++;
+  const at = k - 1 + (value - middles[k - 1]) / (middles[k] - middles[k - 1]);
+  return Math.min(Math.max(at, -0.5), middles.length - 0.5);
 }
 
 /** green → yellow → red */

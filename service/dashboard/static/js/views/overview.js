@@ -3,8 +3,9 @@
 import { h, mark, say } from "../dom.js";
 import { clock, count, fixed, REASON_SENTENCES, REASONS, span } from "../format.js";
 
+const byName = new Intl.Collator("en", { numeric: true }).compare;
 const HEIGHT = 34; // px of a row; as in page.css
-const MARGIN = 8; // rows drawn above and below what is seen
+const MARGIN = 4; // rows drawn above and below what is seen
 const COLUMNS = [
   ["severity", "State", "140px", ""], ["name", "Valve", "22%", ""], ["why", "Why", "", ""],
   ["since", "Since", "150px", ""], ["rmse", "RMSE, l/min", "110px", ".number"],
@@ -15,7 +16,7 @@ export function overviewView(root, { live }) {
   const search = h("input", { type: "search", placeholder: "Search valves and reasons  ( / )", "aria-label": "Search", size: 30 });
   const counts = h("span.counts"), table = h("tbody"), body = h("div.rows.card", { tabindex: 0, role: "region", "aria-label": "Valves" });
   const top = h("tr", { "aria-hidden": "true" }, h("td", { colspan: COLUMNS.length })), bottom = top.cloneNode(true);
-  let order = { by: "severity", down: true }, rows = [], drawn = [];
+  let order = { by: "severity", down: true }, rows = [], drawn = [], seen = 0;
 
   const heads = COLUMNS.map(([key, title, width, kind]) => h(`th${kind}`, { style: width ? { width } : {}, scope: "col" },
     h("button", { type: "button", onclick: () => { order = { by: key, down: order.by === key ? !order.down : key !== "name" }; sort(); } }, title)));
@@ -26,12 +27,12 @@ export function overviewView(root, { live }) {
   function sort() {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     rows = live.valves.map(({ name }, number) => ({ name, number, ...live.rows.get(number) })).filter((row) => row.severity !== undefined)
-      .filter((row) => words.every((word) => `${row.name} ${REASONS[row.reason]} ${REASON_SENTENCES[row.reason]}`.toLowerCase().includes(word)));
+      .filter((row) => !words.length || words.every((word) => `${row.name} ${REASONS[row.reason]} ${REASON_SENTENCES[row.reason]}`.toLowerCase().includes(word)));
     const key = { severity: (r) => 1000 * r.severity + r.reason, why: (r) => r.reason, name: (r) => r.name }[order.by] ?? ((r) => r[order.by]);
     const sign = order.down ? -1 : 1;
     rows.sort((a, b) => {
       const [x, y] = [key(a), key(b)];
-      if (typeof x === "string") return sign * x.localeCompare(y, "en", { numeric: true });
+      if (typeof x === "string") return sign * byName(x, y);
       return sign * ((x || 0) - (y || 0)) || a.since - b.since || a.number - b.number;
     });
     heads.forEach((head, k) => {
@@ -48,7 +49,7 @@ export function overviewView(root, { live }) {
   /** Only the rows that are seen exist. */
   function draw() {
     const first = Math.max(Math.floor(body.scrollTop / HEIGHT) - MARGIN, 0);
-    const last = Math.min(first + Math.ceil(body.clientHeight / HEIGHT) + 2 * MARGIN, rows.length);
+    const last = Math.min(first + Math.ceil(seen / HEIGHT) + 2 * MARGIN, rows.length);
     top.firstChild.style.height = `${first * HEIGHT}px`;
     bottom.firstChild.style.height = `${(rows.length - last) * HEIGHT}px`;
     top.hidden = first === 0;
@@ -76,9 +77,15 @@ export function overviewView(root, { live }) {
     say(samples, count(row.samples));
   }
 
-  search.addEventListener("input", sort);
-  body.addEventListener("scroll", draw, { passive: true });
-  const resize = new ResizeObserver(draw);
+  /** Once before the next frame, however often it is asked for. */
+  function soon(what) {
+    let due = 0;
+    return () => { due ||= requestAnimationFrame(() => { due = 0; what(); }); };
+  }
+
+  search.addEventListener("input", soon(sort));
+  body.addEventListener("scroll", soon(draw), { passive: true });
+  const resize = new ResizeObserver(() => { seen = body.clientHeight; draw(); });
   resize.observe(body);
   live.addEventListener("rows", sort);
   sort();

@@ -23,7 +23,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
   const table = estimatorTable(estimators, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
-  const spread = h("canvas.bars", { role: "img" }), follow = h("canvas.bars", { role: "img" });
+  const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
   const spreadWords = h("p.words"), followWords = h("p.words");
   const facts = h("dl.facts");
   const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
@@ -161,7 +161,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
     const shown = names.slice(0, MOST_PARAMETERS);
     while (parameters.rows.length > shown.length) parameters.deleteRow(-1);
     shown.forEach((name, k) => {
-      const row = parameters.rows[k] ?? parameters.appendChild(h("tr", {}, h("td"), h("td.number.value"), h("td.number"), h("td", {}, h("canvas.std"))));
+      const row = parameters.rows[k] ?? parameters.appendChild(h("tr", {}, h("td"), h("td.number.value"), h("td.number"), h("td", {}, h("canvas.std", { "aria-hidden": "true" }))));
       const value = live.number(`${selected}.ParameterVector.${name}`), reach = 2 * (std[k] ?? NaN);
       say(row.cells[0], name);
       say(row.cells[1], short(value));
