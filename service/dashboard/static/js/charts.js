@@ -48,14 +48,15 @@ export function timeChart(parent, height, series, { unit, unit2, bands = [], ran
       ...(unit2 ? { second: {} } : {}),
     },
     axes: [
-      axis(null, { size: 26, space: 90, values: (_, ticks) => ticks.map((t) => clock.format(new Date(t * 1000))) }),
+      axis(null, { size: 26, labelSize: 0, space: 90, values: (_, ticks) => ticks.map((t) => clock.format(new Date(t * 1000))) }),
       axis(unit),
       ...(unit2 ? [axis(unit2, { scale: "second", side: 1, grid: { show: false } })] : []),
     ],
     series: [
       {},
-      ...series.map(({ label, colour, width = 1.5, scale = "y" }) => ({
-        label, width: width || 1, scale, stroke: width ? () => css(colour) : "transparent", points: { show: false },
+      ...series.map(({ label, colour, width = 1.5, scale = "y", dots = false }) => ({
+        label, width: width || 1, scale, stroke: width ? () => css(colour) : "transparent",
+        points: { show: dots, size: 4, width: 0, fill: () => css(colour) }, ...(dots ? { paths: () => null } : {}),
       })),
     ],
     bands: bands.map(([upper, lower, colour]) => ({ series: [upper, lower], fill: () => `${css(colour)}26` })),

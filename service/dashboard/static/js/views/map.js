@@ -99,7 +99,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
       margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
-      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: plotted ? undefined : { eye: { x: -1.5, y: -1.42, z: 0.8 }, center: { x: 0.04, y: 0, z: -0.14 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
+      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.5, y: -1.42, z: 0.8 }, center: { x: 0.04, y: 0, z: -0.14 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;

@@ -14,7 +14,7 @@ const REDRAW_MS = 250; // of what is counted rather than seen
 export function valveView(root, { live, valve, estimator, choose }) {
   const estimators = valve.estimators;
   const closers = [];
-  const flows = new History(4 + estimators.length), residuals = new History(3), drives = new History(2);
+  const flows = new History(4), residuals = new History(3), drives = new History(2);
   const bySelected = [];
   let selected = estimators.includes(estimator) ? estimator : valve.primary;
   let drawnAt = 0;
@@ -27,6 +27,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   const spreadWords = h("p.words"), followWords = h("p.words");
   const facts = h("dl.facts");
   const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
+  const driveCard = card("Control voltage and pressure drop", driveChart);
 
   root.append(
     h("div.head", {}, h("h1", {}, valve.name), badge, sentence),
@@ -35,7 +36,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
       h("div.grid", {},
         card("Flow, measured and predicted", flowChart, legend()),
         card("Residual Q − Q̂", residualChart),
-        card("Control voltage and pressure drop", driveChart),
+        driveCard,
       ),
       h("div.grid", {},
         h("section.card", {}, h("header", {}, h("h2", {}, "Estimators")), table.element),
@@ -53,7 +54,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
   const flow = timeChart(flowChart, 196, [
     { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
-    { label: "measured", colour: "--measured", width: 1 }, { label: "predicted", colour: "--line-1", width: 2 },
+    { label: "predicted", colour: "--line-1", width: 1.5 }, { label: "measured", colour: "--measured", dots: true },
   ], { unit: "Q in l/min", bands: [[1, 2, "--line-1"]] });
   const residual = timeChart(residualChart, 150, [
     { label: "upper", colour: "--line-6", width: 0 }, { label: "lower", colour: "--line-6", width: 0 },
@@ -77,6 +78,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   function update() {
     const of = (name) => `${selected}.${name}`;
     for (const name of SIGNALS) signals[name].show(live);
+    driveCard.hidden = !live.has("Signals.U"); // an older service does not publish its signals
     const entry = live.get(of("PredictedFlow"));
     if (entry?.t) {
       const predicted = entry.value, missed = live.number(of("Residual")), noise = live.number(of("NoiseStd"));
@@ -84,10 +86,10 @@ export function valveView(root, { live, valve, estimator, choose }) {
       if (t > residuals.last) {
         if (Number.isFinite(missed)) bySelected.push(missed);
         if (bySelected.length > RESIDUALS) bySelected.shift();
-        flows.add(t, [predicted + reach, predicted - reach, predicted + missed, predicted]);
+        flows.add(t, [predicted + reach, predicted - reach, predicted, predicted + missed]);
         residuals.add(t, [2 * noise, -2 * noise, missed]);
         drives.add(t, [live.number("Signals.U"), live.number("Signals.dp")]);
-        flow.chart.setData(flows.data.slice(0, 5));
+        flow.chart.setData(flows.data);
         residual.chart.setData(residuals.data);
         drive.chart.setData(drives.data);
       }
@@ -223,6 +225,7 @@ function signalTile(name) {
         const first = live.names().find((known) => known.endsWith(".PredictedFlow"))?.split(".")[0];
         shown = live.number(`${first}.PredictedFlow`) + live.number(`${first}.Residual`);
       }
+      element.hidden = name !== "Q" && !live.has(`Signals.${name}`);
       say(value, fixed(shown, 1));
       mark(element, "quality", live.quality(`Signals.${name}`));
     },
@@ -257,7 +260,7 @@ function card(title, body, extra = null) {
 
 function legend() {
   return h("div.legend", {},
-    h("span", {}, h("i", { style: { "--c": "var(--measured)" } }), "measured"),
+    h("span", {}, h("i.dot", { style: { "--c": "var(--measured)" } }), "measured"),
     h("span", {}, h("i", { style: { "--c": "var(--line-1)" } }), "predicted"),
     h("span", {}, h("i", { style: { "--c": "color-mix(in srgb, var(--line-1) 25%, transparent)", height: "9px" } }), "95 % of measurements"));
 }
