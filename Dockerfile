@@ -42,7 +42,7 @@ ENV PATH=/opt/valvemap/venv/bin:$PATH \
 WORKDIR /data
 VOLUME /data
 USER 10001:10001
-EXPOSE 4840 4841
+EXPOSE 4840 4841 8080
 STOPSIGNAL SIGINT
 HEALTHCHECK --interval=10s --timeout=6s --start-period=60s --retries=3 \
     CMD ["python", "/opt/valvemap/healthcheck.py", "4841"]

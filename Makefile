@@ -56,7 +56,7 @@ report: $(RUNTIME)
 
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
-	    --extra plot --extra parquet pyproject.toml -o requirements.lock
+	    --extra dashboard --extra plot --extra parquet pyproject.toml -o requirements.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --all-extras --group dev pyproject.toml -c requirements.lock -o requirements-dev.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \

@@ -168,7 +168,7 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
 # -- docker-compose.yml
 
 
-@pytest.mark.parametrize("name", ["init", "rig", "service"])
+@pytest.mark.parametrize("name", ["init", "rig", "service", "page"])
 def test_every_container_is_locked_down(name):
     container = SERVICES[name]
     assert container["user"] == FINAL.last("USER")
@@ -182,13 +182,34 @@ def test_every_container_is_locked_down(name):
     assert "data" in COMPOSE["volumes"]
 
 
-def test_there_are_three_containers():
-    assert list(SERVICES) == ["init", "rig", "service"]
+def test_there_are_four_containers_and_two_more_to_watch_them():
+    of_profile = {name: service.get("profiles") for name, service in SERVICES.items()}
+    monitoring = ["monitoring"]
+    assert of_profile == {
+        **dict.fromkeys(["init", "rig", "service", "page"]),
+        **dict.fromkeys(["prometheus", "grafana"], monitoring),
+    }
+
+
+@pytest.mark.parametrize("name", ["prometheus", "grafana"])
+def test_what_watches_is_locked_down_too_and_changes_nothing(name):
+    container = SERVICES[name]
+    assert container["read_only"] is True
+    assert container["cap_drop"] == ["ALL"]
+    assert re.search(r":v?\d+\.\d+\.\d+$", container["image"])
+    for volume in container["volumes"]:
+        source, _, *read_only = volume.split(":")
+        if source.startswith("./"):
+            assert (ROOT / source).is_file()
+            assert read_only == ["ro"]
+        else:
+            assert source in COMPOSE["volumes"]
 
 
 def test_ports_are_published_on_loopback_alone():
     assert "ports" not in SERVICES["init"]
-    for name, port in (("rig", 4840), ("service", 4841)):
+    ports = {"rig": 4840, "service": 4841, "page": 8080, "prometheus": 9090, "grafana": 3000}
+    for name, port in ports.items():
         (published,) = SERVICES[name]["ports"]
         assert re.fullmatch(rf"127\.0\.0\.1:\$\{{\w+:-{port}\}}:{port}", published)
 
@@ -197,7 +218,7 @@ def test_init_runs_once_before_the_others_and_needs_no_network():
     assert SERVICES["init"]["command"] == ["init"]
     assert SERVICES["init"]["restart"] == "no"
     assert SERVICES["init"]["network_mode"] == "none"
-    for name in ("rig", "service"):
+    for name in ("rig", "service", "page"):
         waits = SERVICES[name]["depends_on"]
         assert waits["init"] == {"condition": "service_completed_successfully"}
     assert SERVICES["service"]["depends_on"]["rig"] == {"condition": "service_healthy"}
@@ -236,6 +257,20 @@ def test_the_commands_know_every_variable_that_they_are_given(name, monkeypatch)
     assert str(context.params["data"]) == "/data"
     hosts = context.params["host" if name == "rig" else "rig_host"]
     assert list(hosts) == ["rig", "localhost"]
+
+
+def test_the_page_s_variables_are_options_of_its_command(monkeypatch):
+    command, words = command_line("page")
+    for variable, value in environment("page").items():
+        monkeypatch.setenv(variable, value)
+    known = {option.envvar for option in command.params if option.envvar}
+    assert set(SERVICES["page"]["environment"]) <= known
+    options = command.make_context(words[0], words[1:]).params
+    assert options["url"] == "opc.tcp://service:4841/valvemap/service/"
+    assert options["listen"] == "0.0.0.0:8080"
+    assert list(options["host_name"]) == ["page", "localhost"]
+    _, address, path = SERVICES["page"]["healthcheck"]["test"][-1].rpartition("127.0.0.1:8080")
+    assert (address, path) == ("127.0.0.1:8080", "/livez")
 
 
 def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
+from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
 from service.hardened import (
     Limits,
@@ -212,18 +213,3 @@ def _password(source: SourceConfig) -> str | None:
     if source.password_file is None:
         return None
     return read_secret(source.password_file)
-
-
-def read_secret(file: Path) -> str:
-    """The first line of a file that holds a password.
-
-    Raises
-    ------
-    ConfigurationError
-        naming the file.
-    """
-    try:
-        return file.read_text(encoding="utf-8").splitlines()[0]
-    except (OSError, IndexError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it holds no password"
-        raise ConfigurationError(f"{file}: {str(reason).lower()}") from None

@@ -1,10 +1,7 @@
 """The live service from start to end."""
 
 import asyncio
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from types import FrameType
+from collections.abc import Callable
 
 import structlog
 
@@ -93,27 +90,3 @@ async def serve(
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:
                 live.keep()
-
-
-@contextmanager
-def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
-    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up."""
-    loop = asyncio.get_running_loop()
-
-    def on_hang_up(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(log.info, "hang-up: the service goes on")
-
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(stop.set)
-
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    with suppress(AttributeError):
-        numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
-    before = {number: signal.signal(number, on_signal) for number in numbers}
-    with suppress(AttributeError):
-        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, on_hang_up)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -14,6 +14,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "demo": "demo",
     "rig": "rig",
     "serve": "serve",
+    "dashboard": "dashboard",
     "replay": "replay",
     "invert": "invert",
     "export": "invert",

@@ -10,6 +10,7 @@ import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI
+from service.app.identities import PAGE_NAME, PAGE_URI, PAGE_USER
 from service.cli import rig
 from service.cli.options import FolderOption
 from service.config.template import configuration_template
@@ -57,6 +58,7 @@ def init(
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
     of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
     _trust_each_other(data, service, of_rig)
+    _make_page(data, service, of_rig)
     _make_configuration(data, service_host or [])
     typer.echo(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
 
@@ -66,7 +68,9 @@ def trust(
         str | None, typer.Argument(help="Certificate file, or the thumbprint of a rejected one.")
     ] = None,
     data: FolderOption = Path("data"),
-    of: Annotated[str, typer.Option(help="Who shall trust it: service or rig.")] = "service",
+    of: Annotated[
+        str, typer.Option(help="Who shall trust it: service, rig or dashboard.")
+    ] = "service",
     user: Annotated[
         str | None, typer.Option(metavar="NAME", help="Let this user log in with it.")
     ] = None,
@@ -135,6 +139,22 @@ def _certificate(
 def _trust_each_other(data: Path, service: OwnCertificate, of_rig: OwnCertificate) -> None:
     for whose, other in (("service", of_rig), ("rig", service)):
         trust_certificate(Pki(data / "pki" / whose), other.certificate)
+
+
+def _make_page(data: Path, *servers: OwnCertificate) -> None:
+    """Give the live page a certificate and an account that may look, nothing else."""
+    page = _certificate(data, "dashboard", PAGE_URI, PAGE_NAME, None)
+    trust_certificate(Pki(data / "pki" / "service"), page.certificate)
+    trust_certificate(Pki(data / "pki" / "rig"), page.certificate)
+    for server in servers:
+        trust_certificate(Pki(data / "pki" / "dashboard"), server.certificate)
+    secret_file, users_file = data / "dashboard-password", data / "users.json"
+    if secret_file.exists():
+        return
+    users, password = UserStore.load(users_file), secrets.token_urlsafe(24)
+    users.add(PAGE_USER, Role.OBSERVER, password)
+    _write_secret(secret_file, password)
+    users.save(users_file)
 
 
 def _make_users(data: Path, operator_password: str | None) -> None:

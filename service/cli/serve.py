@@ -14,7 +14,7 @@ from service.config.loading import load_config
 def serve(config: ConfigOption = None) -> None:
     """Subscribe to the source, identify, publish, until Ctrl-C."""
     from service.app.serve import serve as run
-    from service.app.serve import stop_on_signal
+    from service.app.signals import stop_on_signal
 
     loaded = load_config(config)
     set_up_logs(loaded.log)
@@ -36,7 +36,7 @@ def record(
 ) -> None:
     """Record the source's samples to a file."""
     from service.app.record import record as run
-    from service.app.serve import stop_on_signal
+    from service.app.signals import stop_on_signal
 
     check_folder("FILE", file)
 

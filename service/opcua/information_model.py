@@ -36,6 +36,7 @@ FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, WAITING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Waiting"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
+LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
 U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
@@ -303,6 +304,16 @@ def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             unit=Unit.SECOND,
             range=(0.0, 1.0),
         ),
+    )
+
+
+def last_action(valve: ValveDescription) -> VariableNode:
+    """What was done to a valve last."""
+    return VariableNode(
+        f"{valve.name}.{LAST_ACTION}",
+        "What a user did to this valve last, and who: the name, a colon, the method or the demand. "
+        "Its SourceTimestamp says when.",
+        ua.VariantType.String,
     )
 
 

@@ -24,6 +24,7 @@ from service.hardened import (
     add_method,
     add_object,
     add_variable,
+    caller,
     many_nodes,
 )
 from service.hardened import CommandRejected as Refused
@@ -37,6 +38,7 @@ from service.opcua.information_model import (
     FEED_FORWARD_STATUS,
     FRAME,
     INVERSE,
+    LAST_ACTION,
     NAMESPACE,
     PARAMETERS,
     ROOT,
@@ -55,6 +57,7 @@ from service.opcua.information_model import (
     health_variables,
     inverse_variables,
     lag_variables,
+    last_action,
     map_variable,
     parameter_variables,
     service_variables,
@@ -243,6 +246,7 @@ class ResultsServer(Startable):
             await self._add_variable(server, diagnostics, node, middles.tolist())
         for node in lag_variables(valve):
             await self._add_variable(server, diagnostics, node, None)
+        await self._add_variable(server, diagnostics, last_action(valve), "")
         for counter in valve.counters:
             node = counter_variable(valve.name, counter)
             variable = await self._add_variable(server, diagnostics, node, 0)
@@ -292,7 +296,7 @@ class ResultsServer(Startable):
         if parameters:
             name, what = f"{estimator.name}.{PARAMETERS}", "The parameters, each by itself."
             await self._add_side_by_side(server, parent, number, name, parameters, what)
-        command = partial(_add_command, server, parent, prefix)
+        command = partial(self._add_command, server, parent, prefix)
         who = (valve.name, estimator.name)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
         await command(
@@ -379,7 +383,7 @@ class ResultsServer(Startable):
                 self._places.append(Place(number, name, variable, None))
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
-        command = partial(_add_command, server, parent, prefix)
+        command = partial(self._add_command, server, parent, prefix)
         await command(
             "Arm",
             partial(self._arm, valve.name),
@@ -466,6 +470,7 @@ class ResultsServer(Startable):
     def _demand(self, valve: str, Q: float, dp: float) -> None:
         self._operator.demand(valve, Q, dp)
         self._demands[valve] = (Q, dp)
+        self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 
     def _arm(self, valve: str) -> None:
         self._operator.arm(valve)
@@ -480,6 +485,40 @@ class ResultsServer(Startable):
         if self._server is not None:
             variable = self._variables[f"{valve}.{INVERSE}.{ARMED}"]
             self._server.write([(variable, armed, ua.StatusCodes.Good, self._clock.now())])
+
+    async def _add_command(
+        self,
+        server: HardenedServer,
+        parent: ua.NodeId,
+        prefix: str,
+        name: str,
+        function: Callable[..., None],
+        description: str,
+        *inputs: Argument,
+    ) -> None:
+        valve, _, part = prefix.partition(".")
+
+        def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
+            _refusing(function)(*arguments)
+            given = "".join(f" {argument:g}" for argument in arguments)
+            self._note(valve, f"{part} {name}{given}")
+
+        await add_method(
+            server,
+            parent,
+            f"{prefix}.{name}",
+            command,
+            inputs=inputs,
+            required=Role.OPERATOR,
+            description=description,
+        )
+
+    def _note(self, valve: str, action: str) -> None:
+        """Show what was done to a valve, and by whom."""
+        if self._server is not None:
+            variable = self._variables[f"{valve}.{LAST_ACTION}"]
+            said = f"{caller()}: {action}"
+            self._server.write([(variable, said, ua.StatusCodes.Good, self._clock.now())])
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
         if not 0.0 < lam <= 1.0:
@@ -501,26 +540,6 @@ class ResultsServer(Startable):
     def _invert(self, valve: str, Q: float, dp: float, T: float) -> tuple[float, float, float, int]:
         answer = self._operator.invert(valve, Q, dp, T)
         return _first(answer.U), _first(answer.lower), _first(answer.upper), int(answer.status[0])
-
-
-async def _add_command(
-    server: HardenedServer,
-    parent: ua.NodeId,
-    prefix: str,
-    name: str,
-    function: Callable[..., None],
-    description: str,
-    *inputs: Argument,
-) -> None:
-    await add_method(
-        server,
-        parent,
-        f"{prefix}.{name}",
-        _refusing(function),
-        inputs=inputs,
-        required=Role.OPERATOR,
-        description=description,
-    )
 
 
 def _refusing(function: Callable[..., None]) -> Callable[..., None]:

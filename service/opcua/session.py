@@ -70,6 +70,22 @@ class BatchSession(UaSession):
         return (await self._ask(request, ua.WriteResponse)).Results
 
     @override
+    async def browse(self, parameters: ua.BrowseParameters) -> list[ua.BrowseResult]:
+        request = ua.BrowseRequest(Parameters=parameters)
+        return (await self._ask(request, ua.BrowseResponse)).Results
+
+    @override
+    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
+        request = ua.BrowseNextRequest(Parameters=parameters)
+        return (await self._ask(request, ua.BrowseNextResponse)).Parameters.Results
+
+    @override
+    async def call(self, methodstocall: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        parameters = ua.CallParameters(MethodsToCall=methodstocall)
+        request = ua.CallRequest(Parameters=parameters)
+        return (await self._ask(request, ua.CallResponse)).Results
+
+    @override
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Callable[..., Any] | None = None
     ) -> ua.CreateSubscriptionResult:

@@ -480,6 +480,21 @@ async def test_flow_and_pressure_make_a_demand_together(client, operator):
     assert (await value(client, "V2.Inverse.FlowDemand"))[:2] == (80.0, Codes.Good)
 
 
+async def test_what_was_done_last_is_shown_with_who_did_it(client, observer, operator):
+    last = "V3.Diagnostics.LastAction"
+    assert (await value(observer, last))[0] == ""
+    await called(client, "V3.RLS", "SetForgettingFactor", 0.995)
+    done = "operator: RLS SetForgettingFactor 0.995"
+    assert await value(observer, last) == (done, Codes.Good, T)
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await called(observer, "V3.RLS", "Freeze")
+    with pytest.raises(ua.uaerrors.BadInvalidState):
+        await called(client, "V3.Inverse", "Arm")
+    assert (await value(observer, last))[0] == done
+    await (await node(client, "V3.Inverse.FlowDemand")).write_value(80.0)
+    assert (await value(observer, last))[0] == "operator: Inverse demand 80 l/min at nan bar"
+
+
 async def test_a_demand_beyond_the_range_is_refused(client, operator):
     with pytest.raises(ua.uaerrors.BadOutOfRange):
         await (await node(client, "V2.Inverse.FlowDemand")).write_value(500.0)
