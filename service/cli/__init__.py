@@ -21,6 +21,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "report": "report",
     "record": "serve",
     "check-config": "serve",
+    "connect": "connect",
     "init": "security",
     "trust": "security",
     "warm-up": "serve",

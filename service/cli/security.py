@@ -54,7 +54,7 @@ def init(
     """Make certificates, users and configuration."""
     if data.exists() and not data.is_dir():
         raise typer.BadParameter(f"--data {data}: it is a file, a folder is needed")
-    _make_users(data, operator_password)
+    make_users(data, operator_password)
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
     of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
     _trust_each_other(data, service, of_rig)
@@ -157,7 +157,8 @@ def _make_page(data: Path, *servers: OwnCertificate) -> None:
     users.save(users_file)
 
 
-def _make_users(data: Path, operator_password: str | None) -> None:
+def make_users(data: Path, operator_password: str | None) -> None:
+    """Make users and their passwords, where there are none yet; say so."""
     file = data / "users.json"
     if file.exists():
         typer.echo(f"users: {file} is kept")
