@@ -2,12 +2,15 @@
 
 import asyncio
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.app.build import build_source
 from service.clock import SystemClock
+from service.config.models import Config
+from service.errors import SourceRejected
 from service.opcua.browsing import find_numbers
 from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.opcua.connection import open_connection
@@ -67,6 +70,51 @@ async def look_around(settings: SourceSettings, watch_s: float) -> Found:
     whole = [valve for valve in valves if not valve.missing]
     watched = await _watch(settings, whole, watch_s) if whole else {}
     return Found(tuple(_settled(valve, watched.get(valve.name, {})) for valve in valves), watched)
+
+
+async def check_online(config: Config, watch_s: float) -> list[str]:
+    """Connect as `serve` would, watch every signal, and say what was seen, a line each.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+        also where a signal sent nothing good: it names signal, node and valve.
+    """
+    changes = await _changes(build_source(config), watch_s)
+    lines: list[str] = []
+    silent: list[str] = []
+    for number, valve in enumerate(config.valves):
+        nodes = {role: node for role in ROLES if (node := getattr(valve.nodes, role)) is not None}
+        for role, seen in _seen_of(changes, number, nodes, watch_s).items():
+            comes = "on change" if seen.on_change else "cyclic"
+            lines.append(
+                f"{valve.name}.{role}: {seen.rate_hz:.3g} Hz, {comes}, skew {seen.skew_ms:.3g} ms, "
+                f"{100 * seen.good:.0f} % good, mean {seen.mean:.4g}, noise {seen.noise:.2g}"
+            )
+            if seen.good == 0.0:
+                silent.append(f"{role} of valve {valve.name} (node '{nodes[role]}')")
+            lines += _advice(config, valve.name, role, seen)
+    if silent:
+        raise SourceRejected(
+            f"{config.source.url}: nothing good came in {watch_s:g} s from {', '.join(silent)}; "
+            "is it the right node, and is it written?"
+        )
+    return lines
+
+
+def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
+    """What the configuration would need for a signal that came so."""
+    held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
+    if seen.on_change and held < seen.longest_s:
+        yield (
+            f"{valve}.{role}: hint: it comes on change, {seen.longest_s:.1f} s apart: "
+            f"alignment.hold_s = {{ {role} = {max(10.0, 5 * seen.longest_s):.0f} }}"
+        )
+    elif not seen.on_change and seen.skew_ms > config.alignment.tolerance_ms:
+        yield (
+            f"{valve}.{role}: hint: it is stamped {seen.skew_ms:.3g} ms beside the others: "
+            f"alignment.tolerance_ms = {np.ceil(2 * seen.skew_ms):.0f}"
+        )
 
 
 def configuration(found: Found, settings: SourceSettings, template: str) -> str:
@@ -164,8 +212,16 @@ async def _watch(
         )
         for valve in valves
     ]
-    clock, source = SystemClock(), OpcUaSource(settings, nodes)
-    parts: list[DataChanges] = []
+    changes = await _changes(OpcUaSource(settings, nodes), watch_s)
+    return {
+        valve.name: _seen_of(changes, number, valve.nodes, watch_s)
+        for number, valve in enumerate(valves)
+    }
+
+
+async def _changes(source: OpcUaSource, watch_s: float) -> DataChanges:
+    """All that a source sends within some seconds."""
+    clock, parts = SystemClock(), list[DataChanges]()
     await source.connect()
     try:
         ends = clock.monotonic() + watch_s
@@ -177,19 +233,16 @@ async def _watch(
                 break
     finally:
         await source.close()
-    changes = DataChanges.concatenate(parts)
-    return {
-        valve.name: _seen_of(changes, number, valve, watch_s) for number, valve in enumerate(valves)
-    }
+    return DataChanges.concatenate(parts)
 
 
 def _seen_of(
-    changes: DataChanges, number: int, valve: ValveProposal, watch_s: float
+    changes: DataChanges, number: int, roles: Collection[str], watch_s: float
 ) -> dict[str, Watched]:
     of_signal = {
         role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
         for place, role in enumerate(ROLES)
-        if role in valve.nodes
+        if role in roles
     }
     clock_signal = max(of_signal.values(), key=len)
     return {role: _seen(own, clock_signal, watch_s) for role, own in of_signal.items()}

@@ -54,9 +54,21 @@ def record(
 
 def check_config(
     config: Annotated[Path, typer.Argument(metavar="FILE", help="Configuration (TOML).")],
+    *,
+    online: Annotated[
+        bool, typer.Option("--online", help="Connect to the source and watch its signals, too.")
+    ] = False,
+    watch: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="With --online: so long.")
+    ] = 10.0,
 ) -> None:
     """Check a configuration file and say what it would do."""
     loaded = load_config(config)
+    if online:
+        from service.app.connect import check_online
+
+        for line in asyncio.run(check_online(loaded, watch)):
+            typer.echo(line)
     typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
     typer.echo(f"results  {loaded.server.url}")
     for valve in loaded.valves:

@@ -127,3 +127,20 @@ def test_what_is_open_is_asked_and_written_into_the_proposal(foreign, tmp_path, 
     assert run(asked) == 1
     assert "p2: no node was found" in capsys.readouterr().err
     assert '# p2 = "" # decide: no node was found' in out.read_text(encoding="utf-8")
+
+
+def test_an_existing_configuration_is_checked_against_its_server(foreign, tmp_path, capsys):
+    out, data = tmp_path / "plant.toml", tmp_path / "data"
+    asked = ["connect", foreign(), "--out", str(out), "--data", str(data), "--watch", "2", "--yes"]
+    assert run(asked) == 0
+    assert run(["check-config", str(out), "--online", "--watch", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "Ventil_2.Q: " in said
+    assert "hint" not in said
+    text = out.read_text(encoding="utf-8")
+    out.write_text(text.replace("tolerance_ms =", "tolerance_ms = 0 #"), encoding="utf-8")
+    assert run(["check-config", str(out), "--online", "--watch", "2"]) == 0
+    assert "alignment.tolerance_ms = " in capsys.readouterr().out
+    out.write_text(text.replace('p1 = { unit = "psi" }', ""), encoding="utf-8")
+    assert run(["check-config", str(out), "--online"]) == 1
+    assert "comes in psi, configured is bar: set unit = 'psi'" in capsys.readouterr().err
