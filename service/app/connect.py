@@ -167,7 +167,9 @@ def _of_valve(valve: ValveProposal) -> str:
     for role in ROLES:
         if role in valve.nodes:
             shown = "/".join(valve.nodes[role].path)
-            lines.append(f"{role} = {json.dumps(valve.nodes[role].node)} # {shown}")
+            lines.append(
+                f"{role} = {json.dumps(valve.nodes[role].node, ensure_ascii=False)} # {shown}"
+            )
         elif role != "T":
             lines.append(f'# {role} = "" # decide: no node was found')
     units = [line for role, node in valve.nodes.items() for line in _of_unit(role, node)]

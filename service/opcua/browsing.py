@@ -6,7 +6,7 @@ from typing import Final
 from asyncua import ua
 
 from service.opcua.connection import Connection, in_one_line
-from service.opcua.source_nodes import in_chunks, read_namespaces, operation_limits
+from service.opcua.source_nodes import in_chunks, operation_limits, read_namespaces
 from service.opcua.source_units import read_units
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.naming import Candidate

@@ -265,6 +265,17 @@ def discovery_variables(
     return (*found, structure) if estimator.chooses_structure else found
 
 
+def waiting_variable(valve: str) -> VariableNode:
+    """Why nothing is learnt from a valve."""
+    return VariableNode(
+        f"{valve}.{WAITING}",
+        "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
+        "each signal that is to blame, with the setting that would help; empty while all is well.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The regions of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"

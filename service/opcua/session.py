@@ -101,16 +101,6 @@ class BatchSession(UaSession):
         return (await self._ask(request, ua.CreateMonitoredItemsResponse)).Results
 
     @override
-    async def browse(self, parameters: ua.BrowseParameters) -> list[ua.BrowseResult]:
-        request = ua.BrowseRequest(Parameters=parameters)
-        return (await self._ask(request, ua.BrowseResponse)).Results
-
-    @override
-    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
-        request = ua.BrowseNextRequest(Parameters=parameters)
-        return (await self._ask(request, ua.BrowseNextResponse)).Results
-
-    @override
     async def translate_browsepaths_to_nodeids(
         self, browse_paths: list[ua.BrowsePath]
     ) -> list[ua.BrowsePathResult]:

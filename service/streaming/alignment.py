@@ -156,6 +156,11 @@ class Alignment:
         """How many samples of each valve wait, (V,)."""
         return waiting.order[:, slots.SIZE].copy()
 
+    def newest(self, waiting: Waiting, valve: int) -> Times:
+        """Source time of each signal's newest value, (5,), UTC ns; ``NEVER`` before the first."""
+        seen = waiting.order[valve, slots.SEEN : slots.SEEN + slots.SIGNALS]
+        return np.maximum(seen, waiting.held_time[valve])
+
     def flush(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
         """Have what waits for earlier samples leave without them; ``waiting`` as in `take`."""
         return self._run(waiting, DataChanges.empty(), valves, slots.FLUSH)

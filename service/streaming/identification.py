@@ -47,6 +47,7 @@ from service.streaming.ports import (
     ValveDescription,
     ValveResult,
 )
+from service.streaming.waiting import waited_for
 
 MAPS_AT_ONCE = 100
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
@@ -126,6 +127,11 @@ class Identification:
         columns = (getattr(last, name) for name in SIGNALS)
         newest.values[valves] = np.stack(list(columns), axis=1)
 
+    def _reasons(self, valve: int) -> tuple[str, ...]:
+        if self._implausible[valve]:
+            return tuple(finding.sentence for finding in self.findings(valve))
+        return self.waited_for(valve)
+
     def _signals(self, valves: Times, at_best: Codes) -> SignalResults:
         newest = self._newest
         quality = np.maximum(newest.quality[valves], at_best)
@@ -143,6 +149,12 @@ class Identification:
         for k in refused:
             quality[starts[k] : stops[k]] = Quality.BAD
         return replace(arrived, samples=replace(arrived.samples, quality=quality))
+
+    def waited_for(self, valve: int) -> tuple[str, ...]:
+        """Which signals keep a valve's samples from being made, and what would help."""
+        newest = self._alignment.newest(self._waiting, valve)
+        has_T = self._alignment.has_T[valve]
+        return waited_for(newest, self._alignment.settings, has_T=has_T)
 
     def implausible(self) -> NDArray[np.bool_]:
         """Which valves are not learnt from, because their signals cannot be what they are called.
@@ -237,6 +249,12 @@ class Identification:
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
             signals=self._signals(valves, at_best),
+            waiting=[
+                self._reasons(int(valve)) if of_use else ()
+                for valve, of_use in zip(
+                    valves, (at_best == Quality.BAD) | self._implausible[valves], strict=True
+                )
+            ],
         )
 
     def _inverse_results(

@@ -257,7 +257,9 @@ class LiveService:
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:
             self._lost[valve] = True
-            log.warning("sensors lost", valve=self.identification.plans[valve].name)
+            name = self.identification.plans[valve].name
+            why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
+            log.warning("sensors lost", valve=name, why=why)
         if valves:
             self._unpublished.update(dict.fromkeys(valves))
             await self._publish_all()

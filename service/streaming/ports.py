@@ -234,7 +234,8 @@ class SignalResults:
 class Results:
     """All that is published of M valves that are treated alike.
 
-    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
+    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
+    ``waiting`` says of each why nothing is learnt from it.
     """
 
     valves: Times
@@ -243,6 +244,7 @@ class Results:
     counters: Times
     counter_names: tuple[str, ...]
     signals: SignalResults | None = None
+    waiting: Sequence[tuple[str, ...]] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""

@@ -212,6 +212,13 @@ async def test_signals_and_parameters_are_scalars_beside_the_results(server, obs
         await (await node(observer, "Valvistor.RBF")).get_child(f"{index}:Parameters")
 
 
+async def test_what_is_waited_for_is_told_and_taken_back(server, observer):
+    assert (await value(observer, "V2.Diagnostics.Waiting"))[:2] == ([], Codes.Good)
+    for reasons in (("Q has sent no value", "p2 is stamped 3 ms before"), ()):
+        await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, waiting=[reasons]))
+        assert (await value(observer, "Valvistor.Diagnostics.Waiting"))[0] == list(reasons)
+
+
 @pytest.mark.parametrize(
     ("quality", "code"),
     [(Quality.UNCERTAIN, Codes.Uncertain), (Quality.BAD, Codes.Bad)],
