@@ -50,7 +50,7 @@ def replay(
     from service.report.verification import verification_table
 
     check_folder("--json", json_out)
-    check_folder("--save", save)
+    check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
     plots = None if plot is None else ReplayPlots(plot)
     with Progress(
