@@ -159,7 +159,8 @@ class Alignment:
     def newest(self, waiting: Waiting, valve: int) -> Times:
         """Source time of each signal's newest value, (5,), UTC ns; ``NEVER`` before the first."""
         seen = waiting.order[valve, slots.SEEN : slots.SEEN + slots.SIGNALS]
-        return np.maximum(seen, waiting.held_time[valve])
+        newest: Times = np.maximum(seen, waiting.held_time[valve])
+        return newest
 
     def flush(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
         """Have what waits for earlier samples leave without them; ``waiting`` as in `take`."""
