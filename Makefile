@@ -7,7 +7,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs.
-PEERS := node or milo or image
+PEERS := node or milo or image or chromium
 
 .PHONY: install demo test peers hardened lint format soak bench report lock clean
 
@@ -57,6 +57,8 @@ report: $(RUNTIME)
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --extra dashboard --extra plot --extra parquet pyproject.toml -o requirements.lock
+	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
+	    --extra dashboard pyproject.toml -c requirements.lock -o requirements-image.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --all-extras --group dev pyproject.toml -c requirements.lock -o requirements-dev.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \

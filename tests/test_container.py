@@ -81,8 +81,20 @@ def test_what_runs_carries_neither_builder_nor_installer():
 
 def test_every_dependency_is_installed_by_its_hash_and_without_a_compiler():
     installs = [argument for argument in BUILD.all("RUN") if "pip install" in argument]
-    assert "--require-hashes --only-binary=:all: -r requirements.lock" in installs[0]
-    assert installs[1:] == ["python -m pip install --no-deps ."]
+    assert "--require-hashes --only-binary=:all: -r requirements-image.lock" in installs[0]
+    assert installs[1:] == ["python -m pip install --no-compile --no-deps ."]
+
+
+def test_what_is_installed_is_what_is_locked_for_everybody_without_pictures_and_parquet():
+    def pinned(name):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        return set(re.findall(r"^[\w.-]+==\S+", text, re.MULTILINE))
+
+    image, everybody = pinned("requirements-image.lock"), pinned("requirements.lock")
+    assert image < everybody
+    left_out = {package.partition("==")[0] for package in everybody - image}
+    assert {"matplotlib", "pyarrow"} <= left_out
+    assert {"numba", "asyncua", "uvicorn"} & left_out == set()
 
 
 def test_nothing_runs_as_root():
@@ -396,6 +408,9 @@ class Build:
                 shutil.copy(ROOT / source, into)
 
 
+_MOST_BYTES = 430 * 1024 * 1024  # of /opt/valvemap
+
+
 @pytest.fixture
 def build(tmp_path):
     yield Build(tmp_path)
@@ -411,6 +426,10 @@ def test_the_image_s_steps_build_something_that_runs(build):
         build.start_stage()
         for instruction, argument in stage.steps:
             build.step(instruction, argument)
+
+    opt = build.root / "opt" / "valvemap"
+    files = [file for file in opt.rglob("*") if file.is_file() and not file.is_symlink()]
+    assert sum(file.stat().st_size for file in files) < _MOST_BYTES
 
     warm = build.root / "opt" / "valvemap" / "cache" / "numba"
     compiled = {file.relative_to(warm) for file in warm.rglob("*.nbc")}

@@ -25,6 +25,22 @@ export function mark(element, name, value) {
   if (element.dataset[name] !== text) element.dataset[name] = text;
 }
 
+/** Draw once before the next frame, and rest twice as long as that took: a slow machine still answers. */
+export function paced(draw) {
+  let asked = false, restUntil = 0;
+  const frame = () => {
+    asked = false;
+    const begun = performance.now();
+    draw();
+    restUntil = begun + 3 * (performance.now() - begun);
+  };
+  return () => {
+    if (asked) return;
+    asked = true;
+    setTimeout(() => requestAnimationFrame(frame), Math.max(restUntil - performance.now(), 0));
+  };
+}
+
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 export const lineColour = (k) => css(`--line-${(k % 6) + 1}`);

@@ -84,7 +84,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     const traces = [
       {
         type: "surface", x: found.dp, y: found.U, z: found.Q, surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
-        colorbar: { title: { text: colour.title, side: "right" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") } }, opacity: 0.96,
+        colorbar: { title: { text: colour.title, side: "right" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
         hovertemplate: "U %{y:.1f} %<br>Δp %{x:.0f} bar<br>Q %{z:.1f} l/min<extra></extra>", showscale: true,
       },
       {
@@ -99,7 +99,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
       margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
-      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.5, y: -1.42, z: 0.8 }, center: { x: 0.04, y: 0, z: -0.14 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
+      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.72, y: -1.62, z: 0.9 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;
@@ -116,7 +116,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
       return { values, scale: [[0, "#2c7a4b"], [0.5, "#e0b84c"], [1, "#b3261e"]], low: 0, high: sorted[Math.floor(0.95 * sorted.length)] || 1, title: unit };
     }
     if (colouring === "status") {
-      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, "#c7cdd3"], [1, "#c7cdd3"]], low: 0, high: 1, title: "blue: measured near" };
+      return { values: found.status.map((row) => row.map((s) => (s === EXTRAPOLATING ? 1 : 0))), scale: [[0, "#4f86b8"], [0.5, "#4f86b8"], [0.5, "#c7cdd3"], [1, "#c7cdd3"]], low: 0, high: 1, title: "", ticks: { tickvals: [0.25, 0.75], ticktext: ["measured<br>near", "extra-<br>polated"] } };
     }
     if (colouring === "change") {
       const values = kept ? found.Q.map((row, i) => row.map((q, j) => q - kept.Q[i][j])) : found.Q.map((row) => row.map(() => 0));

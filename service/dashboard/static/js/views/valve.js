@@ -1,7 +1,7 @@
 // One valve, live: signals, measured and predicted flow, residuals, parameters, estimators side by side.
 
 import { History, timeChart } from "../charts.js";
-import { css, h, lineVariable, mark, pen, say } from "../dom.js";
+import { css, h, lineVariable, mark, paced, pen, say } from "../dom.js";
 import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, STATUS_SENTENCE, UNITS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
 
@@ -72,13 +72,12 @@ export function valveView(root, { live, valve, estimator, choose }) {
     residuals.clear();
     bySelected.length = 0;
     drawnAt = 0;
-    update();
+    take();
   }
 
-  function update() {
+  /** Keep what is new; what is seen of it follows at the machine's pace. */
+  function take() {
     const of = (name) => `${selected}.${name}`;
-    for (const name of SIGNALS) signals[name].show(live);
-    driveCard.hidden = !live.has("Signals.U"); // an older service does not publish its signals
     const entry = live.get(of("PredictedFlow"));
     if (entry?.t) {
       const predicted = entry.value, missed = live.number(of("Residual")), noise = live.number(of("NoiseStd"));
@@ -89,11 +88,17 @@ export function valveView(root, { live, valve, estimator, choose }) {
         flows.add(t, [predicted + reach, predicted - reach, predicted, predicted + missed]);
         residuals.add(t, [2 * noise, -2 * noise, missed]);
         drives.add(t, [live.number("Signals.U"), live.number("Signals.dp")]);
-        flow.chart.setData(flows.data);
-        residual.chart.setData(residuals.data);
-        drive.chart.setData(drives.data);
       }
     }
+    soon();
+  }
+
+  const soon = paced(() => {
+    for (const name of SIGNALS) signals[name].show(live);
+    driveCard.hidden = !live.has("Signals.U"); // an older service does not publish its signals
+    flow.chart.setData(flows.data);
+    residual.chart.setData(residuals.data);
+    drive.chart.setData(drives.data);
     table.show(live, selected);
     if (performance.now() - drawnAt < REDRAW_MS) return;
     drawnAt = performance.now();
@@ -102,7 +107,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
     drawFollow();
     showParameters();
     showFacts();
-  }
+  });
 
   function standing() {
     const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
@@ -206,11 +211,11 @@ export function valveView(root, { live, valve, estimator, choose }) {
     while (facts.children.length > 2 * lines.length) facts.lastChild.remove();
   }
 
-  live.addEventListener("values", update);
-  closers.push(() => live.removeEventListener("values", update));
+  live.addEventListener("values", take);
+  closers.push(() => live.removeEventListener("values", take));
   const slow = setInterval(standing, 1000);
   closers.push(() => clearInterval(slow));
-  update();
+  take();
   return () => closers.forEach((close) => close());
 }
 
