@@ -19,7 +19,7 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
-from service.opcua.source_nodes import OperationLimits, in_chunks, operation_limits, read_namespaces
+from service.opcua.source_nodes import OperationLimits, in_chunks, namespaces_of, operation_limits
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
@@ -206,7 +206,7 @@ class ResultsClient:
         _check(id, status.value)
 
     async def _find_namespace(self, connection: Connection) -> int:
-        namespaces = await read_namespaces(connection)
+        namespaces = await namespaces_of(connection)
         if self._namespace not in namespaces:
             raise SourceLost(f"{self.url}: has no namespace {self._namespace} (yet)")
         return namespaces.index(self._namespace)

@@ -178,7 +178,7 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
     SourceLost
     """
     url = connection.settings.url
-    namespaces = await read_namespaces(connection)
+    namespaces = await namespaces_of(connection)
     wanted = [node for number, valve in enumerate(valves) for node in _of_valve(number, valve)]
     ids = [parse_node_id(node.text, namespaces) for node in wanted]
     with connection.errors("reading the nodes"):
@@ -316,7 +316,7 @@ def _uint32(text: str) -> int:
     return number
 
 
-async def read_namespaces(connection: Connection) -> list[str]:
+async def namespaces_of(connection: Connection) -> list[str]:
     """Read the server's NamespaceArray.
 
     Raises
