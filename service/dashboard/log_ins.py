@@ -13,6 +13,8 @@ from service.dashboard.rates import TokenBucket
 from service.dashboard.settings import PageSettings
 from service.errors import CommandRejected, ValvemapError
 
+_MOST_NAMES = 1_000  # whose wrong passwords are remembered; at 0.2 tries a second an hour's worth
+
 Clients = Callable[[str, str], tuple[Client, Client | None]]
 """From user and password to the clients of the service and, in a demo, of the rig."""
 
@@ -46,6 +48,7 @@ class LogIns:
         self._clock = clock
         self._tries = TokenBucket(settings.log_ins_per_s, settings.log_in_burst, clock)
         self._of: dict[str, LogIn] = {}
+        self._wrong: dict[str, tuple[int, float]] = {}  # in a row, and when the last was
         self._one_at_a_time = asyncio.Lock()
         self.failed = 0
 
@@ -64,8 +67,8 @@ class LogIns:
             await self.forget_unused()
             if len(self._of) >= self._settings.log_ins:
                 raise CommandRejected("too many users are logged in")
-            if not self._tries.take():
-                raise CommandRejected("too many tries: wait a minute")
+            if not self._tries.take() or self._is_paused(user):
+                raise CommandRejected("too many tries: wait some minutes")
             service, rig = self._clients(user, password)
             try:
                 await service.connect()
@@ -73,11 +76,27 @@ class LogIns:
                     await rig.connect()
             except ValvemapError:
                 self.failed += 1
+                self._note_wrong(user)
                 await _close(service, rig)
                 raise
+            self._wrong.pop(user, None)
             secret = secrets.token_urlsafe(32)
             self._of[_digest(secret)] = LogIn(user, service, rig, self._clock.monotonic())
             return secret
+
+    def _is_paused(self, user: str) -> bool:
+        """Whether one more wrong password could lock the user out at the service."""
+        count, last = self._wrong.get(user, (0, 0.0))
+        if self._clock.monotonic() - last > self._settings.wrong_pause_s:
+            self._wrong.pop(user, None)
+            return False
+        return count >= self._settings.wrong_passwords
+
+    def _note_wrong(self, user: str) -> None:
+        count, _ = self._wrong.pop(user, (0, 0.0))
+        self._wrong[user] = (count + 1, self._clock.monotonic())
+        if len(self._wrong) > _MOST_NAMES:
+            del self._wrong[next(iter(self._wrong))]
 
     def find(self, secret: str | None) -> LogIn | None:
         """Who holds that secret."""

@@ -27,7 +27,10 @@ class PageSettings:
     requests_per_s, request_burst
         Of one address.
     log_ins, log_ins_per_s, log_in_burst
-        Users logged in at once; tries, over all addresses: fewer than the service locks out for.
+        Users logged in at once; tries, over all addresses.
+    wrong_passwords, wrong_pause_s
+        Wrong passwords of one user in a row, and the wait after them: fewer than the service locks
+        the user out for (5), and longer than it remembers (300 s).
     log_in_idle_s
         A log-in that is not used for so long ends.
     body_bytes
@@ -44,8 +47,10 @@ class PageSettings:
     requests_per_s: float = 50.0
     request_burst: float = 300.0
     log_ins: int = 8
-    log_ins_per_s: float = 0.05
-    log_in_burst: float = 4.0
+    log_ins_per_s: float = 0.2
+    log_in_burst: float = 10.0
+    wrong_passwords: int = 3
+    wrong_pause_s: float = 305.0
     log_in_idle_s: float = 900.0
     body_bytes: int = 4_096
 

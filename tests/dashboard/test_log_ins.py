@@ -79,13 +79,25 @@ async def test_the_cookie_is_no_script_s_and_no_other_site_s_business():
     assert "samesite=strict" in cookie.lower()
 
 
-async def test_a_wrong_password_is_said_counted_and_slowed_down():
+async def test_wrong_passwords_are_said_and_stop_before_the_service_locks_the_user_out():
     visit = Visit()
     answers = [await visit.log_in("wrong") for _ in range(6)]
     assert "wrong" in answers[0].json()["error"]
     assert "wait" in answers[-1].json()["error"]
-    assert len(visit.plant.made) == 4 == visit.page.log_ins.failed
+    assert len(visit.plant.made) == 3 == visit.page.log_ins.failed
     assert all(service.closed for _, service, _ in visit.plant.made)
+    assert (await visit.log_in()).status_code == 403
+    other = await visit.post("/log-in", user="anna", password="right")
+    assert other.status_code == 200
+    visit.clock.advance(306.0)
+    assert (await visit.log_in()).status_code == 200
+
+
+async def test_a_flood_of_names_is_slowed_down():
+    visit = Visit()
+    for number in range(30):
+        await visit.post("/log-in", user=f"user{number}", password="wrong")
+    assert len(visit.plant.made) == 10
 
 
 async def test_a_made_up_cookie_is_nobody():
