@@ -30,8 +30,7 @@ async def page_process(service_url: str, rig_url: str) -> AsyncIterator[str]:
     assert process.stdin is not None  # noqa: S101 - both are pipes
     assert process.stdout is not None  # noqa: S101
     try:
-        line = await asyncio.wait_for(process.stdout.readline(), _START_S)
-        yield line.decode().strip() or "none: it did not start"
+        yield await _first_line(process.stdout) or "none: it did not start"
     finally:
         process.stdin.close()
         try:
@@ -39,3 +38,10 @@ async def page_process(service_url: str, rig_url: str) -> AsyncIterator[str]:
         except TimeoutError:
             process.kill()
             await process.wait()
+
+
+async def _first_line(output: asyncio.StreamReader) -> str:
+    try:
+        return (await asyncio.wait_for(output.readline(), _START_S)).decode().strip()
+    except TimeoutError:
+        return ""
