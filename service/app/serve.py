@@ -68,7 +68,7 @@ async def serve(
     source = build_source(config, ready)
     with CheckpointFile(config.state.file) as store:
         if store.set_aside is not None:
-            log.warning("damaged state file set aside", file=str(store.set_aside))
+            log.warning("damaged or old state file set aside", file=str(store.set_aside))
         server = ResultsServer(
             settings,
             identification.descriptions(),
@@ -89,4 +89,4 @@ async def serve(
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:
-                live.keep()
+                await live.keep()

@@ -447,6 +447,11 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "How often states could not be kept since the service started.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Refused",
+                "States found at the start that were damaged, or of another configuration.",
+                counts,
+            ),
             VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
         ),
         f"{SERVICE}.Source": (

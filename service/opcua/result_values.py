@@ -146,6 +146,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
     yield "Service.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
     for name, count in (
         ("Checkpoint.Failures", health.checkpoint_failures),
+        ("Checkpoint.Refused", health.checkpoints_refused),
         ("Checkpoint.Size", health.checkpoint_bytes),
         ("Source.Notifications", health.source.notifications),
         ("Source.Overflows", health.source.overflows),

@@ -152,6 +152,38 @@ class Alignment:
         kernel.find_waiting(self._rules, waiting, found)
         return found
 
+    def of(self, waiting: Waiting, valve: int) -> Waiting:
+        """Copies of what waits at one valve, (1, …), no longer than needed."""
+        one = Waiting._make(array[valve : valve + 1].copy() for array in waiting)
+        size = int(one.order[0, slots.SIZE])
+        return one._replace(
+            slots=one.slots[:, :size], values=one.values[:, :size], status=one.status[:, :size]
+        )
+
+    def put(self, waiting: Waiting, valve: int, one: Waiting) -> Waiting:
+        """Have another valve's copies of `of` wait at a valve; ``waiting`` as in `take`.
+
+        Raises
+        ------
+        ValueError
+            if they are of another shape than this alignment's.
+        """
+        size = one.slots.shape[1]
+        if int(one.order[0, slots.SIZE]) != size or size > self.settings.max_pending:
+            raise ValueError(f"{size} samples wait, {self.settings.max_pending} may")
+        while waiting.slots.shape[1] < size:
+            waiting = _grown(waiting, min(2 * waiting.slots.shape[1], self.settings.max_pending))
+        places = []
+        for name in Waiting._fields:
+            array, kept = getattr(waiting, name), getattr(one, name)
+            own = array[valve, :size] if name in _BY_SLOT else array[valve]
+            if own.shape != kept.shape[1:] or own.dtype != kept.dtype:
+                raise ValueError(f"{name} of another shape")
+            places.append((own, kept))
+        for own, kept in places:
+            own[...] = kept[0]
+        return waiting
+
     def pending(self, waiting: Waiting) -> Times:
         """How many samples of each valve wait, (V,)."""
         return waiting.order[:, slots.SIZE].copy()
@@ -217,6 +249,7 @@ class Alignment:
         )
 
 
+_BY_SLOT = ("slots", "values", "status")
 _NO_VALVES = np.empty(0, np.int64)
 _TIMES = (
     slots.LAST_TIME,

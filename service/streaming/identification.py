@@ -5,7 +5,7 @@ time nor network.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from service.identification.samples import (
 from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
-from service.streaming.alignment import Alignment, ByValve
+from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
@@ -47,13 +47,26 @@ from service.streaming.ports import (
     ValveDescription,
     ValveResult,
 )
+from service.streaming.quality_gate import QualityGate
+from service.streaming.valve_memory import ValveMemory
 from service.streaming.waiting import waited_for
 
 MAPS_AT_ONCE = 100
+MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
+
+
+@dataclass(frozen=True)
+class _Through:
+    """What a valve's samples go through before they are learnt from."""
+
+    gate: QualityGate
+    alignment: AlignmentSettings
+    has_T: bool
+    has_sequence: bool
 
 
 class Identification:
@@ -419,6 +432,57 @@ class Identification:
             for name, lane in self.state(valve).lanes.items()
         ]
 
+    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that some valves, or all, remember beside their estimators' states."""
+        chosen = range(len(self.plans)) if valves is None else valves
+        kept = []
+        for valve in chosen:
+            fleet, m = self._at(valve)
+            state = fleet.state(m)
+            memory = ValveMemory.of(
+                state, self._alignment.of(self._waiting, valve), dict(fleet.beyond(m))
+            )
+            key = self._memory_key(valve)
+            kept.append(
+                Checkpoint(
+                    valve=self.plans[valve].name,
+                    estimator=MEMORY,
+                    key=key,
+                    t=state.t,
+                    state=memory.to_bytes(key),
+                    lam=None,
+                    frozen=False,
+                )
+            )
+        return kept
+
+    def _memory_key(self, valve: int) -> str:
+        alignment, plan = self._alignment, self.plans[valve]
+        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
+        return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
+
+    def _remember(self, kept: Checkpoint) -> bool:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            return False
+        fleet, m = self._at(number)
+        try:
+            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
+            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+            fleet.remember(m, memory.gate, memory.t, memory.T)
+        except (StateMismatchError, ValueError):
+            return False
+        fleet.demand(m, *memory.demand)
+        for name, notes in memory.notes.items():
+            known = name in self.plans[number].estimators and notes.status in (-1, *Status)
+            if not known or not (lane := fleet.lane(m, name)).t:
+                continue  # it starts afresh
+            status = None if notes.status < 0 else Status(notes.status)
+            said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
+            fleet.put(m, name, said)
+            fleet.count_beyond(m, name, notes.beyond)
+        return True
+
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
         """Take up what was kept, where the configuration still fits.
 
@@ -429,8 +493,8 @@ class Identification:
         """
         restored: list[str] = []
         refused: list[str] = []
-        for kept in checkpoints:
-            taken = self._restore(kept)
+        for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
+            taken = self._remember(kept) if kept.estimator == MEMORY else self._restore(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self.refresh_maps()

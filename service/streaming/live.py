@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 
@@ -23,7 +23,7 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import Identification
-from service.streaming.ports import CheckpointStore, Health, ResultSink, Source
+from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
@@ -96,6 +96,8 @@ class LiveService:
         self._health_due = now
         self._kept_at = math.nan
         self._failures = 0
+        self._refused = 0
+        self._keeping: asyncio.Task[None] | None = None
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
@@ -113,7 +115,12 @@ class LiveService:
 
     async def start(self) -> None:
         """Take up what was kept before, and show that nothing is known of the present yet."""
-        restored, refused = self.identification.restore(self._store.load())
+        kept = self._store.load()
+        restored, refused = self.identification.restore(kept)
+        self._refused = len({*refused, *self._store.damaged})
+        self._lost[:] = True  # nothing is known of the present
+        if self._store.damaged:
+            log.warning("states damaged, those before them taken", estimators=self._store.damaged)
         if restored:
             log.info("states restored", estimators=restored)
         if refused:
@@ -195,6 +202,7 @@ class LiveService:
                 source=self._source.counters,
                 checkpoint_age_s=now - self._kept_at,
                 checkpoint_failures=self._failures,
+                checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
             )
         )
@@ -219,7 +227,7 @@ class LiveService:
         await self._feed_forward()
         await self._lose(np.flatnonzero(~self._lost).tolist())
 
-    def keep(self) -> None:
+    async def keep(self) -> None:
         """Keep all states now.
 
         Raises
@@ -227,22 +235,37 @@ class LiveService:
         StorageError
             naming the file; the states go on in memory.
         """
-        self._store.save(self.identification.checkpoints())
+        await self.settle()
+        await asyncio.to_thread(self._store.save, self._states(range(len(self._lost))))
+
+    async def settle(self) -> None:
+        """Wait for what is being kept."""
+        if self._keeping is not None:
+            await self._keeping
+
+    def _states(self, valves: Iterable[int]) -> list[Checkpoint]:
+        some = list(valves)
+        return [*self.identification.checkpoints(some), *self.identification.memories(some)]
+
+    async def _keep(self, some: list[Checkpoint]) -> None:
+        """The disk may be slow, or full: nothing waits for it."""
+        try:
+            await asyncio.to_thread(self._store.save, some)
+            self._kept_at = self._clock.monotonic()
+        except StorageError as error:
+            self._failures += 1
+            log.warning("checkpoint not kept", reason=str(error))
 
     def _keep_in_turn(self, now: float) -> None:
         """Keep each valve's state once in an interval, a few at a time: no batch waits for all."""
+        if self._keeping is not None and not self._keeping.done():
+            return
         M = len(self._lost)
         due = int(M * (now - self._began) / self._settings.checkpoint_interval_s)
         some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
         self._turns = due
-        if not some:
-            return
-        try:
-            self._store.save(self.identification.checkpoints(sorted(some)))
-            self._kept_at = now
-        except StorageError as error:
-            self._failures += 1
-            log.warning("checkpoint not kept", reason=str(error))
+        if some:
+            self._keeping = asyncio.create_task(self._keep(self._states(sorted(some))))
 
     def _say_what_is_doubted(self) -> None:
         """Name the valves that are not learnt from, each once."""

@@ -296,8 +296,9 @@ class Health:
         What was seen of the source.
     checkpoint_age_s : float
         Since the states were last kept; NaN before.
-    checkpoint_failures, checkpoint_bytes : int
-        How often they could not be, and how much room they take.
+    checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
+        How often they could not be, how much room they take, and how many were found at the start
+        that could not be used.
     """
 
     age_s: Floats
@@ -306,6 +307,7 @@ class Health:
     checkpoint_age_s: float = np.nan
     checkpoint_failures: int = 0
     checkpoint_bytes: int = 0
+    checkpoints_refused: int = 0
 
 
 class ResultSink(Protocol):
@@ -378,6 +380,10 @@ class CheckpointStore(Protocol):
     @property
     def size(self) -> int:
         """Bytes that all of it takes."""
+
+    @property
+    def damaged(self) -> Sequence[str]:
+        """``<Valve>.<Estimator>`` whose newest state could not be believed at `load`."""
 
 
 @dataclass(frozen=True)

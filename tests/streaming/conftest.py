@@ -104,6 +104,7 @@ class FakeSink:
 class FakeStore:
     kept: list = field(default_factory=list)
     size: int = 0
+    damaged: tuple = ()
 
     def save(self, checkpoints):
         self.kept = list(checkpoints)

@@ -12,7 +12,7 @@ from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.identification import Identification
+from service.streaming.identification import MEMORY, Identification
 from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
 
@@ -237,7 +237,7 @@ async def test_a_lost_source_is_not_written_to_and_the_valve_stays_armed(live, s
 
 async def test_a_restart_disarms(live, store, fresh):
     live.identification.arm("Valvistor")
-    live.keep()
+    await live.keep()
     again = fresh()
     again.restore(store.load())
     assert not again.is_armed(0)
@@ -258,7 +258,8 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     assert store.kept == []
     clock.advance(10.0)
     await live.tick()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF"]
+    await live.settle()
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY]
 
 
 async def test_a_full_disk_stops_nothing(live, store, clock, sink):
@@ -271,7 +272,7 @@ async def test_a_full_disk_stops_nothing(live, store, clock, sink):
     await live.take(as_changes(plant(100)))
     assert sink.published[-1].estimators["RLS"].sample_count == 100
     with pytest.raises(StorageError, match="disk full"):
-        live.keep()
+        await live.keep()
 
 
 async def test_at_start_old_states_are_taken_up_and_nothing_is_good_yet(live, store, sink, fresh):
@@ -332,6 +333,7 @@ async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink
     for _ in range(40):
         clock.advance(0.25)
         await live.tick()
+        await live.settle()
     assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
     assert max(len(set(some)) for some in saved) == 1
 
@@ -383,11 +385,17 @@ async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clo
     assert np.isnan(sink.health.checkpoint_age_s)
     clock.advance(10.0)
     await live.tick()
-    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.0, 0)
+    await live.settle()
+    clock.advance(0.5)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.5, 0)
     store.save = full_disk
     clock.advance(10.0)
     await live.tick()
-    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (10.0, 1)
+    await live.settle()
+    clock.advance(0.5)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (11.0, 1)
 
 
 def full_disk(_):
