@@ -6,7 +6,7 @@ from typing import Final
 from asyncua import ua
 
 from service.opcua.connection import Connection, in_one_line
-from service.opcua.source_nodes import in_chunks, operation_limits, read_namespaces
+from service.opcua.source_nodes import in_chunks, namespaces_of, operation_limits
 from service.opcua.source_units import read_units
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.naming import Candidate
@@ -44,7 +44,7 @@ async def find_numbers(connection: Connection) -> list[Candidate]:
         (place, answer) for place, answer in zip(places, answers, strict=True) if _is_number(answer)
     ]
     said = await read_units(connection, [node for (node, _), _ in numbers])
-    namespaces = await read_namespaces(connection)
+    namespaces = await namespaces_of(connection)
     return [
         Candidate(
             node=_text(node, namespaces),

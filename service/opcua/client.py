@@ -1,11 +1,13 @@
 """The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
 
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 
 from asyncua import ua
 
 from service.clock import Clock, SystemClock
 from service.errors import SourceLost, SourceRejected
+from service.identification.estimator import key_of
 from service.opcua.connection import (
     Connection,
     Security,
@@ -14,9 +16,11 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
+from service.opcua.position import left_at, position_to_bytes
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
+    CheckedNodes,
     SourceClock,
     ValveNodes,
     WritableNode,
@@ -27,6 +31,7 @@ from service.opcua.source_units import Scales, check_units
 from service.opcua.subscription import (
     LIFETIME_S,
     Left,
+    Mark,
     Subscription,
     Tally,
     subscribe,
@@ -78,6 +83,10 @@ class OpcUaSource:
         self._left: Left | None = None
         self._left_at = 0.0
         self._undelivered: list[DataChanges] = []
+        self._undelivered_mark: Mark | None = None
+        self._mark: Mark | None = None
+        self._holds_back = False
+        self._known_position: bytes | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
         self._scales = Scales(self._valves)
@@ -131,10 +140,41 @@ class OpcUaSource:
         if self._undelivered:
             changes = DataChanges.concatenate(self._undelivered)
             self._undelivered.clear()
+            self._mark = self._undelivered_mark
             return self._scales(changes)
-        if self._subscription is None:
+        subscription = self._subscription
+        if subscription is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        return self._scales(await self._subscription.receive())
+        changes = await subscription.receive()
+        self._mark = subscription.mark
+        return self._scales(changes)
+
+    @property
+    def mark(self) -> Mark | None:
+        """How far changes have been handed out; None: none were."""
+        return self._mark
+
+    def hold_back(self) -> None:
+        """Let the source keep what is handed out until `commit` says that it is safe."""
+        self._holds_back = True
+        if self._subscription is not None:
+            self._subscription.hold_back()
+
+    def commit(self, mark: Mark) -> None:
+        """What was handed out up to a mark is safe: the source need not keep it any more."""
+        if self._subscription is not None:
+            self._subscription.commit(mark)
+
+    def position(self, mark: Mark) -> bytes:
+        """What `resume_at` goes on from after a restart."""
+        known = self._subscription or self._left
+        if known is None or known.created.SubscriptionId != mark.subscription:
+            return b""
+        return position_to_bytes(self._binding, mark, known.created, known.items)
+
+    def resume_at(self, position: bytes) -> None:
+        """Go on from a position that was kept, if the source still has the subscription."""
+        self._known_position = position
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -212,34 +252,53 @@ class OpcUaSource:
         left = subscription.left()
         self._left, self._left_at = left, self._clock.monotonic()
         self._undelivered += left.buffer
+        self._undelivered_mark = subscription.mark
 
     async def _take_over(self, connection: Connection) -> Subscription | None:
         """Go on with the subscription of the connection before, if the server still has it."""
+        if self._left is None and self._known_position is not None:
+            nodes = await self._check_nodes(connection)
+            self._left = left_at(self._known_position, self._binding, nodes.monitored)
+            self._left_at = self._clock.monotonic()
+        self._known_position = None
         if self._left is None:
             return None
-        subscription = await take_over(connection, self._left, self._tally, self._clock)
-        if subscription is not None:
+        found = await take_over(connection, self._left, self._tally, self._clock)
+        if found is not None:
+            subscription, available = found
             known = False
             try:
-                known = await subscription.catch_up()
+                known = await subscription.catch_up(available)
             finally:
-                at = self._left_at
                 self._leave(subscription)
-                self._left_at = at
             if known:
                 subscription.start()
                 return subscription
         self._left = None
         return None
 
-    async def _subscribe(self, connection: Connection) -> Subscription:
+    async def _check_nodes(self, connection: Connection) -> CheckedNodes:
         nodes = await check_nodes(connection, self._valves)
         await check_units(connection, self._valves, nodes)
+        self._writable = nodes.writable
         if self._ready is not None:
             await self._ready()
-        subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
-        self._writable = nodes.writable
-        return subscription
+        return nodes
+
+    @property
+    def _binding(self) -> str:
+        """What a position belongs to: server, user, nodes in their order."""
+        return key_of(_Binding(self._settings.url, self._settings.user, self._valves))
+
+    async def _subscribe(self, connection: Connection) -> Subscription:
+        nodes = await self._check_nodes(connection)
+        return await subscribe(
+            connection,
+            nodes.monitored,
+            self._tally,
+            self._clock,
+            hold_back=self._holds_back,
+        )
 
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
@@ -250,6 +309,13 @@ class OpcUaSource:
             await subscription.stop()
         if connection is not None:
             await connection.close()
+
+
+@dataclass(frozen=True)
+class _Binding:
+    url: str
+    user: str | None
+    valves: tuple[ValveNodes, ...]
 
 
 _CLOCKS_AGREE_S = 0.1  # closer together no age is told better by the source's clock

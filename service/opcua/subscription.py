@@ -7,6 +7,7 @@ handed on. Every response is acknowledged with the next request.
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ _MEASURE_S = 2.0
 _SPARE = 1.2  # of a queue, for a source that is a little faster than it was measured
 _MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then as often as the last
 _MAX_REPUBLISH = 100
+_MOST_KEPT_BACK = 10_000  # messages; no server keeps so many
 _LONGEST_SILENCE_S = 86_400.0  # whoever may be silent for longer cannot be watched
 _NOTIFICATIONS_PER_PUBLISH = 100_000
 _MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers count generously
@@ -78,6 +80,10 @@ class Left:
         Changes that nobody has taken yet.
     items
         The monitored items: node, number at the server, queue granted.
+    kept_back
+        Messages that are not to be acknowledged before they are committed; None: all may be.
+    handed_out
+        The last message that was heard.
     """
 
     created: ua.CreateSubscriptionResult
@@ -85,6 +91,16 @@ class Left:
     acknowledgements: tuple[ua.SubscriptionAcknowledgement, ...]
     buffer: tuple[DataChanges, ...]
     items: tuple[Item, ...]
+    kept_back: tuple[int, ...] | None = None
+    handed_out: int | None = None
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How far a subscription has been handed out: its number, and that of the last message."""
+
+    subscription: int
+    message: int
 
 
 class Subscription:
@@ -101,6 +117,9 @@ class Subscription:
         self._items: tuple[Item, ...] = ()
         self._asked = 0
         self._tidies = False
+        self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
+        self._handed_out: int | None = None
+        self._accepted: int | None = None
         self._counted: NDArray[np.int64] | None = None  # changes by item, while they are measured
         self._connection = connection
         self._session = connection.session
@@ -128,7 +147,15 @@ class Subscription:
         buffer = tuple(self._buffer)
         self._buffer.clear()
         self._buffered = 0
-        return Left(self._created, self._next, tuple(self._acknowledgements), buffer, self._items)
+        return Left(
+            self._created,
+            self._next,
+            tuple(self._acknowledgements),
+            buffer,
+            self._items,
+            None if self._kept_back is None else tuple(self._kept_back),
+            self._accepted,
+        )
 
     def go_on_from(self, left: Left) -> None:
         """Begin where another one was left."""
@@ -136,12 +163,44 @@ class Subscription:
         self._acknowledgements = list(left.acknowledgements)
         self._items = left.items
         self._tidies = True
+        if left.kept_back is not None:
+            self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
+        self._handed_out = self._accepted = left.handed_out
+
+    def hold_back(self) -> None:
+        """Acknowledge from now on only what `commit` says."""
+        self._kept_back = deque(maxlen=_MOST_KEPT_BACK)
+
+    @property
+    def created(self) -> ua.CreateSubscriptionResult:
+        """What the server said of it."""
+        return self._created
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """Its monitored items."""
+        return self._items
+
+    @property
+    def mark(self) -> Mark | None:
+        """How far it has been handed out; None before the first message."""
+        if self._handed_out is None:
+            return None
+        return Mark(self._created.SubscriptionId, self._handed_out)
+
+    def commit(self, mark: Mark) -> None:
+        """What was handed out up to a mark need not be had again."""
+        if self._kept_back is None or mark.subscription != self._id:
+            return
+        while self._kept_back and (mark.message - self._kept_back[0]) % 2**32 < 2**31:
+            number = self._kept_back.popleft()
+            self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def watch(self, items: Sequence[Item]) -> None:
         """See to it from now on that the queues of these items hold what they must."""
         self._items = tuple(items)
 
-    async def catch_up(self) -> bool:
+    async def catch_up(self, available: Sequence[int] = ()) -> bool:
         """Ask for all messages again that were sent over the connection before.
 
         Returns
@@ -155,6 +214,7 @@ class Subscription:
         """
         with self._connection.errors("taking the subscription over"):
             try:
+                self._skip_to_oldest(available)
                 message = await self._republish(self._next or 1)
                 while message is not None and message.sequence_number == (self._next or 1):
                     self._accept(message)
@@ -193,6 +253,7 @@ class Subscription:
                 continue
             self._arrived.clear()
         changes = DataChanges.concatenate(self._buffer)
+        self._handed_out = self._accepted
         self._buffer.clear()
         self._buffered = 0
         if not self._room.is_set():
@@ -264,7 +325,7 @@ class Subscription:
     def _tidy(self, response: PublishResponse) -> None:
         """Acknowledge what was to be over the connection before."""
         self._tidies = False
-        known = {ack.SequenceNumber for ack in self._acknowledgements}
+        known = {ack.SequenceNumber for ack in self._acknowledgements} | set(self._kept_back or ())
         for number in response.available:
             heard = self._next is not None and 0 < (self._next - number) % 2**32 < 2**31
             if heard and number not in known:
@@ -276,6 +337,7 @@ class Subscription:
     def _accept(self, message: Message) -> None:
         """Take a message in; whatever happens then, it is not asked for again."""
         self._keep(message)
+        self._accepted = message.sequence_number
         self._acknowledge(message.sequence_number)
         self._next = _after(message.sequence_number)
 
@@ -311,10 +373,20 @@ class Subscription:
         except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
             return None
 
+    def _skip_to_oldest(self, available: Sequence[int]) -> None:
+        """Go on with the oldest message that the server still has."""
+        begin = self._next or 1
+        ahead = sorted((n - begin) % 2**32 for n in available)
+        ahead = [steps for steps in ahead if steps < 2**31]
+        if ahead and ahead[0]:
+            self._tally.missing_messages += ahead[0]
+            self._next = _ahead(begin, ahead[0])
+
     def _acknowledge(self, number: int) -> None:
-        self._acknowledgements.append(
-            ua.SubscriptionAcknowledgement(SubscriptionId=self._id, SequenceNumber=number)
-        )
+        if self._kept_back is not None:
+            self._kept_back.append(number)
+        else:
+            self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
         changes = message.changes
@@ -369,7 +441,12 @@ class Subscription:
 
 
 async def subscribe(
-    connection: Connection, nodes: Sequence[MonitoredNode], tally: Tally, clock: Clock
+    connection: Connection,
+    nodes: Sequence[MonitoredNode],
+    tally: Tally,
+    clock: Clock,
+    *,
+    hold_back: bool = False,
 ) -> Subscription:
     """Subscribe to every sample of every node.
 
@@ -396,6 +473,8 @@ async def subscribe(
         )
         _check_pace(result)
     subscription = Subscription(connection, result, tally, clock)
+    if hold_back:
+        subscription.hold_back()
     subscription.start()
     try:
         with connection.errors("subscribing"):
@@ -409,16 +488,16 @@ async def subscribe(
 
 async def take_over(
     connection: Connection, left: Left, tally: Tally, clock: Clock
-) -> Subscription | None:
+) -> tuple[Subscription, Sequence[int]] | None:
     """Take over a subscription that was left at the server; None if it gives it to us no more.
 
-    It is to catch up, and to be started then.
+    It is to catch up from what is ``available``, and to be started then.
 
     Raises
     ------
     SourceLost, SourceRejected
     """
-    number = left.created.SubscriptionId
+    number, available = left.created.SubscriptionId, []
     with connection.errors("taking the subscription over"):
         if not connection.resumed:
             parameters = ua.TransferSubscriptionsParameters([number], SendInitialValues=False)
@@ -428,9 +507,10 @@ async def take_over(
                 return None
             if result.StatusCode.value >> 30:
                 return None
+            available = list(result.AvailableSequenceNumbers or ())
     subscription = Subscription(connection, left.created, tally, clock)
     subscription.go_on_from(left)
-    return subscription
+    return subscription, available
 
 
 def _check_pace(created: ua.CreateSubscriptionResult) -> None:
@@ -439,6 +519,10 @@ def _check_pace(created: ua.CreateSubscriptionResult) -> None:
     silence_ms = _LOST_KEEP_ALIVES * count * interval_ms
     if not (interval_ms > 0.0 and count and silence_ms <= _LONGEST_SILENCE_S * 1e3):
         raise ValueError(f"keep-alives every {count} times {interval_ms:g} ms")
+
+
+def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowledgement:
+    return ua.SubscriptionAcknowledgement(SubscriptionId=subscription, SequenceNumber=number)
 
 
 def _after(number: int) -> int:

@@ -5,6 +5,7 @@ import math
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import structlog
@@ -27,6 +28,8 @@ from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultS
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
+POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
+KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
@@ -48,7 +51,8 @@ class LiveSettings:
         A sample that waits for earlier ones waits no longer than this, should no more samples come
         that it could be told by.
     checkpoint_interval_s, map_interval_s : float
-        How often states are kept, and how often the inverse tables are computed anew.
+        How often states are kept at least (few valves: every second), and how often the inverse
+        tables are computed anew.
     publish_budget_s : float
         How long publishing may hold up the next batch. Valves that find no time are first next
         time, with their newest results.
@@ -97,6 +101,9 @@ class LiveService:
         self._kept_at = math.nan
         self._failures = 0
         self._refused = 0
+        self._mark: Any = None  # how far the source was heard: now, and when this round began
+        self._mark_of_round: Any = None
+        self._left_in_round: set[int] = set()
         self._keeping: asyncio.Task[None] | None = None
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
@@ -115,7 +122,13 @@ class LiveService:
 
     async def start(self) -> None:
         """Take up what was kept before, and show that nothing is known of the present yet."""
-        kept = self._store.load()
+        kept = []
+        for one in self._store.load():
+            if (one.valve, one.estimator) == POSITION:
+                self._source.resume_at(one.state)
+            else:
+                kept.append(one)
+        self._source.hold_back()
         restored, refused = self.identification.restore(kept)
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
@@ -139,6 +152,7 @@ class LiveService:
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
         self._connected = True
+        self._mark = self._source.mark
         await self._use(self.identification.take(changes))
 
     async def _use(self, samples: ByValve) -> None:
@@ -236,7 +250,8 @@ class LiveService:
             naming the file; the states go on in memory.
         """
         await self.settle()
-        await asyncio.to_thread(self._store.save, self._states(range(len(self._lost))))
+        every = self._states(range(len(self._lost)))
+        await asyncio.to_thread(self._store.save, [*every, *self._position(self._mark)])
 
     async def settle(self) -> None:
         """Wait for what is being kept."""
@@ -247,11 +262,19 @@ class LiveService:
         some = list(valves)
         return [*self.identification.checkpoints(some), *self.identification.memories(some)]
 
-    async def _keep(self, some: list[Checkpoint]) -> None:
+    def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
+        if mark is None:
+            return []
+        state = self._source.position(mark)
+        return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]
+
+    async def _keep(self, some: list[Checkpoint], mark: Any) -> None:  # noqa: ANN401
         """The disk may be slow, or full: nothing waits for it."""
         try:
             await asyncio.to_thread(self._store.save, some)
             self._kept_at = self._clock.monotonic()
+            if mark is not None:
+                self._source.commit(mark)
         except StorageError as error:
             self._failures += 1
             log.warning("checkpoint not kept", reason=str(error))
@@ -261,11 +284,17 @@ class LiveService:
         if self._keeping is not None and not self._keeping.done():
             return
         M = len(self._lost)
-        due = int(M * (now - self._began) / self._settings.checkpoint_interval_s)
+        interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
+        due = int(M * (now - self._began) / interval_s)
         some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
         self._turns = due
         if some:
-            self._keeping = asyncio.create_task(self._keep(self._states(sorted(some))))
+            if not self._left_in_round:
+                self._left_in_round, self._mark_of_round = set(range(M)), self._mark
+            self._left_in_round -= some
+            mark = None if self._left_in_round else self._mark_of_round
+            states = [*self._states(sorted(some)), *self._position(mark)]
+            self._keeping = asyncio.create_task(self._keep(states, mark))
 
     def _say_what_is_doubted(self) -> None:
         """Name the valves that are not learnt from, each once."""

@@ -6,7 +6,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,22 @@ class Source(Protocol):
         ------
         SourceLost, SourceRejected
         """
+
+    @property
+    def mark(self) -> Any:  # noqa: ANN401 - the source's own
+        """How far changes have been handed out; None: none were."""
+
+    def hold_back(self) -> None:
+        """Let the source keep what is handed out until `commit` says that it is safe."""
+
+    def commit(self, mark: Any) -> None:  # noqa: ANN401
+        """What was handed out up to a mark is safe: the source need not keep it any more."""
+
+    def position(self, mark: Any) -> bytes:  # noqa: ANN401
+        """What `resume_at` goes on from after a restart."""
+
+    def resume_at(self, position: bytes) -> None:
+        """Go on from a position that was kept, if the source still can; before `connect`."""
 
     async def drop(self) -> None:
         """Leave a connection that is lost: what the source holds for us is there at `connect`."""

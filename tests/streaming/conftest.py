@@ -81,6 +81,17 @@ class FakeSource:
     async def write_heartbeat(self, valve, count):
         self.heartbeats.append((valve, count))
 
+    mark = None
+
+    def hold_back(self):
+        pass
+
+    def commit(self, mark):
+        pass
+
+    def resume_at(self, position):
+        pass
+
     async def drop(self):
         self.dropped += 1
 

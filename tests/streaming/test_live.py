@@ -380,7 +380,7 @@ async def test_the_age_is_told_by_the_source_s_clock(live, source, sink, clock):
 
 
 async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clock):
-    clock.advance(1.0)
+    clock.advance(0.5)
     await live.tick()
     assert np.isnan(sink.health.checkpoint_age_s)
     clock.advance(10.0)

@@ -10,7 +10,7 @@ from asyncua import ua
 from service.hardened import HardenedServer, ServerSettings, add_object, add_variable
 from service.opcua.client import ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.data_changes import SIGNALS_PER_VALVE
+from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 
 NODES = ValveNodes(
     valve="V1",
@@ -26,6 +26,7 @@ class NumberedServer:
         self.server = server
         self.variables = variables
         self.written = 0
+        self.sent = {}  # time and values of each sample, by number
 
     @classmethod
     async def create(cls, cache, **more):
@@ -63,8 +64,20 @@ class NumberedServer:
                 self.publish(time.time_ns())
             await asyncio.sleep(0.01)
 
+    def sent_from(self, first):
+        """All samples from one on, as changes."""
+        chosen = [self.sent[k] for k in range(first, self.written)]
+        n = len(chosen)
+        return DataChanges(
+            item=np.tile(np.arange(SIGNALS_PER_VALVE, dtype=np.int32), n),
+            value=np.array([values for _, values in chosen], float).ravel(),
+            status=np.zeros(SIGNALS_PER_VALVE * n, np.uint32),
+            source_time=np.repeat([t // 100 * 100 for t, _ in chosen], SIGNALS_PER_VALVE),
+        )
+
     def publish(self, t):
         values = [float(self.written % 97 + k) for k in range(5)] + [self.written]
+        self.sent[self.written] = t, values
         self.server.write(
             (variable, value, 0, t) for variable, value in zip(self.variables, values, strict=True)
         )
