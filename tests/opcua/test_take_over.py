@@ -2,21 +2,15 @@
 
 import asyncio
 import time
-from contextlib import asynccontextmanager, suppress
 
 import pytest
 import pytest_asyncio
-from support.proxy import Proxy
-from support.stream import NODES, Collector, NumberedServer
+from support.stream import NumberedServer, until, watching
 
-from service.clock import SystemClock
 from service.hardened import Role, UserStore
-from service.opcua.client import OpcUaSource, SourceSettings
-from service.streaming.supervisor import SupervisorSettings, supervise
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
-RATE_HZ = 100
 SOON_S = 9.0  # after the line is back data are there again
 
 
@@ -27,41 +21,6 @@ async def served(tmp_path_factory):
     plant = await NumberedServer.create(cache, users=users)
     async with plant.server:
         yield plant, password
-
-
-@asynccontextmanager
-async def watching(served, *, named=False, rate_hz=RATE_HZ):
-    """A source behind a proxy, and what comes of it."""
-    plant, password = served
-    stop, collector = asyncio.Event(), Collector()
-    playing = asyncio.create_task(plant.play(rate_hz))
-    try:
-        async with Proxy(plant.port) as proxy:
-            settings = SourceSettings(
-                f"opc.tcp://127.0.0.1:{proxy.port}/plant/",
-                user="operator" if named else None,
-                password=password if named else None,
-            )
-            source = OpcUaSource(settings, [NODES])
-            serving = asyncio.create_task(
-                supervise(source, collector, SystemClock(), stop, SupervisorSettings())
-            )
-            try:
-                await until(lambda: len(collector.numbers) > rate_hz)
-                yield proxy, source, collector
-            finally:
-                stop.set()
-                await serving
-    finally:
-        playing.cancel()
-        with suppress(asyncio.CancelledError):
-            await playing
-
-
-async def until(condition, seconds=30.0):
-    async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.02)
 
 
 async def all_of_it(served, collector):

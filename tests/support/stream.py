@@ -2,15 +2,21 @@
 
 import asyncio
 import time
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 from asyncua import ua
+from support.proxy import Proxy
 
+from service.clock import SystemClock
 from service.hardened import HardenedServer, ServerSettings, add_object, add_variable
-from service.opcua.client import ValveNodes
+from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
+from service.streaming.supervisor import SupervisorSettings, supervise
+
+RATE_HZ = 100
 
 NODES = ValveNodes(
     valve="V1",
@@ -114,3 +120,38 @@ class Collector:
     @property
     def counters(self):
         return {name: n for name, n in self.align.counters(self.state, 0).items() if n}
+
+
+@asynccontextmanager
+async def watching(served, *, named=False, rate_hz=RATE_HZ):
+    """A source behind a proxy, and what comes of it."""
+    plant, password = served
+    stop, collector = asyncio.Event(), Collector()
+    playing = asyncio.create_task(plant.play(rate_hz))
+    try:
+        async with Proxy(plant.port) as proxy:
+            settings = SourceSettings(
+                f"opc.tcp://127.0.0.1:{proxy.port}/plant/",
+                user="operator" if named else None,
+                password=password if named else None,
+            )
+            source = OpcUaSource(settings, [NODES])
+            serving = asyncio.create_task(
+                supervise(source, collector, SystemClock(), stop, SupervisorSettings())
+            )
+            try:
+                await until(lambda: len(collector.numbers) > rate_hz)
+                yield proxy, source, collector
+            finally:
+                stop.set()
+                await serving
+    finally:
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+
+
+async def until(condition, seconds=30.0):
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
