@@ -8,6 +8,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.kernels import cells as memory
 from service.identification.kernels import surface as kernel
@@ -245,6 +246,10 @@ class Auto:
         """Q at the 55 points and its standard deviation."""
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
         return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+
+    def adaptation(self, _state: AutoState) -> Adaptation:
+        """Steady: it forgets at one pace."""
+        return Adaptation.STEADY
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""

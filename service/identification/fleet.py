@@ -33,6 +33,9 @@ class ManyModels(Protocol[In_contra]):
     def parameters_many(self, states: In_contra) -> tuple[Floats, Floats]:
         """What ``parameters`` gives model by model, both (M, n)."""
 
+    def adaptation_many(self, states: In_contra) -> Codes:
+        """What ``adaptation`` gives model by model (M,)."""
+
 
 def stack(states: Sequence[S]) -> S:
     """One state whose arrays have a leading axis M from the states of M models of equal n."""

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from service.identification.adaptation import Adaptation
 from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Exponential, Forgetting, with_lam
 from service.identification.kernels.change_detection import EVERY
@@ -159,6 +160,14 @@ class RecursiveLeastSquares:
         if known is None:
             return one_by_one(self, states)
         return states.theta, np.sqrt(np.maximum(known, 0.0))
+
+    def adaptation(self, _state: RlsState) -> Adaptation:
+        """Steady: it forgets as it is told."""
+        return Adaptation.STEADY
+
+    def adaptation_many(self, states: RlsState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return np.full(len(states.theta), Adaptation.STEADY, np.uint8)
 
     def covariance(self, state: RlsState) -> Floats:
         """Covariance of theta (n, n); NaN while not determined."""

@@ -21,7 +21,16 @@ from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.kernels.row_layout import CHANGES
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread, noise_std
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Status,
+    Times,
+    Trace,
+)
 from service.identification.support import Support
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
@@ -220,6 +229,7 @@ class _Lanes:
             survey=[None] * len(chosen),
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
+            adaptation=self._states.adaptations(chosen),
         )
 
     def put(self, m: int, lane: Lane) -> None:
@@ -277,6 +287,9 @@ class _Stacked:
     def structures(self, chosen: Times) -> Sequence[str | None]:
         return [None] * len(chosen)
 
+    def adaptations(self, chosen: Times) -> Codes:
+        return self._estimator.adaptation_many(members(self._all, chosen))
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -315,6 +328,9 @@ class _Listed:
     def structures(self, chosen: Times) -> Sequence[str | None]:
         describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
         return [describe(self._all[m]) if describe else None for m in chosen]
+
+    def adaptations(self, chosen: Times) -> Codes:
+        return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.adaptation import Adaptation
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Codes, Floats, Quality, Status, Times
@@ -114,7 +115,8 @@ class EstimatorResult:
     ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
-    ``change`` is the last change of the valve that was found, ``structure`` what was chosen.
+    ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
+    ``adaptation`` what the estimator makes of its residuals.
     """
 
     t: int
@@ -130,6 +132,7 @@ class EstimatorResult:
     survey: Survey | None = None
     change: Change | None = None
     structure: str | None = None
+    adaptation: Adaptation = Adaptation.STEADY
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,7 @@ class EstimatorResults:
     survey: Sequence[Survey | None]
     change: Sequence[Change | None]
     structure: Sequence[str | None]
+    adaptation: Codes
 
 
 @dataclass(frozen=True)
@@ -226,6 +230,7 @@ class Results:
                     survey=found.survey[m],
                     change=found.change[m],
                     structure=found.structure[m],
+                    adaptation=Adaptation(int(found.adaptation[m])),
                 )
                 for name, found in self.estimators.items()
             },
