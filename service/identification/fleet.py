@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from service.identification.estimator import Estimator, State
 from service.identification.forgetting import Forgetting
 from service.identification.least_squares_state import RlsState, batch_of, learn_segments
+from service.identification.place_grid import Grid
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
 
 S = TypeVar("S", bound=State)
@@ -93,9 +94,10 @@ def learn_many(
     t: Times,
     usable: Codes,
     segments: Segments,
+    grid: Grid | None = None,
 ) -> Trace:
     """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
-    batch = batch_of(X, y, t, usable)
+    batch = batch_of(X, y, t, usable, grid=grid)
     learn_segments(fleet, forgetting, batch, segments)
     return Trace(batch.predicted, batch.residual, batch.early, batch.status)
 

@@ -5,6 +5,7 @@ from typing import TypeVar, assert_never
 
 import numpy as np
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.forgetting import (
     Adaptive,
@@ -20,9 +21,17 @@ from service.identification.kernels import rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
+from service.identification.kernels.places import FIELDS, NODES_A, NODES_B, PROVEN
 from service.identification.kernels.recursion import Batch, Memory, evaluate, run
 from service.identification.kernels.row_layout import (
+    BLOCKS,
     FACTORED,
+    FLOOR,
+    HASTE,
+    LAG,
+    MISFIT,
+    MISFIT_POWER,
+    NEW,
     PLACES_OF_COUNTERS,
     SQUARES,
     VARIANCE,
@@ -33,10 +42,15 @@ from service.identification.kernels.row_layout import (
     size_of,
 )
 from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
+from service.identification.kernels.scores import STUDENT, coloured
 from service.identification.kernels.stepwise import run_stepwise
+from service.identification.place_grid import Grid, nowhere
 from service.identification.samples import Codes, Floats, Segments, Times, Trace
 
 A = TypeVar("A", Floats, Times, Codes)
+
+NODES = NODES_A * NODES_B
+MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
 
 
 @dataclass(frozen=True)
@@ -51,8 +65,8 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - previous, score (n,), variance (triangle), detector (12,): of change detection, see
-          :mod:`service.identification.kernels.change_detection`.
+        - score (n,), variance (triangle), detector (19,): of change detection and of the memory
+          of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
         - spread (triangle): what the noise has made of theta, over σ². With rules that divide P by
@@ -69,6 +83,9 @@ class RlsState(State):
         sample and time of the last one and of the suspected one.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
+    places : (nodes, fields)
+        What was measured where, see :mod:`service.identification.kernels.places`; no rows with
+        rules other than `Adaptive`.
     """
 
     row: Floats
@@ -76,6 +93,7 @@ class RlsState(State):
     rhs: Floats
     counters: Counts
     window: Floats
+    places: Floats
 
     @property
     def theta(self) -> Floats:
@@ -86,7 +104,7 @@ class RlsState(State):
     def scale(self) -> Floats:
         """Largest |Xⱼ| so far (n,)."""
         at = self._places
-        return self.row[..., at.scale : at.previous]
+        return self.row[..., at.scale : at.score]
 
     @property
     def noise(self) -> Floats:
@@ -96,7 +114,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection (12,)."""
+        """Of change detection and of the memory of places (19,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 
@@ -132,8 +150,9 @@ def initial_state(
         rhs=np.zeros(n),
         counters=np.zeros(PLACES_OF_COUNTERS, np.int64),
         window=np.zeros((length, n + 1)),
+        places=np.zeros((NODES if isinstance(forgetting, Adaptive) else 0, FIELDS)),
     )
-    state.row[at.early : at.factor] = np.nan
+    state.row[at.early : at.block] = np.nan
     Z = np.eye(n) / p0
     if prior is not None:
         rows, values = prior
@@ -160,12 +179,39 @@ def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats,
         values,
         variances,
     )
+    if isinstance(forgetting, Adaptive) and state.detector[HASTE] > PROVEN:
+        variances += max(0.0, float(state.detector[LAG]))
     return values, np.sqrt(variances)
 
 
+def adaptations(detectors: Floats) -> Codes:
+    """:class:`~service.identification.adaptation.Adaptation` of M models from their detectors."""
+    noise = np.maximum(detectors[:, MISFIT_POWER], 0.0)
+    misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
+    found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
+    undecided = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
+    found = np.where(undecided & (detectors[:, NEW] > 0.0), Adaptation.UNDECIDED, found)
+    return np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found).astype(np.uint8)
+
+
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Covariance of theta (n, n): σ² from the innovations; NaN while not determined."""
+    """Covariance of theta (n, n): noise from the innovations; NaN while not determined."""
+    if isinstance(forgetting, Adaptive) and state.counters[FACTORED]:
+        at = places(state.rhs.shape[-1])
+        if coloured(state.row, at.detector):
+            return _long_run(state, at)
     return _spread(state, forgetting) * _noise_variance(state)
+
+
+def _long_run(state: RlsState, at: Places) -> Floats:
+    """Covariance of theta from that of its scores, see the kernel `scores`."""
+    n = state.rhs.shape[-1]
+    P = matrix_P(state)
+    Omega = _symmetric(_square(state.row[at.omega : at.moments], n))
+    M = _symmetric(_square(state.row[at.moments : at.noise], n))
+    samples = n / np.sum(P * M)
+    student = 1.0 + STUDENT / state.detector[BLOCKS]
+    return np.asarray(samples * student * (P @ Omega @ P))
 
 
 def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
@@ -235,6 +281,7 @@ def learn(
     usable: Codes,
     thetas: Floats | None = None,
     changes: Floats | None = None,
+    grid: Grid | None = None,
 ) -> tuple[RlsState, Trace]:
     """Take N samples in, one after another.
 
@@ -248,9 +295,11 @@ def learn(
         Written: theta after each sample.
     changes : (C, 3), optional
         Written: the first C detected changes, see `RlsResult`.
+    grid : optional
+        Where the samples lie; without it `Adaptive` tells no place from another.
     """
     after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
-    batch = batch_of(X, y, t, usable, thetas, changes)
+    batch = batch_of(X, y, t, usable, thetas, changes, grid)
     learn_segments(after, forgetting, batch, Segments.one(len(y)))
     trace = Trace(
         predicted=batch.predicted, residual=batch.residual, early=batch.early, status=batch.status
@@ -278,19 +327,24 @@ def batch_of(
     usable: Codes,
     thetas: Floats | None = None,
     changes: Floats | None = None,
+    grid: Grid | None = None,
 ) -> Batch:
     """Pack samples, and room for what becomes of them, for a kernel."""
-    N = len(y)
+    N, n = X.shape
+    where = nowhere(n) if grid is None else grid
     return Batch(
         t=_writable(t),
         X=_writable(X),
         y=_writable(y),
         usable=_writable(usable),
+        a=_writable(where.a),
+        b=_writable(where.b),
+        nodes=_writable(where.nodes),
         predicted=np.empty(N),
         residual=np.empty(N),
         early=np.empty(N),
         status=np.empty(N, np.uint8),
-        thetas=np.empty((0, X.shape[1])) if thetas is None else thetas,
+        thetas=np.empty((0, n)) if thetas is None else thetas,
         changes=np.empty((0, 3)) if changes is None else changes,
     )
 
@@ -332,9 +386,8 @@ def rule_of(forgetting: Forgetting, n: int) -> Rule:
         case SlidingWindow():
             rule = Rule(rules.WINDOW, forgetting.lam)
         case Adaptive(lam, least, threshold):
-            most = np.log(max(1.0, (1.0 - least) / (1.0 - lam))) if lam < 1.0 else 0.0
             limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
-            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, float(most))
+            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, 1.0 / (1.0 - least))
         case _:
             assert_never(forgetting)
     return rule

@@ -1,11 +1,8 @@
 """What happens to P = U·D·Uᵀ beside the step itself: forgetting, and opening after a change."""
 
-import numpy as np
-
 from service.identification.kernels.compiled import inlined
 from service.identification.kernels.row_layout import (
     COUNT,
-    FACTOR,
     OPENED,
     SQUARES,
     TRACE,
@@ -23,14 +20,6 @@ SETTLED = 20.0
 GOLDEN = 40503  # golden section of 65536
 FLOOR = 1e-4  # information along X, in squared scaled units, that forgetting leaves there
 OPENING = 10.0  # a changed plant: what was learnt before weighs a tenth of a sample
-
-
-@inlined
-def pace(s: Floats, at: Places, rule: Rule) -> float:
-    """λ as it is now: it falls while the innovations stay coloured."""
-    if rule.threshold == np.inf:
-        return rule.lam
-    return float(1.0 - (1.0 - rule.lam) * max(1.0, s[at.detector + FACTOR]))
 
 
 @inlined

@@ -29,10 +29,16 @@ PLACES_OF_COUNTERS = 11
 WEIGHT, SQUARES, VARIANCE, TRACE = range(4)
 PLACES_OF_NOISE = 4
 
-# Places in `detector`.
-EVIDENCE, RECENT, LATELY, MEAN, SCALE_WEIGHT, SCALE, SUM, SIZE = range(8)
-LAST, POWER, HASTE, FACTOR = range(8, 12)
-PLACES_OF_DETECTOR = 12
+# Places in `detector`: of the test for changes; of the memory of places.
+EVIDENCE, SUM, SIZE, FLOOR, FLOOR_WEIGHT, LAST_D = range(6)
+LAST_E, POWER, POWER_WEIGHT, LOCAL, NODE = range(6, 11)
+VISIT_LENGTH, VISIT_SUM, VISIT_POWER, HASTE, FADING = range(11, 16)
+MISFIT, MISFIT_POWER, NEW, LAG, GAP, VISIT_SQUARES, VISIT_WEIGHT, VISIT_COMMON = range(16, 24)
+COMMON, CARRIED, LAST_MEAN, BEND = range(24, 28)
+# Of the long-run covariance of the scores.
+LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS = range(28, 34)
+SUSPECTED, CLOSED = range(34, 36)
+PLACES_OF_DETECTOR = 36
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
@@ -47,12 +53,14 @@ class Places(NamedTuple):
 
     theta: int
     scale: int
-    previous: int
     score: int
     early: int
+    block: int
     factor: int
     spread: int
     variance: int
+    omega: int
+    moments: int
     noise: int
     detector: int
     x: int
@@ -68,12 +76,14 @@ def places(n: int) -> Places:
     """Places for n parameters."""
     triangle = n * (n + 1) // 2
     factor = 5 * n
-    noise = factor + 3 * triangle
-    x = noise + 16
+    noise = factor + 5 * triangle
+    detector = noise + PLACES_OF_NOISE
+    x = detector + PLACES_OF_DETECTOR
     L = x + 5 * n
     return Places(
-        0, n, 2 * n, 3 * n, 4 * n, factor, factor + triangle, factor + 2 * triangle, noise,
-        noise + 4, x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
+        0, n, 2 * n, 3 * n, 4 * n, factor, factor + triangle, factor + 2 * triangle,
+        factor + 3 * triangle, factor + 4 * triangle, noise, detector,
+        x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
     )  # fmt: skip
 
 

@@ -2,9 +2,17 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import kernel
-from service.identification.kernels.row_layout import SQUARES, VARIANCE, WEIGHT, places_of
+from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.row_layout import (
+    BLOCKS,
+    SQUARES,
+    VARIANCE,
+    WEIGHT,
+    Places,
+    places_of,
+)
 from service.identification.kernels.rules import RESETTING, WINDOW
+from service.identification.kernels.scores import STUDENT, is_coloured
 from service.identification.samples import Floats
 
 
@@ -48,3 +56,27 @@ def parameter_variances(rows: Floats, kind: int, variances: Floats) -> None:
             elif kind <= RESETTING and not equal_weights:
                 over = turned
             variances[m, i] = max(over, 0.0) * s[noise + VARIANCE]
+        if kind > RESETTING and kind != WINDOW and is_coloured(s, at.detector):
+            _long_run(s, at, P, A, variances[m])
+
+
+@inner
+def _long_run(s: Floats, at: Places, P: Floats, A: Floats, variances: Floats) -> None:
+    """Variances (n,) from the long-run covariance of the scores; A is scratch."""
+    n = len(variances)
+    p, trace = 0, 0.0
+    for i in range(n):
+        for k in range(i + 1):
+            A[i, k] = s[at.omega + p]
+            A[k, i] = s[at.omega + p]
+            trace += P[i, k] * s[at.moments + p] * (1.0 if i == k else 2.0)
+            p += 1
+    samples = n / trace * (1.0 + STUDENT / s[at.detector + BLOCKS])
+    for i in range(n):
+        turned = 0.0
+        for j in range(n):
+            along = 0.0
+            for k in range(n):
+                along += A[j, k] * P[i, k]
+            turned += P[i, j] * along
+        variances[i] = max(samples * turned, 0.0)
