@@ -88,7 +88,7 @@ VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
 FULL_VISIT = 10.0  # samples of a visit that counts full in the pace of forgetting
 HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
-TOLERATED = 0.1  # lag² over the mean square of visits that is let be
+TOLERATED = 0.3  # lag² over the mean square of visits that is let be
 LONGEST = 1e6  # samples that a place is remembered as long as nothing is seen to drift
 PROVEN = 3.0  # logarithm of how many times shorter memory is drift
 REVISITS = 0.5  # of the mean time between visits to a node: memory is no shorter
@@ -284,7 +284,7 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         own[k, SPREAD] += share * (s[g + VISIT_SQUARES] / length - own[k, SPREAD])
         gap = now - length - own[k, VISITED]
         apart = own[k, VISITED] <= 0.0 or gap > APART or length >= LONG_VISIT
-        if own[k, VISITED] > 0.0 and apart:
+        if own[k, VISITS] > YOUNG and apart:
             recent = min(1.0, length / LAG_MEMORY)
             colour = mean * own[k, DEVIATION] / max(power, 1e-300)
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
