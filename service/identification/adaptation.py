@@ -29,8 +29,8 @@ class Adaptation(IntEnum):
 
 _SENTENCES = {
     Adaptation.STEADY: "Residuals are noise; the memory is long.",
-    Adaptation.UNDECIDED: "Residuals stay, at places not seen before: misfit or drift cannot be "
-    "told apart yet; the memory is kept and the interval widened.",
+    Adaptation.UNDECIDED: "Misfit and drift cannot be told apart: too few places were seen "
+    "again, or the estimator does not look; the memory is as configured.",
     Adaptation.MISFIT: "Residuals come back at the same places: the structure does not fit; "
     "the memory is kept.",
     Adaptation.DRIFT: "Places seen again show another flow than before: the valve moves, and the "

@@ -13,6 +13,8 @@ from service.identification.least_squares_state import RlsState, batch_of, learn
 from service.identification.place_grid import Grid
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
 
+UNREAD = frozenset({"places", "window"})  # arrays of a state that results are not made of
+
 S = TypeVar("S", bound=State)
 In_contra = TypeVar("In_contra", bound=State, contravariant=True)
 
@@ -66,9 +68,13 @@ def copied(state: S) -> S:
 
 
 def members(fleet: S, chosen: Times) -> S:
-    """States of some models, with a leading axis of their own: copies."""
-    kind = type(fleet)
-    return kind(**{f.name: getattr(fleet, f.name)[chosen] for f in fields(kind)})
+    """States of some models, with a leading axis of their own: copies.
+
+    But for what no result is read from: of the memory of places and of windows there is none.
+    """
+    kind, nothing = type(fleet), np.empty((len(chosen), 0))
+    arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
+    return kind(**{k: nothing if k in UNREAD else a[chosen] for k, a in arrays.items()})
 
 
 def one_by_one(estimator: Estimator[S], states: S) -> tuple[Floats, Floats]:

@@ -112,12 +112,15 @@ class Adaptive:
     (:mod:`service.identification.kernels.change_detection`); then what was learnt weighs a tenth of
     a sample, and is soon replaced where there are new ones.
 
+    With `lam` < 1 the plant is known to drift: `Subspace`, on one sample of eight with λ⁸, and
+    faster as long as innovations stay coloured; misfit would be taken for drift.
+
     Attributes
     ----------
     lam : float
-        λ of `Subspace` beside that, on one sample of eight with λ⁸; 1: none.
+        1, or λ of a plant that is known to drift.
     least : float
-        1/(1 - least) samples is the shortest memory of a place.
+        Smallest λ.
     threshold : float
         Standard deviations of the scores that mean a change.
     """

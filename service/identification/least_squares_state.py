@@ -21,18 +21,18 @@ from service.identification.kernels import rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
-from service.identification.kernels.places import FIELDS, NODES_A, NODES_B, PROVEN
+from service.identification.kernels.places import FIELDS, LONGEST, NODES_A, NODES_B, PROVEN
 from service.identification.kernels.recursion import Batch, Memory, evaluate, run
 from service.identification.kernels.row_layout import (
-    BLOCKS,
     FACTORED,
     FLOOR,
     HASTE,
-    LAG,
     MISFIT,
     MISFIT_POWER,
     NEW,
     PLACES_OF_COUNTERS,
+    PRODUCT,
+    REVISITED,
     SQUARES,
     VARIANCE,
     WEIGHT,
@@ -42,7 +42,6 @@ from service.identification.kernels.row_layout import (
     size_of,
 )
 from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
-from service.identification.kernels.scores import STUDENT, coloured
 from service.identification.kernels.stepwise import run_stepwise
 from service.identification.place_grid import Grid, nowhere
 from service.identification.samples import Codes, Floats, Segments, Times, Trace
@@ -50,6 +49,8 @@ from service.identification.samples import Codes, Floats, Segments, Times, Trace
 A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
+BEHIND = 1.3  # times what residuals have in common of late: by how much a map that drifts lags
+REVISITS = 30.0  # of places, before which nobody can tell
 MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
 
 
@@ -179,39 +180,40 @@ def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats,
         values,
         variances,
     )
-    if isinstance(forgetting, Adaptive) and state.detector[HASTE] > PROVEN:
-        variances += max(0.0, float(state.detector[LAG]))
+    if _keeps(forgetting) and state.detector[HASTE] > PROVEN:
+        variances += BEHIND * max(0.0, float(state.detector[PRODUCT]))
     return values, np.sqrt(variances)
 
 
-def adaptations(detectors: Floats) -> Codes:
+def _keeps(forgetting: Forgetting) -> bool:
+    """Whether a rule forgets nothing until places drift."""
+    return isinstance(forgetting, Adaptive) and forgetting.lam == 1.0
+
+
+def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
     """:class:`~service.identification.adaptation.Adaptation` of M models from their detectors."""
-    noise = np.maximum(detectors[:, MISFIT_POWER], 0.0)
+    if not _keeps(forgetting):
+        return np.full(len(detectors), Adaptation.UNDECIDED, np.uint8)
+    noise, seen = np.maximum(detectors[:, MISFIT_POWER], 0.0), detectors[:, REVISITED]
     misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
     found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
-    undecided = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
-    found = np.where(undecided & (detectors[:, NEW] > 0.0), Adaptation.UNDECIDED, found)
+    new = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
+    undecided = (seen < REVISITS) | (new & (detectors[:, NEW] > 0.0))
+    found = np.where(undecided, Adaptation.UNDECIDED, found)
     return np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found).astype(np.uint8)
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
     """Covariance of theta (n, n): noise from the innovations; NaN while not determined."""
-    if isinstance(forgetting, Adaptive) and state.counters[FACTORED]:
-        at = places(state.rhs.shape[-1])
-        if coloured(state.row, at.detector):
-            return _long_run(state, at)
-    return _spread(state, forgetting) * _noise_variance(state)
-
-
-def _long_run(state: RlsState, at: Places) -> Floats:
-    """Covariance of theta from that of its scores, see the kernel `scores`."""
-    n = state.rhs.shape[-1]
+    kind, scored = rule_of(forgetting, len(state.rhs)).kind, int(_keeps(forgetting))
+    if state.counters[FACTORED] and state.noise[WEIGHT]:
+        found = np.empty_like(state.R)
+        uncertainty.parameter_covariance(_writable(state.row), kind, scored, found)
+        return found
     P = matrix_P(state)
-    Omega = _symmetric(_square(state.row[at.omega : at.moments], n))
-    M = _symmetric(_square(state.row[at.moments : at.noise], n))
-    samples = n / np.sum(P * M)
-    student = 1.0 + STUDENT / state.detector[BLOCKS]
-    return np.asarray(samples * student * (P @ Omega @ P))
+    if kind <= RESETTING and state.noise[WEIGHT] != state.noise[SQUARES]:
+        P = P @ _symmetric(state.spread) @ P
+    return np.asarray(P * _noise_variance(state))
 
 
 def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
@@ -220,8 +222,9 @@ def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
     if not ready.all():
         return None
     known = np.empty(fleet.theta.shape)
-    rule = rule_of(forgetting, fleet.rhs.shape[-1])
-    uncertainty.parameter_variances(_writable(fleet.row), rule.kind, known)
+    kind = rule_of(forgetting, fleet.rhs.shape[-1]).kind
+    scored = int(_keeps(forgetting))
+    uncertainty.parameter_variances(_writable(fleet.row), kind, scored, known)
     return known
 
 
@@ -230,19 +233,6 @@ def parameter_variance(state: RlsState, forgetting: Forgetting) -> Floats:
     alone = RlsState(*(getattr(state, name)[None] for name in Memory._fields))
     known = variances(alone, forgetting)
     return np.diag(parameter_covariance(state, forgetting)) if known is None else known[0]
-
-
-def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Covariance of theta over σ²."""
-    P = matrix_P(state)
-    equal_weights = state.noise[WEIGHT] == state.noise[SQUARES]
-    match forgetting:
-        case Directional() | Subspace() | Adaptive() if is_determined(state):
-            return np.asarray(P - P @ _symmetric(state.spread) @ P)
-        case Exponential() | Variable() | Resetting() if not equal_weights:
-            return np.asarray(P @ _symmetric(state.spread) @ P)
-        case _:
-            return P
 
 
 def matrix_P(state: RlsState) -> Floats:
@@ -386,8 +376,10 @@ def rule_of(forgetting: Forgetting, n: int) -> Rule:
         case SlidingWindow():
             rule = Rule(rules.WINDOW, forgetting.lam)
         case Adaptive(lam, least, threshold):
+            slowest = 1.0 - lam if lam < 1.0 else 1.0 / LONGEST
+            most = np.log(max(1.0, (1.0 - least) / slowest))
             limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
-            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, 1.0 / (1.0 - least))
+            rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, float(most))
         case _:
             assert_never(forgetting)
     return rule

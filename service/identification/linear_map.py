@@ -75,4 +75,4 @@ class LinearMap:
 
     def adaptation(self, _state: LinearMapState) -> Adaptation:
         """Steady: it never learns."""
-        return Adaptation.STEADY
+        return Adaptation.UNDECIDED

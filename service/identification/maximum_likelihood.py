@@ -192,12 +192,12 @@ class MaximumLikelihood:
         return one_by_one(self, states)
 
     def adaptation(self, _state: MaximumLikelihoodState) -> Adaptation:
-        """Steady: it forgets at one pace."""
-        return Adaptation.STEADY
+        """Undecided: it does not tell misfit from drift."""
+        return Adaptation.UNDECIDED
 
     def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.theta), Adaptation.STEADY, np.uint8)
+        return np.full(len(states.theta), Adaptation.UNDECIDED, np.uint8)
 
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""

@@ -204,11 +204,11 @@ class RbfNetwork:
 
     def adaptation(self, _state: RbfNetworkState) -> Adaptation:
         """Steady: the network learns at one pace, whatever its residuals do."""
-        return Adaptation.STEADY
+        return Adaptation.UNDECIDED
 
     def adaptation_many(self, states: RbfNetworkState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.w), Adaptation.STEADY, np.uint8)
+        return np.full(len(states.w), Adaptation.UNDECIDED, np.uint8)
 
     def _normalised(self, U: Floats, dp: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rows (U, dp) in ranges, and which of them are finite."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from service.identification.adaptation import Adaptation
 from service.identification.fleet import learn_many, one_by_one, update_one
 from service.identification.forgetting import Adaptive, Exponential, Forgetting, with_lam
-from service.identification.kernels.change_detection import EVERY
+from service.identification.kernels.change_detection import FEWEST_BETWEEN
 from service.identification.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from service.identification.kernels.rules import LARGEST
 from service.identification.least_squares_state import (
@@ -167,12 +167,12 @@ class RecursiveLeastSquares:
         return states.theta, np.sqrt(np.maximum(known, 0.0))
 
     def adaptation(self, state: RlsState) -> Adaptation:
-        """What it makes of its residuals; steady with rules other than `Adaptive`."""
-        return Adaptation(int(adaptations(state.detector[None])[0]))
+        """What it makes of its residuals; undecided but with `Adaptive` that keeps its memory."""
+        return Adaptation(int(adaptations(state.detector[None], self.forgetting)[0]))
 
     def adaptation_many(self, states: RlsState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return adaptations(states.detector)
+        return adaptations(states.detector, self.forgetting)
 
     def covariance(self, state: RlsState) -> Floats:
         """Covariance of theta (n, n); NaN while not determined."""
@@ -261,7 +261,7 @@ def recursive_least_squares(
         raise ValueError(f"p0 = {p0!r} is not positive")
     N, n = regressors.shape
     state = initial_state(n, rule, p0)
-    thetas, changes = np.empty((N, n)), np.empty((N // EVERY + 1, 3))
+    thetas, changes = np.empty((N, n)), np.empty((N // FEWEST_BETWEEN + 1, 3))
     usable, grid = np.ones(N, np.uint8), None
     if isinstance(rule, Adaptive):
         grid = grid_of_rows(regressors)

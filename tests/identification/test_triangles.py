@@ -55,7 +55,7 @@ def vector(s, place):
 
 def test_the_places_do_not_overlap_and_leave_nothing_out():
     triangle = N * (N + 1) // 2
-    lengths = [N] * 5 + [triangle] * 5 + [4, PLACES_OF_DETECTOR] + [N] * 5 + [triangle]
+    lengths = [N] * 9 + [triangle] * 6 + [4, PLACES_OF_DETECTOR] + [N] * 5 + [triangle]
     assert list(AT) == np.concatenate([[0], np.cumsum(lengths)]).tolist()
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from service.identification.kernels.compiled import inlined
 from service.identification.kernels.places import CLIP, POWER_MEMORY, shake
 from service.identification.kernels.row_layout import (
+    ATTENTIVE,
     CHANGES,
     COMMON,
     COUNT,
@@ -30,12 +31,15 @@ from service.identification.kernels.row_layout import (
     MISFIT,
     MISFIT_POWER,
     POWER,
+    REVISITED,
     SAMPLE,
     SIZE,
     SUM,
+    SUMMED,
     SUSPECT_SAMPLE,
     SUSPECT_TIME,
     SUSPECTED,
+    SWEPT,
     TIME,
     VISIT_LENGTH,
     Counts,
@@ -43,21 +47,24 @@ from service.identification.kernels.row_layout import (
     Size,
 )
 from service.identification.kernels.rules import Rule
+from service.identification.kernels.scores import is_coloured
 from service.identification.kernels.triangles import add_square, squared_length
 from service.identification.samples import Floats
 
-EVERY = 8
 WINDOW = 1.0 / 100.0
 IN_WINDOW = 2.0 / WINDOW  # squared sum of the weights over the sum of their squares
+IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
 IN_VISIT = 3.0  # the same for the samples of a visit so far, each
 SETTLED = 20.0
-ENOUGH = 20.0
+FEWEST_BETWEEN = 8  # looks at least from a change to the next
 MISFIT_HERE = 10.0  # times its mean square that misfit may be at one place
+FITS = 0.1  # times the noise: misfit below which theta is believed where no place is known
 MISFIT_UNSEEN = 0.02  # times the noise that misfit may be without being seen
 ROUNDING = 1e-12  # of the flow, squared
 TINY = 1e-300
+FIRST = 1500  # samples before which a map is learnt rather than changed
 PATIENCE = 300  # samples after which what was suspected is taken for noise
-EXPERIENCE = 500.0  # samples in places known before, before which all is noise
+EXPERIENCE = 100.0  # looks at places known before, before which all is noise
 SUSPICIOUS = 3.0  # standard deviations
 
 _KEEP = 1.0 - WINDOW
@@ -70,7 +77,9 @@ def value_of(deviations: float, n: int) -> float:
 
 
 @inlined
-def weigh(size: Size, s: Floats, at: Places, d: float, e: float, y: float, r: float) -> None:
+def weigh(
+    size: Size, s: Floats, at: Places, d: float, e: float, y: float, r: float, count: int
+) -> None:
     """Take a sample into the score.
 
     Parameters
@@ -79,31 +88,37 @@ def weigh(size: Size, s: Floats, at: Places, d: float, e: float, y: float, r: fl
         The row: regressor in ``x``; ``score``, ``variance`` and ``detector`` are written.
     d, e, y, r
         What is new of its residual, NaN where its place is not known; innovation; flow; xᵀPx.
+    count
+        Samples so far.
     """
     g = at.detector
     step = d - s[g + LAST_D]
     s[g + LAST_D] = d
-    if np.isnan(step):
-        return
-    square = 0.5 * step * step
-    if s[g + SUSPECTED] > 0.0:
-        square = s[g + FLOOR]
-    elif s[g + FLOOR_WEIGHT] > SETTLED:
-        square = min(square, CLIP * CLIP * s[g + FLOOR])
-    s[g + FLOOR_WEIGHT] += 1.0 - s[g + FLOOR_WEIGHT] / POWER_MEMORY
-    s[g + FLOOR] += (square - s[g + FLOOR]) / s[g + FLOOR_WEIGHT]
-    s[g + SUM] += d
-    if s[g + FLOOR_WEIGHT] <= SETTLED:
-        return
-    local = s[g + LOCAL]
+    if not np.isnan(step):
+        square = 0.5 * step * step
+        if s[g + SUSPECTED] > 0.0:
+            square = s[g + FLOOR]
+        elif s[g + FLOOR_WEIGHT] > SETTLED:
+            square = min(square, CLIP * CLIP * s[g + FLOOR])
+        s[g + FLOOR_WEIGHT] += 1.0 - s[g + FLOOR_WEIGHT] / POWER_MEMORY
+        s[g + FLOOR] += (square - s[g + FLOOR]) / s[g + FLOOR_WEIGHT]
+    local = s[g + LOCAL] if not np.isnan(step) else np.inf
     if s[g + MISFIT_POWER] > 0.0:  # where the structure fits, theta knows better than the place
         misfit = max(0.0, s[g + MISFIT])
         doubt = MISFIT_HERE * misfit + MISFIT_UNSEEN * s[g + MISFIT_POWER] + r * s[g + POWER]
-        doubt += (e - d) * (e - d)
+        if not np.isnan(step):
+            doubt += (e - d) * (e - d)
+        elif s[g + REVISITED] < EXPERIENCE or misfit > FITS * s[g + MISFIT_POWER]:
+            doubt = np.inf  # nobody knows this place
         if doubt < local:
             local = doubt
             d = e
-    doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * (1.0 + s[g + VISIT_LENGTH]) * local
+    if local == np.inf or s[g + FLOOR_WEIGHT] <= SETTLED or count < FIRST:
+        return
+    s[g + SUM] += d
+    s[g + SUMMED] += 1.0
+    alike = s[g + VISIT_LENGTH] + IN_SWEEP * s[g + SWEPT]
+    doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * alike * local
     z = d / np.sqrt(s[g + FLOOR] + doubt + ROUNDING * y * y + TINY)
     z = min(max(z, -CLIP), CLIP)
     s[g + EVIDENCE] = _KEEP * s[g + EVIDENCE] + 1.0
@@ -114,9 +129,16 @@ def weigh(size: Size, s: Floats, at: Places, d: float, e: float, y: float, r: fl
 
 @inlined
 def has_changed(
-    size: Size, s: Floats, at: Places, own: Floats, counters: Counts, t: int, rule: Rule
+    size: Size,
+    s: Floats,
+    at: Places,
+    own: Floats,
+    counters: Counts,
+    t: int,
+    rule: Rule,
+    every: int,
 ) -> bool:
-    """Whether the plant has changed, and then the evidence is dropped; asked after EVERY samples.
+    """Whether the plant has changed, and then the evidence is dropped; asked after each look.
 
     Parameters
     ----------
@@ -124,10 +146,12 @@ def has_changed(
         State, written in place.
     t
         Time of the last sample.
+    every
+        One of so many samples is looked at without suspicion.
     """
     n = len(size)
     g = at.detector
-    if s[g + EVIDENCE] < ENOUGH:
+    if s[g + EVIDENCE] < 0.9 * FEWEST_BETWEEN:
         return False
 
     T = squared_length(size, s, at.score, at.variance, at.f, at.Px, at.L)
@@ -135,18 +159,24 @@ def has_changed(
         counters[SUSPECT_SAMPLE] = counters[COUNT] + 1
         counters[SUSPECT_TIME] = t
         s[g + SUM] = 0.0
+        s[g + SUMMED] = 0.0
         s[g + SUSPECTED] = 0.0
     elif counters[COUNT] - counters[SUSPECT_SAMPLE] < PATIENCE and s[g + FLOOR_WEIGHT] > EXPERIENCE:
         s[g + SUSPECTED] = 1.0  # what may be a change is no measure of noise
     else:
         s[g + SUSPECTED] = 0.0
+    # Every sample is looked at under suspicion, unless noise lasts: it would count once too often.
+    s[g + ATTENTIVE] = 0.0 if is_coloured(s, g) else s[g + SUSPECTED]
     if rule.threshold >= T:
         return False
+    # T has grown evenly since the change: from so many looks before it was suspicious.
+    before = s[g + SUMMED] * rule.suspicious / max(T - rule.suspicious, TINY)
+    since = counters[SUSPECT_SAMPLE] - int(every * min(before, 0.5 / WINDOW))
     counters[CHANGES] += 1
-    counters[SAMPLE] = counters[SUSPECT_SAMPLE]
+    counters[SAMPLE] = max(since, 1)
     counters[TIME] = counters[SUSPECT_TIME]
-    s[g + SIZE] = s[g + SUM] / max(1, counters[COUNT] + 1 - counters[SUSPECT_SAMPLE])
-    for place in (EVIDENCE, SUM, SUSPECTED):
+    s[g + SIZE] = s[g + SUM] / max(1.0, s[g + SUMMED])
+    for place in (EVIDENCE, SUM, SUMMED, SUSPECTED, ATTENTIVE):
         s[g + place] = 0.0
     for j in range(n):
         s[at.score + j] = 0.0

@@ -14,8 +14,9 @@ is known of it fades with time.
 Drift is told from noise and misfit by visits: d averaged over a visit to a node, times the same of
 the visit before. Noise of visits that lie apart is independent, however coloured it is, and misfit
 is not in d; what is left on the average is the square of the way by which the memory lags behind.
-Where that is more than TOLERATED, what is known of the nodes fades faster, and theta is fitted anew
-to what they hold: each place counts with what it showed last, and none is lost.
+Where that is more than TOLERATED, what is known of the nodes fades faster, and so does what theta
+rests on, yet no faster than places are seen again; and theta is fitted anew to what the nodes hold:
+each place counts with what it showed last, and none is lost.
 """
 
 import numpy as np
@@ -43,7 +44,9 @@ from service.identification.kernels.row_layout import (
     NODE,
     POWER,
     POWER_WEIGHT,
+    REVISITED,
     SUSPECTED,
+    SWEPT,
     VARIANCE,
     VISIT_COMMON,
     VISIT_LENGTH,
@@ -61,9 +64,10 @@ from service.identification.kernels.triangles import whiten
 from service.identification.samples import Floats
 
 # Fields of a node: flow, l/min; samples it is the mean of; number of the sample that touched it
-# last; mean square of d around it; mean of d over the last visit; end of that visit; visits.
-FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS = range(7)
-FIELDS = 7
+# last; mean square of d around it; mean of d over the last visit; end of that visit; visits; looks
+# of the last one.
+FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS, STAYED = range(8)
+FIELDS = 8
 
 NODES_A, NODES_B = 17, 12  # of the grid, along U and √dp
 TOP_DP = 225.0  # bar: the last node
@@ -82,22 +86,28 @@ SPREAD_MEMORY = 100.0  # samples that a node's mean square remembers
 POWER_MEMORY = 10_000.0  # samples that the mean square of all remembers
 CLIP = 4.0  # standard deviations beyond which d counts as so many: outliers
 HETEROGENEOUS = 1.2  # times the mean square of all: what a node's may be by chance
-LONG_VISIT = 1000.0  # samples after which a stay at one place is another visit
-APART = 100.0  # samples after which noise has forgotten: visits closer together are one
+LONG_VISIT = 8.0  # looks after which a stay at one place is another visit
+APART = 64.0  # samples after which noise has forgotten: visits closer together are one
 VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
-FULL_VISIT = 10.0  # samples of a visit that counts full in the pace of forgetting
+FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
 HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
-TOLERATED = 0.3  # lag² over the mean square of visits that is let be
-LONGEST = 1e6  # samples that a place is remembered as long as nothing is seen to drift
-PROVEN = 3.0  # logarithm of how many times shorter memory is drift
+TOLERATED = 0.1  # colour of visits that is let be
+ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
+LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
+PROVEN = 2.0  # logarithm of how many times shorter memory is drift
 REVISITS = 0.5  # of the mean time between visits to a node: memory is no shorter
-LEFT = 1e-3  # of what was known of a node, however long ago: no place is lost
-REFIT = 32  # samples per parameter after which theta is fitted anew while it drifts
-YOUNG = 4.0  # times the mean square of visits that a place seen once may be wrong by
+UNVISITED = 10.0  # times the mean square of misfit: error beside a node never visited
+ALL_SURE = 0.95  # of φ that was visited, or there is one
+UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
 MOST_COLOUR = 4.0  # of one pair of visits
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
+EQUAL = 4.0  # looks from which all places count alike
+REFIT = 512  # samples after which theta is fitted anew while it drifts
+YOUNG, LOOK_EVERY_YOUNG = 4096, 2  # samples; of those one of so many is held against its place,
+LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
+SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 
 
@@ -147,6 +157,9 @@ def look(
     nearest = first + (1 if q > 0.5 else 0) + (NODES_B if p > 0.5 else 0)
     if nearest != int(s[g + NODE]) or s[g + VISIT_LENGTH] >= LONG_VISIT:
         close_visit(s, at, own, float(counters[COUNT]), rule)
+        apart = abs(nearest - int(s[g + NODE]))
+        row = (apart + 1) // NODES_B * NODES_B
+        s[g + SWEPT] = 1.0 if abs(apart - row) <= 1 and row <= NODES_B else 0.0
         s[g + NODE] = nearest
         s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
     now, fading = float(counters[COUNT]), s[g + FADING]
@@ -183,9 +196,11 @@ def look(
         wear = AGEING * age * flow
         spread = spread * (1.0 + S) + wear * wear
         own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
-        young = 1.0 + YOUNG / (1.0 + own[nearest, VISITS])
+        young = 1.0 + UNSURE / (1.0 + own[nearest, VISITS])
         between = max(young * max(0.0, s[g + VISIT_COMMON]), s[g + BEND] * s[g + BEND])
-        s[g + LOCAL] = between + own_part + S * s[g + POWER]
+        # A node never visited, and those beside it, hold what theta made of them once.
+        guessed = UNVISITED * max(0.0, s[g + MISFIT]) if sure < ALL_SURE else 0.0
+        s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed
         whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
         chance = SURE * s[g + VISIT_POWER] / np.sqrt(1.0 + s[g + CLOSED])
         s[g + COMMON] = wear * wear + 2.0 * (
@@ -202,6 +217,7 @@ def look(
         s[g + VISIT_SUM] += step
         again = own[nearest, VISITED] > 0.0 and now - own[nearest, VISITED] > APART
         if again and s[g + VISIT_LENGTH] == 1.0 and s[g + SUSPECTED] == 0.0:
+            s[g + REVISITED] += 1.0
             s[g + MISFIT] += MISFIT_RATE * (c * e - s[g + MISFIT])
             s[g + MISFIT_POWER] += MISFIT_RATE * (d * d - s[g + MISFIT_POWER])
         gain = step / (1.0 + S)
@@ -273,8 +289,7 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         s[g + VISIT_WEIGHT] += length - min(1.0, length / VISIT_MEMORY) * s[g + VISIT_WEIGHT]
         part = length / s[g + VISIT_WEIGHT]
         s[g + VISIT_POWER] += part * (square - power)
-        common = square - s[g + FLOOR] / length - s[g + VISIT_COMMON]
-        s[g + VISIT_COMMON] += part * common
+        s[g + VISIT_COMMON] += part * (square - s[g + FLOOR] / length - s[g + VISIT_COMMON])
         s[g + CLOSED] += 1.0 - part * s[g + CLOSED]
         s[g + CARRIED] += part * (mean * s[g + LAST_MEAN] - s[g + CARRIED])
         s[g + LAST_MEAN] = min(max(mean, -CLIP * np.sqrt(power)), CLIP * np.sqrt(power))
@@ -284,17 +299,22 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         own[k, SPREAD] += share * (s[g + VISIT_SQUARES] / length - own[k, SPREAD])
         gap = now - length - own[k, VISITED]
         apart = own[k, VISITED] <= 0.0 or gap > APART or length >= LONG_VISIT
-        if own[k, VISITS] > YOUNG and apart:
+        if own[k, VISITS] > SEEN_OFTEN and apart:
             recent = min(1.0, length / LAG_MEMORY)
-            colour = mean * own[k, DEVIATION] / max(power, 1e-300)
+            common = max(0.0, s[g + VISIT_COMMON])
+            expected = (s[g + FLOOR] / length + common) * (s[g + FLOOR] / own[k, STAYED] + common)
+            colour = mean * own[k, DEVIATION] / max(np.sqrt(expected), 1e-300)
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
             s[g + LAG] += recent * (mean * own[k, DEVIATION] - s[g + LAG])
             s[g + GAP] += recent * (now - own[k, VISITED] - s[g + GAP])
-            haste = s[g + HASTE] + HASTE_STEP * min(1.0, length / FULL_VISIT) * (colour - TOLERATED)
-            shortest = max(rule.shortest, REVISITS * s[g + GAP])
-            s[g + HASTE] = max(min(haste, np.log(LONGEST / shortest)), 0.0)
+            tolerated = ONCE_PROVEN if s[g + HASTE] > PROVEN else TOLERATED
+            haste = s[g + HASTE] + HASTE_STEP * min(1.0, length / FULL_VISIT) * (colour - tolerated)
+            if rule.lam == 1.0:
+                most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
+                s[g + HASTE] = max(min(haste, most), 0.0)
         if apart:
             own[k, DEVIATION] = mean
+            own[k, STAYED] = length
     if length > 0.0:
         own[k, VISITS] += 1.0
         own[k, VISITED] = now
@@ -311,12 +331,15 @@ def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: fl
     """
     n = len(rhs)
     at = places_of(n)
-    fading = s[at.detector + FADING]
+    g = at.detector
+    gap, ageing = max(s[g + GAP], APART), 0.0  # ageing: of a place's variance, 1/samples²
+    if s[g + FLOOR] > 0.0:
+        ageing = max(s[g + LAG], 0.0) / (s[g + FLOOR] * gap * gap)
     scale, x = s[at.scale : at.scale + n], np.empty(n)
     for k in range(len(own)):
         if own[k, VISITS] > 0.0:
-            age = np.exp(-fading * (now - own[k, TOUCHED]))
-            root = np.sqrt(own[k, KNOWN] * max(age, LEFT))
+            aged = ageing * (now - own[k, TOUCHED]) ** 2
+            root = np.sqrt(LOOK_EVERY / (1.0 / min(own[k, KNOWN], EQUAL) + aged))
             for j in range(n):
                 x[j] = root * nodes[k, j]
             rotate_in(R, rhs, x, root * own[k, FLOW], 1.0, scale, k)

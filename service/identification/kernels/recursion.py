@@ -9,23 +9,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels.change_detection import EVERY, has_changed, weigh
+from service.identification.kernels.change_detection import has_changed, weigh
 from service.identification.kernels.compiled import kernel
 from service.identification.kernels.covariance_form import (
     forget_subspace,
     grows_beyond_limit,
+    hurry,
     is_nth,
     learn_noise,
     let_go,
     note,
+    pace,
     variable_lam,
     weight_along,
 )
 from service.identification.kernels.factors import is_estimable
 from service.identification.kernels.information_form import warm_up
-from service.identification.kernels.places import LONGEST, PROVEN, REFIT, look, refit
+from service.identification.kernels.places import (
+    LONGEST,
+    LOOK_EVERY,
+    LOOK_EVERY_YOUNG,
+    PROVEN,
+    REFIT,
+    YOUNG,
+    look,
+    refit,
+)
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.row_layout import (
+    ATTENTIVE,
     COUNT,
     FACTORED,
     FADING,
@@ -51,7 +63,7 @@ from service.identification.kernels.rules import (
     Rule,
     rejection,
 )
-from service.identification.kernels.scores import gather
+from service.identification.kernels.scores import SETTLED, gather, gather_moments
 from service.identification.kernels.triangles import add_square, rotate, take_in, whiten
 from service.identification.samples import Codes, Floats, Segments, Status, Times
 
@@ -147,7 +159,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 X, y, usable, predicted, residual, early, status, thetas, first,
             )  # fmt: skip
             first += 1
-        lam = rule.lam
+        lam = pace(size, s, at, rule)
         for j in range(n):
             s[at.unit + j] = 1.0 / s[at.scale + j] if s[at.scale + j] > 0.0 else 0.0
         for i in range(first, stop):
@@ -186,8 +198,10 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                     s[at.scale + j] = abs(s[at.x + j])
                     s[at.unit + j] = 1.0 / s[at.scale + j]
 
+            every = LOOK_EVERY if own[COUNT] > YOUNG else LOOK_EVERY_YOUNG
+            looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
             d = np.nan
-            if placed:
+            if placed and looks:
                 d = look(size, s, at, nodes, places[m], box, a[i], b[i], e, r, own, rule)
 
             # What is forgotten: P ← (P - weight·PXXᵀP/(alpha + weight·r))/alpha.
@@ -229,20 +243,25 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             status[i] = code
             note(s, at, thetas, i, n)
             if watches:
-                gather(size, s, at, e, r)
-                weigh(size, s, at, d, e, y[i], r)
-                if own[COUNT] % EVERY == 0:
-                    if has_changed(size, s, at, places[m], own, t[i], rule):
-                        let_go(size, s, at, own, rule.lam)
-                        if found < len(changes):
-                            changes[found, 0] = i
-                            changes[found, 1] = i - (own[COUNT] - own[SAMPLE])
-                            changes[found, 2] = s[at.detector + SIZE]
-                        found += 1
-                    haste = s[at.detector + HASTE]
-                    s[at.detector + FADING] = np.exp(haste) / LONGEST
-                    if placed and haste > PROVEN and own[COUNT] % (REFIT * n) == 0:
-                        refit(s, R[m], rhs[m], places[m], nodes, float(own[COUNT]))
+                if r < SETTLED:
+                    gather(size, s, at, e)
+                if rule.lam < 1.0:
+                    hurry(s, at, rule, e, square)
+            if looks:
+                gather_moments(size, s, at)
+                weigh(size, s, at, d, e, y[i], r, own[COUNT])
+                if has_changed(size, s, at, places[m], own, t[i], rule, every):
+                    let_go(size, s, at, own, rule.lam)
+                    if found < len(changes):
+                        changes[found, 0] = i
+                        changes[found, 1] = i - (own[COUNT] - own[SAMPLE])
+                        changes[found, 2] = s[at.detector + SIZE]
+                    found += 1
+                s[at.detector + FADING] = np.exp(s[at.detector + HASTE]) / LONGEST
+                lam = pace(size, s, at, rule)
+            drifts = placed and rule.lam == 1.0 and s[at.detector + HASTE] > PROVEN
+            if drifts and own[COUNT] & (REFIT - 1) == 0:
+                refit(s, R[m], rhs[m], places[m], nodes, float(own[COUNT]))
         for p in range(at.x):
             row[m, p] = s[p]
         for p in range(PLACES_OF_COUNTERS):

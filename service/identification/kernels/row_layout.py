@@ -34,11 +34,12 @@ EVIDENCE, SUM, SIZE, FLOOR, FLOOR_WEIGHT, LAST_D = range(6)
 LAST_E, POWER, POWER_WEIGHT, LOCAL, NODE = range(6, 11)
 VISIT_LENGTH, VISIT_SUM, VISIT_POWER, HASTE, FADING = range(11, 16)
 MISFIT, MISFIT_POWER, NEW, LAG, GAP, VISIT_SQUARES, VISIT_WEIGHT, VISIT_COMMON = range(16, 24)
-COMMON, CARRIED, LAST_MEAN, BEND = range(24, 28)
+COMMON, CARRIED, LAST_MEAN, BEND, SUSPECTED, CLOSED = range(24, 30)
 # Of the long-run covariance of the scores.
-LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS = range(28, 34)
-SUSPECTED, CLOSED = range(34, 36)
-PLACES_OF_DETECTOR = 36
+LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQUARE = range(30, 38)
+# Of the haste of a rule that forgets anyway.
+SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
+PLACES_OF_DETECTOR = 46
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
@@ -56,11 +57,16 @@ class Places(NamedTuple):
     score: int
     early: int
     block: int
+    block_before: int
+    previous: int
+    reaction: int
+    reacted: int
     factor: int
     spread: int
     variance: int
     omega: int
     moments: int
+    doubt: int
     noise: int
     detector: int
     x: int
@@ -75,14 +81,15 @@ class Places(NamedTuple):
 def places(n: int) -> Places:
     """Places for n parameters."""
     triangle = n * (n + 1) // 2
-    factor = 5 * n
-    noise = factor + 5 * triangle
+    factor = 9 * n
+    noise = factor + 6 * triangle
     detector = noise + PLACES_OF_NOISE
     x = detector + PLACES_OF_DETECTOR
     L = x + 5 * n
     return Places(
-        0, n, 2 * n, 3 * n, 4 * n, factor, factor + triangle, factor + 2 * triangle,
-        factor + 3 * triangle, factor + 4 * triangle, noise, detector,
+        0, n, 2 * n, 3 * n, 4 * n, 5 * n, 6 * n, 7 * n, 8 * n,
+        factor, factor + triangle, factor + 2 * triangle, factor + 3 * triangle,
+        factor + 4 * triangle, factor + 5 * triangle, noise, detector,
         x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
     )  # fmt: skip
 

@@ -28,7 +28,7 @@ class Rule(NamedTuple):
     suspicious: float = np.inf  # statistic of a change that may have begun
     threshold: float = np.inf  # and of one that has happened; infinite: none is looked for
     every_nth: int = 1  # SUBSPACE forgets on one of so many samples, as much as all of them would
-    shortest: float = 25.0  # samples: what drifts is remembered that long at least
+    most: float = 0.0  # logarithm of how many times faster it may forget
 
 
 @inner

@@ -8,12 +8,20 @@ M = mean of x·xᵀ and N = n/tr(P·M), the samples that P holds, Var(theta) = N
 
 Twenty blocks know Omega worse than white noise knows σ²; so it serves only where consecutive e
 agree more than chance lets them.
+
+And what of regressors that react to the noise of the same sample, as U does in a loop without
+delay? Their scores are zero at theta, yet not at the truth. The regressors of the sample before
+know nothing of this noise: Γ = mean of (x(t) - x(t-1))·e(t) is zero unless x reacts, and theta is
+off by about N·P·Γ.
 """
 
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
+from service.identification.kernels.places import LOOK_EVERY
 from service.identification.kernels.row_layout import (
+    BLOCK_PRODUCT,
+    BLOCK_SQUARE,
     BLOCKS,
     GATHERED,
     LAST_SCORED,
@@ -26,48 +34,66 @@ from service.identification.kernels.row_layout import (
 from service.identification.kernels.triangles import add_square
 from service.identification.samples import Floats
 
-BLOCK = 256.0  # samples: thirteen times what AR(.95) lasts
+SETTLED = 0.05  # xᵀPx below which an innovation is noise rather than ignorance
+BLOCK = 512.0  # samples: 26 times what AR(.95) lasts
 MEMORY = 32_768.0  # samples that Omega, M and the colour remember
 FEWEST = 4.0  # blocks
 COLOURED = 4.0  # standard deviations of the correlation of consecutive e
-STUDENT = 2.5  # over the number of blocks: what the quantile of so few grows by, squared
+REACTS = 16.0  # squared standard deviations of Γ along one direction
+STUDENT = 6.0  # over the number of blocks: what the quantile of so few grows by, squared, and what
+# innovations lack, as theta followed slow noise when it was young
 
 
 @inlined
-def gather(size: Size, s: Floats, at: Places, e: float, r: float) -> None:
-    """Take a sample's score x·e/√(1 + r) in; r = xᵀPx."""
+def gather(size: Size, s: Floats, at: Places, e: float) -> None:
+    """Take a sample's score x·e in."""
     n, g = len(size), at.detector
-    u = e / np.sqrt(1.0 + r)
-    s[g + LOOKED] += 1.0 - s[g + LOOKED] / MEMORY
-    s[g + PRODUCT] += (u * s[g + LAST_SCORED] - s[g + PRODUCT]) / s[g + LOOKED]
-    s[g + SQUARE] += (u * u - s[g + SQUARE]) / s[g + LOOKED]
-    s[g + LAST_SCORED] = u
+    s[g + BLOCK_PRODUCT] += e * s[g + LAST_SCORED]
+    s[g + BLOCK_SQUARE] += e * e
+    s[g + LAST_SCORED] = e
     for j in range(n):
-        s[at.block + j] += u * s[at.x + j]
+        s[at.block + j] += e * s[at.x + j]
+        s[at.reaction + j] += e * (s[at.x + j] - s[at.previous + j])
+        s[at.previous + j] = s[at.x + j]
     s[g + GATHERED] += 1.0
     if s[g + GATHERED] >= BLOCK:
         s[g + BLOCKS] += 1.0 - s[g + BLOCKS] * (BLOCK / MEMORY)
-        keep = 1.0 - 1.0 / s[g + BLOCKS]
-        root = np.sqrt(1.0 / (s[g + BLOCKS] * BLOCK))
+        part = 1.0 / s[g + BLOCKS]
+        s[g + PRODUCT] += part * (s[g + BLOCK_PRODUCT] / BLOCK - s[g + PRODUCT])
+        s[g + SQUARE] += part * (s[g + BLOCK_SQUARE] / BLOCK - s[g + SQUARE])
+        root = np.sqrt(part / BLOCK)
         for j in range(n):
-            s[at.g + j] = root * s[at.block + j]
+            s[at.g + j] = root * np.sqrt(0.5) * (s[at.block + j] + s[at.block_before + j])
+            s[at.block_before + j] = s[at.block + j]
             s[at.block + j] = 0.0
-        add_square(size, s, at.omega, at.g, keep)
-        s[g + GATHERED] = 0.0
-    if int(s[g + GATHERED]) & 7 == 0:
-        few = 8.0 / s[g + LOOKED]
-        part = min(1.0, few)
-        root = np.sqrt(part)
+        add_square(size, s, at.omega, at.g, 1.0 - part)
         for j in range(n):
-            s[at.g + j] = root * s[at.x + j]
-        add_square(size, s, at.moments, at.g, 1.0 - part)
+            s[at.g + j] = root * s[at.reaction + j]
+            s[at.reacted + j] += part * (s[at.reaction + j] / BLOCK - s[at.reacted + j])
+            s[at.reaction + j] = 0.0
+        add_square(size, s, at.doubt, at.g, 1.0 - part)
+        s[g + GATHERED] = 0.0
+        s[g + BLOCK_PRODUCT] = 0.0
+        s[g + BLOCK_SQUARE] = 0.0
+
+
+@inlined
+def gather_moments(size: Size, s: Floats, at: Places) -> None:
+    """Take a sample's x·xᵀ in: one of LOOK_EVERY will do."""
+    g = at.detector
+    s[g + LOOKED] += 1.0 - s[g + LOOKED] * (LOOK_EVERY / MEMORY)
+    part = 1.0 / s[g + LOOKED]
+    root = np.sqrt(part)
+    for j in range(len(size)):
+        s[at.g + j] = root * s[at.x + j]
+    add_square(size, s, at.moments, at.g, 1.0 - part)
 
 
 def coloured(s: Floats, g: int) -> bool:
     """Whether consecutive e agree more than chance lets them; ``g`` is the place of `detector`."""
     if s[g + BLOCKS] < FEWEST:
         return False
-    return bool(abs(s[g + PRODUCT]) * np.sqrt(s[g + LOOKED]) > COLOURED * s[g + SQUARE])
+    return bool(abs(s[g + PRODUCT]) * np.sqrt(s[g + BLOCKS] * BLOCK) > COLOURED * s[g + SQUARE])
 
 
 is_coloured = inlined(coloured)

@@ -19,55 +19,55 @@ THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
 Valve = Callable[..., np.ndarray]
 
 
-def eq7(U, dp, T=40.0):
+def eq7(U, dp):
     """Exactly eq. (7)."""
-    return eq7_of(THETA)(U, dp, T)
+    return eq7_of(THETA)(U, dp)
 
 
 def eq7_of(theta):
     """A valve that is eq. (7) with other parameters."""
 
-    def valve(U, dp, T=40.0):
+    def valve(U, dp):
         s = np.sqrt(np.abs(dp))
         return theta[0] + theta[1] * U + theta[2] * s + theta[3] * U * s + theta[4] * dp
 
     return valve
 
 
-def ordinary(U, dp, T=40.0):
+def ordinary(U, dp):
     """A dead band of 4 %, a gain that bends slightly."""
     u = np.clip((U - 4.0) / 96.0, 0.0, 1.0)
     return 14.0 * u * (1.15 - 0.15 * u) * np.sign(dp) * np.sqrt(np.abs(dp))
 
 
-def dead_band(U, dp, T=40.0, width=8.0):
+def dead_band(U, dp, width=8.0):
     """A dead band: eq. (7) misfits."""
     u = np.clip((U - width) / (100.0 - width), 0.0, None)
     return 14.0 * u * (1.0 - 0.1 * u**2) * np.sqrt(dp)
 
 
-def s_shape(U, dp, T=40.0):
+def s_shape(U, dp):
     """An S-shaped gain: eq. (7) misfits more."""
     u = U / 100.0
     return 14.0 * (3.0 * u**2 - 2.0 * u**3) * np.sqrt(dp) * (1.0 - 4e-4 * dp)
 
 
-def saturating(U, dp, T=40.0):
+def saturating(U, dp):
     """A gain that bends all the way."""
     return 9.0 * np.tanh(U / 45.0) * np.sqrt(dp)
 
 
-def laminar(U, dp, T=40.0):
+def laminar(U, dp):
     """Laminar at small dp, turbulent above."""
     return 14.0 * (U / 100.0) ** 1.3 * (np.sqrt(np.abs(dp) + 2.25) - 1.5)
 
 
-def two_slopes(U, dp, T=40.0, knee=40.0):
+def two_slopes(U, dp, knee=40.0):
     """A metering edge of two slopes."""
     return (0.06 * U + 0.09 * np.clip(U - knee, 0.0, None)) * np.sqrt(dp)
 
 
-def progressive(U, dp, T=40.0, power=1.7):
+def progressive(U, dp, power=1.7):
     """A progressive gain, without a dead band."""
     return 13.0 * (U / 100.0) ** power * np.sqrt(dp)
 
