@@ -25,6 +25,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
 Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
 Range = tuple[float, float]
+DEFAULT_LAM = 0.998
 
 
 ForgettingRule = Literal[
@@ -42,9 +43,11 @@ class RlsConfig(_EstimatorSection):
     kind: Literal["RLS"] = "RLS"
     name: Name = "RLS"
     forgetting: ForgettingRule = Field(
-        "adaptive", description="adaptive: along what is excited, and at once after a change"
+        "adaptive", description="adaptive: what is seen to drift, and at once after a change"
     )
-    lam: Lam = 0.998
+    lam: Lam | None = Field(
+        None, description="forgetting factor; by default 1 of adaptive, else 0.998"
+    )
     window_samples: int = Field(500, ge=10, le=100_000, description="length of a window")
 
 
@@ -114,7 +117,9 @@ def build_estimator(
 def _forgetting(config: RlsConfig) -> Forgetting:
     if config.forgetting == "window":
         return SlidingWindow(config.window_samples)
-    return _RULES[config.forgetting](config.lam)
+    if config.forgetting == "adaptive" and config.lam is None:
+        return Adaptive()
+    return _RULES[config.forgetting](DEFAULT_LAM if config.lam is None else config.lam)
 
 
 _RULES: Mapping[str, Callable[[float], Forgetting]] = {

@@ -83,5 +83,5 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # kind = "RLS"
 # name = "RLS"
 # forgetting = "adaptive" # or exponential, directional, subspace, resetting, variable, window
-# lam = 0.998
+# lam = 1.0
 """

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from service.identification import drift, lag_search
 from service.identification import fit_budget as budget
+from service.identification.adaptation import Adaptation
 from service.identification.change import Change
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
@@ -38,7 +39,7 @@ from service.identification.map_shapes import (
     dp_top,
 )
 from service.identification.model_structures import FiveTerms, Structure
-from service.identification.samples import Floats, Quality, Samples, Segments, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
 
 CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
 STARTED: Final = 0
@@ -295,6 +296,14 @@ class Auto:
         """Q at the 55 points and its standard deviation."""
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
         return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+
+    def adaptation(self, _state: AutoState) -> Adaptation:
+        """Undecided: it does not look whether misfit or drift stays."""
+        return Adaptation.UNDECIDED
+
+    def adaptation_many(self, states: AutoState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return np.full(len(states.scalars), Adaptation.UNDECIDED, np.uint8)
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""

@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
+from service.identification.adaptation import Adaptation
 from service.identification.samples import Floats, Samples, Trace
 
 STATE_VERSION = 2
@@ -85,6 +86,9 @@ class Estimator(Protocol[S]):
 
     def parameters(self, state: S) -> tuple[Floats, Floats]:
         """Theta (n,) in physical units and its standard deviations (n,); NaN if unknown."""
+
+    def adaptation(self, state: S) -> Adaptation:
+        """What the estimator makes of its residuals by now."""
 
 
 def key_of(estimator: object) -> str:

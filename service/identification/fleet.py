@@ -10,7 +10,10 @@ from numpy.typing import ArrayLike
 from service.identification.estimator import Estimator, State
 from service.identification.forgetting import Forgetting
 from service.identification.least_squares_state import RlsState, batch_of, learn_segments
+from service.identification.place_grid import Grid
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
+
+UNREAD = frozenset({"places", "window"})  # arrays of a state that results are not made of
 
 S = TypeVar("S", bound=State)
 In_contra = TypeVar("In_contra", bound=State, contravariant=True)
@@ -32,6 +35,9 @@ class ManyModels(Protocol[In_contra]):
 
     def parameters_many(self, states: In_contra) -> tuple[Floats, Floats]:
         """What ``parameters`` gives model by model, both (M, n)."""
+
+    def adaptation_many(self, states: In_contra) -> Codes:
+        """What ``adaptation`` gives model by model (M,)."""
 
 
 def stack(states: Sequence[S]) -> S:
@@ -62,9 +68,13 @@ def copied(state: S) -> S:
 
 
 def members(fleet: S, chosen: Times) -> S:
-    """States of some models, with a leading axis of their own: copies."""
-    kind = type(fleet)
-    return kind(**{f.name: getattr(fleet, f.name)[chosen] for f in fields(kind)})
+    """States of some models, with a leading axis of their own: copies.
+
+    But for what no result is read from: of the memory of places and of windows there is none.
+    """
+    kind, nothing = type(fleet), np.empty((len(chosen), 0))
+    arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
+    return kind(**{k: nothing if k in UNREAD else a[chosen] for k, a in arrays.items()})
 
 
 def one_by_one(estimator: Estimator[S], states: S) -> tuple[Floats, Floats]:
@@ -90,9 +100,10 @@ def learn_many(
     t: Times,
     usable: Codes,
     segments: Segments,
+    grid: Grid | None = None,
 ) -> Trace:
     """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
-    batch = batch_of(X, y, t, usable)
+    batch = batch_of(X, y, t, usable, grid=grid)
     learn_segments(fleet, forgetting, batch, segments)
     return Trace(batch.predicted, batch.residual, batch.early, batch.status)
 

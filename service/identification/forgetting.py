@@ -103,27 +103,29 @@ class SlidingWindow:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """`Subspace`, faster where it lags, and opened when the plant changes: the default.
+    """Nothing, until places seen again show another flow than before: the default.
 
-    λ can be near 1, because it need only follow slow wear. Where the innovations stay coloured, λ
-    falls as far as `least`, until they are nearly white. An abrupt change shows in the whitened
-    innovations (:mod:`service.identification.kernels.change_detection`); then what was learnt
-    weighs a tenth of a sample, and is soon replaced where there are new ones.
+    A memory of places (:mod:`service.identification.kernels.places`) tells misfit, which comes back
+    at the same place, from drift, which moves with time. Misfit is let be. Where places drift,
+    theta is fitted anew to what each of them showed last, the older the less; no place is lost.
+    An abrupt change shows in what is new of the residuals
+    (:mod:`service.identification.kernels.change_detection`); then what was learnt weighs a tenth of
+    a sample, and is soon replaced where there are new ones.
 
-    Forgetting costs more than learning, so it takes turns: one sample of eight, its number times
-    the golden section telling which, forgets along its X with λ⁸. That comes to the same over a
-    memory of hundreds of samples, and nothing periodic in the plant falls into step with it.
+    With `lam` < 1 the plant is known to drift: `Subspace`, on one sample of eight with λ⁸, and
+    faster as long as innovations stay coloured; misfit would be taken for drift.
 
     Attributes
     ----------
+    lam : float
+        1, or λ of a plant that is known to drift.
     least : float
         Smallest λ.
     threshold : float
-        Standard deviations of the scores that mean a change. 6.3 gives no false alarm in 10⁶
-        samples, scattered or structured, whether the structure fits or not.
+        Standard deviations of the scores that mean a change.
     """
 
-    lam: float = 0.998
+    lam: float = 1.0
     least: float = 0.96
     threshold: float = 6.3
 

@@ -5,6 +5,7 @@ from typing import TypeVar, assert_never
 
 import numpy as np
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.forgetting import (
     Adaptive,
@@ -20,10 +21,18 @@ from service.identification.kernels import rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
+from service.identification.kernels.places import FIELDS, LONGEST, NODES_A, NODES_B, PROVEN
 from service.identification.kernels.recursion import Batch, Memory, evaluate, run
 from service.identification.kernels.row_layout import (
     FACTORED,
+    FLOOR,
+    HASTE,
+    MISFIT,
+    MISFIT_POWER,
+    NEW,
     PLACES_OF_COUNTERS,
+    PRODUCT,
+    REVISITED,
     SQUARES,
     VARIANCE,
     WEIGHT,
@@ -34,9 +43,15 @@ from service.identification.kernels.row_layout import (
 )
 from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
 from service.identification.kernels.stepwise import run_stepwise
+from service.identification.place_grid import Grid, nowhere
 from service.identification.samples import Codes, Floats, Segments, Times, Trace
 
 A = TypeVar("A", Floats, Times, Codes)
+
+NODES = NODES_A * NODES_B
+BEHIND = 1.3  # times what residuals have in common of late: by how much a map that drifts lags
+REVISITS = 30.0  # of places, before which nobody can tell
+MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
 
 
 @dataclass(frozen=True)
@@ -51,8 +66,8 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - previous, score (n,), variance (triangle), detector (12,): of change detection, see
-          :mod:`service.identification.kernels.change_detection`.
+        - score (n,), variance (triangle), detector (19,): of change detection and of the memory
+          of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
         - spread (triangle): what the noise has made of theta, over σ². With rules that divide P by
@@ -69,6 +84,9 @@ class RlsState(State):
         sample and time of the last one and of the suspected one.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
+    places : (nodes, fields)
+        What was measured where, see :mod:`service.identification.kernels.places`; no rows with
+        rules other than `Adaptive`.
     """
 
     row: Floats
@@ -76,6 +94,7 @@ class RlsState(State):
     rhs: Floats
     counters: Counts
     window: Floats
+    places: Floats
 
     @property
     def theta(self) -> Floats:
@@ -86,7 +105,7 @@ class RlsState(State):
     def scale(self) -> Floats:
         """Largest |Xⱼ| so far (n,)."""
         at = self._places
-        return self.row[..., at.scale : at.previous]
+        return self.row[..., at.scale : at.score]
 
     @property
     def noise(self) -> Floats:
@@ -96,7 +115,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection (12,)."""
+        """Of change detection and of the memory of places (19,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 
@@ -132,8 +151,9 @@ def initial_state(
         rhs=np.zeros(n),
         counters=np.zeros(PLACES_OF_COUNTERS, np.int64),
         window=np.zeros((length, n + 1)),
+        places=np.zeros((NODES if isinstance(forgetting, Adaptive) else 0, FIELDS)),
     )
-    state.row[at.early : at.factor] = np.nan
+    state.row[at.early : at.block] = np.nan
     Z = np.eye(n) / p0
     if prior is not None:
         rows, values = prior
@@ -160,12 +180,40 @@ def predict(state: RlsState, X: Floats, forgetting: Forgetting) -> tuple[Floats,
         values,
         variances,
     )
+    if _keeps(forgetting) and state.detector[HASTE] > PROVEN:
+        variances += BEHIND * max(0.0, float(state.detector[PRODUCT]))
     return values, np.sqrt(variances)
 
 
+def _keeps(forgetting: Forgetting) -> bool:
+    """Whether a rule forgets nothing until places drift."""
+    return isinstance(forgetting, Adaptive) and forgetting.lam == 1.0
+
+
+def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
+    """:class:`~service.identification.adaptation.Adaptation` of M models from their detectors."""
+    if not _keeps(forgetting):
+        return np.full(len(detectors), Adaptation.UNDECIDED, np.uint8)
+    noise, seen = np.maximum(detectors[:, MISFIT_POWER], 0.0), detectors[:, REVISITED]
+    misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
+    found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
+    new = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
+    undecided = (seen < REVISITS) | (new & (detectors[:, NEW] > 0.0))
+    found = np.where(undecided, Adaptation.UNDECIDED, found)
+    return np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found).astype(np.uint8)
+
+
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Covariance of theta (n, n): σ² from the innovations; NaN while not determined."""
-    return _spread(state, forgetting) * _noise_variance(state)
+    """Covariance of theta (n, n): noise from the innovations; NaN while not determined."""
+    kind, scored = rule_of(forgetting, len(state.rhs)).kind, int(_keeps(forgetting))
+    if state.counters[FACTORED] and state.noise[WEIGHT]:
+        found = np.empty_like(state.R)
+        uncertainty.parameter_covariance(_writable(state.row), kind, scored, found)
+        return found
+    P = matrix_P(state)
+    if kind <= RESETTING and state.noise[WEIGHT] != state.noise[SQUARES]:
+        P = P @ _symmetric(state.spread) @ P
+    return np.asarray(P * _noise_variance(state))
 
 
 def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
@@ -174,8 +222,9 @@ def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
     if not ready.all():
         return None
     known = np.empty(fleet.theta.shape)
-    rule = rule_of(forgetting, fleet.rhs.shape[-1])
-    uncertainty.parameter_variances(_writable(fleet.row), rule.kind, known)
+    kind = rule_of(forgetting, fleet.rhs.shape[-1]).kind
+    scored = int(_keeps(forgetting))
+    uncertainty.parameter_variances(_writable(fleet.row), kind, scored, known)
     return known
 
 
@@ -184,19 +233,6 @@ def parameter_variance(state: RlsState, forgetting: Forgetting) -> Floats:
     alone = RlsState(*(getattr(state, name)[None] for name in Memory._fields))
     known = variances(alone, forgetting)
     return np.diag(parameter_covariance(state, forgetting)) if known is None else known[0]
-
-
-def _spread(state: RlsState, forgetting: Forgetting) -> Floats:
-    """Covariance of theta over σ²."""
-    P = matrix_P(state)
-    equal_weights = state.noise[WEIGHT] == state.noise[SQUARES]
-    match forgetting:
-        case Directional() | Subspace() | Adaptive() if is_determined(state):
-            return np.asarray(P - P @ _symmetric(state.spread) @ P)
-        case Exponential() | Variable() | Resetting() if not equal_weights:
-            return np.asarray(P @ _symmetric(state.spread) @ P)
-        case _:
-            return P
 
 
 def matrix_P(state: RlsState) -> Floats:
@@ -235,6 +271,7 @@ def learn(
     usable: Codes,
     thetas: Floats | None = None,
     changes: Floats | None = None,
+    grid: Grid | None = None,
 ) -> tuple[RlsState, Trace]:
     """Take N samples in, one after another.
 
@@ -248,9 +285,11 @@ def learn(
         Written: theta after each sample.
     changes : (C, 3), optional
         Written: the first C detected changes, see `RlsResult`.
+    grid : optional
+        Where the samples lie; without it `Adaptive` tells no place from another.
     """
     after = RlsState(*(np.array(getattr(state, name))[None] for name in Memory._fields))
-    batch = batch_of(X, y, t, usable, thetas, changes)
+    batch = batch_of(X, y, t, usable, thetas, changes, grid)
     learn_segments(after, forgetting, batch, Segments.one(len(y)))
     trace = Trace(
         predicted=batch.predicted, residual=batch.residual, early=batch.early, status=batch.status
@@ -278,19 +317,24 @@ def batch_of(
     usable: Codes,
     thetas: Floats | None = None,
     changes: Floats | None = None,
+    grid: Grid | None = None,
 ) -> Batch:
     """Pack samples, and room for what becomes of them, for a kernel."""
-    N = len(y)
+    N, n = X.shape
+    where = nowhere(n) if grid is None else grid
     return Batch(
         t=_writable(t),
         X=_writable(X),
         y=_writable(y),
         usable=_writable(usable),
+        a=_writable(where.a),
+        b=_writable(where.b),
+        nodes=_writable(where.nodes),
         predicted=np.empty(N),
         residual=np.empty(N),
         early=np.empty(N),
         status=np.empty(N, np.uint8),
-        thetas=np.empty((0, X.shape[1])) if thetas is None else thetas,
+        thetas=np.empty((0, n)) if thetas is None else thetas,
         changes=np.empty((0, 3)) if changes is None else changes,
     )
 
@@ -332,7 +376,8 @@ def rule_of(forgetting: Forgetting, n: int) -> Rule:
         case SlidingWindow():
             rule = Rule(rules.WINDOW, forgetting.lam)
         case Adaptive(lam, least, threshold):
-            most = np.log(max(1.0, (1.0 - least) / (1.0 - lam))) if lam < 1.0 else 0.0
+            slowest = 1.0 - lam if lam < 1.0 else 1.0 / LONGEST
+            most = np.log(max(1.0, (1.0 - least) / slowest))
             limits = value_of(SUSPICIOUS, n), value_of(threshold, n)
             rule = Rule(rules.SUBSPACE, lam, least, *limits, EVERY_NTH, float(most))
         case _:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.model_structures import Structure
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
@@ -71,3 +72,7 @@ class LinearMap:
     def parameters(self, state: LinearMapState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations."""
         return state.theta.copy(), np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
+
+    def adaptation(self, _state: LinearMapState) -> Adaptation:
+        """Steady: it never learns."""
+        return Adaptation.UNDECIDED

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import maximum_likelihood as kernel
@@ -189,6 +190,14 @@ class MaximumLikelihood:
     def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         return one_by_one(self, states)
+
+    def adaptation(self, _state: MaximumLikelihoodState) -> Adaptation:
+        """Undecided: it does not tell misfit from drift."""
+        return Adaptation.UNDECIDED
+
+    def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return np.full(len(states.theta), Adaptation.UNDECIDED, np.uint8)
 
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""

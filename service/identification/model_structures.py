@@ -22,6 +22,9 @@ KELVIN: Final = 273.15
 class Structure(Protocol):
     """A structure that is linear in its parameters; frozen, hashable by its fields."""
 
+    def __hash__(self) -> int:
+        """By the fields."""
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of theta's n elements, as published."""

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import nnls
 
+from service.identification.adaptation import Adaptation
 from service.identification.model_structures import Structure, TensorSpline
 from service.identification.recursive_least_squares import (
     RecursiveLeastSquares,
@@ -93,6 +94,10 @@ class Monotone:
     def parameters(self, state: RlsState) -> tuple[Floats, Floats]:
         """Theta under the constraint, and its standard deviations without it."""
         return self._theta(state), self.estimator.parameters(state)[1]
+
+    def adaptation(self, state: RlsState) -> Adaptation:
+        """What the free recursion makes of its residuals."""
+        return self.estimator.adaptation(state)
 
     def covariance(self, state: RlsState) -> Floats:
         """Covariance (n, n) of theta without the constraint."""

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.adaptation import Adaptation
 from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import rbf_network as kernel
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,14 @@ class RbfNetwork:
     def parameters_many(self, states: RbfNetworkState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         return one_by_one(self, states)
+
+    def adaptation(self, _state: RbfNetworkState) -> Adaptation:
+        """Steady: the network learns at one pace, whatever its residuals do."""
+        return Adaptation.UNDECIDED
+
+    def adaptation_many(self, states: RbfNetworkState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return np.full(len(states.w), Adaptation.UNDECIDED, np.uint8)
 
     def _normalised(self, U: Floats, dp: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Rows (U, dp) in ranges, and which of them are finite."""

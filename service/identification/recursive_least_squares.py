@@ -6,14 +6,16 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from service.identification.adaptation import Adaptation
 from service.identification.change import Change
 from service.identification.fleet import learn_many, one_by_one, update_one
-from service.identification.forgetting import Exponential, Forgetting, with_lam
-from service.identification.kernels.change_detection import EVERY
+from service.identification.forgetting import Adaptive, Exponential, Forgetting, with_lam
+from service.identification.kernels.change_detection import FEWEST_BETWEEN
 from service.identification.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from service.identification.kernels.rules import LARGEST
 from service.identification.least_squares_state import (
     RlsState,
+    adaptations,
     information,
     initial_state,
     is_determined,
@@ -24,6 +26,7 @@ from service.identification.least_squares_state import (
     variances,
 )
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
+from service.identification.place_grid import grid_of, grid_of_rows
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 __all__ = [
@@ -118,7 +121,10 @@ class RecursiveLeastSquares:
         for signal in (samples.U, samples.dp):  # a structure may clip what it is given
             usable &= np.abs(signal) <= LARGEST
         codes = usable.astype(np.uint8)
-        return learn_many(states, self.forgetting, X, samples.Q, samples.t, codes, segments)
+        grid = None
+        if isinstance(self.forgetting, Adaptive):
+            grid = grid_of(self.structure, samples.U, samples.dp)
+        return learn_many(states, self.forgetting, X, samples.Q, samples.t, codes, segments, grid)
 
     def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min; NaN if unknown."""
@@ -138,6 +144,14 @@ class RecursiveLeastSquares:
         if known is None:
             return one_by_one(self, states)
         return states.theta, np.sqrt(np.maximum(known, 0.0))
+
+    def adaptation(self, state: RlsState) -> Adaptation:
+        """What it makes of its residuals; undecided but with `Adaptive` that keeps its memory."""
+        return Adaptation(int(adaptations(state.detector[None], self.forgetting)[0]))
+
+    def adaptation_many(self, states: RlsState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return adaptations(states.detector, self.forgetting)
 
     def covariance(self, state: RlsState) -> Floats:
         """Covariance of theta (n, n); NaN while not determined."""
@@ -230,9 +244,12 @@ def recursive_least_squares(
         raise ValueError(f"p0 = {p0!r} is not positive")
     N, n = regressors.shape
     state = initial_state(n, rule, p0)
-    thetas, changes = np.empty((N, n)), np.empty((N // EVERY + 1, 3))
+    thetas, changes = np.empty((N, n)), np.empty((N // FEWEST_BETWEEN + 1, 3))
+    usable, grid = np.ones(N, np.uint8), None
+    if isinstance(rule, Adaptive):
+        grid = grid_of_rows(regressors)
     state, trace = learn(
-        state, rule, regressors, output, np.arange(N), np.ones(N, np.uint8), thetas, changes
+        state, rule, regressors, output, np.arange(N), usable, thetas, changes, grid
     )
     return RlsResult(
         theta=state.theta,

@@ -21,6 +21,7 @@ from asyncua import ua
 
 from service.errors import ConfigurationError
 from service.hardened import Unit
+from service.identification.adaptation import Adaptation
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
 from service.streaming.feedforward import FeedForwardStatus
@@ -61,7 +62,9 @@ class VariableNode:
     unit: Unit | None = None
     range: _Range | None = None
     dimensions: tuple[int, ...] | None = None
-    statuses: type[Status] | type[InverseStatus] | type[FeedForwardStatus] | None = None
+    statuses: (
+        type[Status] | type[InverseStatus] | type[FeedForwardStatus] | type[Adaptation] | None
+    ) = None
     writable: bool = False
 
     @property
@@ -146,6 +149,12 @@ def estimator_variables(
             f"What the estimator did with the newest sample. {_sentences(Status)}",
             ua.VariantType.Int32,
             statuses=Status,
+        ),
+        VariableNode(
+            f"{prefix}.Adaptation",
+            f"What the estimator makes of its residuals. {_sentences(Adaptation)}",
+            ua.VariantType.Int32,
+            statuses=Adaptation,
         ),
     )
 

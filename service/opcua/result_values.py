@@ -202,6 +202,7 @@ def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterat
         )
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
+    yield Column(f"{name}.Adaptation", results.adaptation, own, t)
 
 
 def _signal_column(signals: SignalResults, now: int) -> Column:

@@ -20,7 +20,16 @@ from service.identification.extrapolation import U_range_of
 from service.identification.fleet import ManyModels, copied, member, members, repeated
 from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.residual_spread import ResidualSpread, noise_std
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Status,
+    Times,
+    Trace,
+)
 from service.identification.support import Support
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
@@ -234,6 +243,7 @@ class _Lanes:
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
             lags=self._states.lags(chosen),
+            adaptation=self._states.adaptations(chosen),
         )
 
     def put(self, m: int, lane: Lane) -> None:
@@ -296,6 +306,9 @@ class _Stacked:
         found = self._estimator.lags if isinstance(self._estimator, Auto) else None
         return [found(member(self._all, m)) if found else None for m in chosen]
 
+    def adaptations(self, chosen: Times) -> Codes:
+        return self._estimator.adaptation_many(members(self._all, chosen))
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -336,6 +349,9 @@ class _Listed:
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         return [None] * len(chosen)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

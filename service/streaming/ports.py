@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.adaptation import Adaptation
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Codes, Floats, Quality, Status, Times
@@ -148,7 +149,8 @@ class EstimatorResult:
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
     ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
-    ``lags`` those of U's effect and of the flow meter, s.
+    ``lags`` those of U's effect and of the flow meter, s; ``adaptation``
+    what the estimator makes of its residuals.
     """
 
     t: int
@@ -165,6 +167,7 @@ class EstimatorResult:
     change: Change | None = None
     structure: str | None = None
     lags: tuple[float, float] | None = None
+    adaptation: Adaptation = Adaptation.UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,7 @@ class EstimatorResults:
     change: Sequence[Change | None]
     structure: Sequence[str | None]
     lags: Sequence[tuple[float, float] | None]
+    adaptation: Codes
 
 
 @dataclass(frozen=True)
@@ -282,6 +286,7 @@ class Results:
                     change=found.change[m],
                     structure=found.structure[m],
                     lags=found.lags[m],
+                    adaptation=Adaptation(int(found.adaptation[m])),
                 )
                 for name, found in self.estimators.items()
             },

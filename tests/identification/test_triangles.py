@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from service.identification.kernels import triangles
 from service.identification.kernels.covariance_form import is_nth
 from service.identification.kernels.factors import covariance
-from service.identification.kernels.row_layout import places, size_of
+from service.identification.kernels.row_layout import PLACES_OF_DETECTOR, places, size_of
 
 N = 4
 SIZE = size_of(N)
@@ -55,7 +55,7 @@ def vector(s, place):
 
 def test_the_places_do_not_overlap_and_leave_nothing_out():
     triangle = N * (N + 1) // 2
-    lengths = [N] * 5 + [triangle] * 3 + [4, 12] + [N] * 5 + [triangle]
+    lengths = [N] * 9 + [triangle] * 6 + [4, PLACES_OF_DETECTOR] + [N] * 5 + [triangle]
     assert list(AT) == np.concatenate([[0], np.cumsum(lengths)]).tolist()
 
 
@@ -97,7 +97,7 @@ def test_inform_is_the_inverse(seed, v):
 
 
 @given(seeds, vectors, vectors, weights, weights)
-def test_rotate_rotates_a_symmetric_matrix(seed, x, v, taken, added):
+def test_rotate_turns_a_symmetric_matrix(seed, x, v, taken, added):
     s = row_with(seed, x=x, Px=v)
     B = np.eye(N) - taken * np.outer(x, v)
     expected = B @ symmetric(s, AT.spread) @ B.T + added * np.outer(x, x)
@@ -125,14 +125,14 @@ def test_scaled_trace_is_that_of_p_in_units_of_the_scales(seed):
 def test_squared_length_is_that_in_the_inverse(seed, b):
     s = row_with(seed, score=b)
     V = symmetric(s, AT.spread) + 0.1 * np.eye(N)
-    s[AT.variance : AT.noise] = V[LOWER]
+    s[AT.variance : AT.omega] = V[LOWER]
     length = triangles.squared_length.py_func(SIZE, s, AT.score, AT.variance, AT.f, AT.Px, AT.L)
     np.testing.assert_allclose(length, b @ np.linalg.solve(V, b), rtol=1e-4, atol=1e-9)
 
 
 def test_a_direction_that_others_explain_counts_nothing():
     s = row_with(0, score=np.ones(N))
-    s[AT.variance : AT.noise] = np.ones((N, N))[LOWER]
+    s[AT.variance : AT.omega] = np.ones((N, N))[LOWER]
     length = triangles.squared_length.py_func(SIZE, s, AT.score, AT.variance, AT.f, AT.Px, AT.L)
     np.testing.assert_allclose(length, 1.0)
 

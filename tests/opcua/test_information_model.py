@@ -4,6 +4,7 @@ from asyncua import ua
 
 from service.errors import ConfigurationError
 from service.hardened import Unit
+from service.identification.adaptation import Adaptation
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
 from service.opcua.information_model import (
@@ -41,6 +42,7 @@ def test_an_estimators_node_ids_are_the_contracts():
         "Valvistor.RLS.NoiseStd",
         "Valvistor.RLS.SampleCount",
         "Valvistor.RLS.Status",
+        "Valvistor.RLS.Adaptation",
     ]
 
 
@@ -56,6 +58,7 @@ def test_an_estimators_types_are_the_contracts():
         "NoiseStd": "Double",
         "SampleCount": "UInt64",
         "Status": "Int32",
+        "Adaptation": "Int32",
     }
 
 
@@ -71,6 +74,9 @@ def test_enumerations_name_every_value():
     status = by_name(estimator_variables(VALVE, RLS))["Status"]
     assert status.enum_strings == tuple(member.name for member in Status)
     assert all(member.sentence in status.description for member in Status)
+    adaptation = by_name(estimator_variables(VALVE, RLS))["Adaptation"]
+    assert adaptation.enum_strings == ("STEADY", "UNDECIDED", "MISFIT", "DRIFT")
+    assert all(member.sentence in adaptation.description for member in Adaptation)
     required = by_name(inverse_variables(VALVE))["RequiredUStatus"]
     assert required.enum_strings == tuple(member.name for member in InverseStatus)
     written = by_name(inverse_variables(VALVE))["FeedForwardStatus"]

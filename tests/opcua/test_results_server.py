@@ -10,6 +10,7 @@ from support.results import results_of, results_settings
 
 from service.errors import CommandRejected
 from service.hardened import Role, ServerError, ServerSettings, UserStore
+from service.identification.adaptation import Adaptation
 from service.identification.inversion import Inversion
 from service.identification.recursive_least_squares import Change
 from service.identification.samples import Quality, Status
@@ -84,6 +85,7 @@ ESTIMATOR = EstimatorResult(
     status=Status.OK,
     noise_std=0.3,
     survey=SURVEY,
+    adaptation=Adaptation.DRIFT,
 )
 WITHOUT_PARAMETERS = replace(ESTIMATOR, theta=np.empty(0), std=np.empty(0))
 MAP = np.arange(6.0).reshape(3, 2)
@@ -284,6 +286,7 @@ async def test_a_result_is_read_as_it_was_published(server, observer):
         "RLS.SuggestedDp": 100.0,
         "RLS.SampleCount": 2**40,
         "RLS.Status": 0,
+        "RLS.Adaptation": 3,
         "Inverse.RequiredU": 42.0,
         "Inverse.RequiredUStatus": 0,
         "Inverse.Map": MAP.tolist(),

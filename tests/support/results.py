@@ -35,7 +35,7 @@ def results_settings(**more):
 
 def _arrays(kind, one):
     lists = {"survey", "change", "structure", "lags", "map_U"}
-    types = {"quality": np.uint8, "status": np.uint8}
+    types = {"quality": np.uint8, "status": np.uint8, "adaptation": np.uint8}
     return kind(
         **{
             f.name: [value] if f.name in lists else np.array([value], types.get(f.name))

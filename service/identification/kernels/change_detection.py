@@ -1,73 +1,73 @@
-"""Has the plant changed? A score test on the whitened innovations of recursive least squares.
+"""Has the plant changed? A score test on what is new of each residual.
 
-With z the innovation over its standard deviation, clipped and freed of its slow mean, the weighted
-score b = Σ wᵢ·xᵢ·zᵢ of late tells in which direction theta would have to move, and T = bᵀV⁻¹b, with
-V the variance of b, how sure that is: χ² with n degrees of freedom while the plant stays. Wilson
-and Hilferty's transform makes standard deviations of it, whatever n.
+With d what a sample differs from what its place is known for
+(:mod:`service.identification.kernels.places`), and z = d over the deviation of white noise, the
+score b = Σ w·z·x of the last hundred or so samples tells in which direction theta would have to
+move, and T = bᵀV⁻¹b, V = Σ x·xᵀ, how sure that is: at most χ² with n degrees of freedom while the
+plant stays. Wilson and Hilferty's transform makes standard deviations of it, whatever n.
 
-A structure that does not fit leaves innovations that look like a change as the operating point
-moves. Four things keep them from accusing the plant:
-
-- independence: a sample weighs w = min(1, |Δx|²/FAR), Δx the way from the regressor before in units
-  of the columns' scales. A slow sweep brings next to no new evidence about the map as a whole,
-  however many samples it has: the same misfit over and over is no evidence;
-- familiarity: a sample from where the estimator knows little (r = xᵀPx above what forgetting leaves
-  in the steady state) counts less;
-- z is in units of all innovations of late, misfit included;
-- V is taken from the scores themselves, Σ w²·z²·x·xᵀ, not from the noise: misfit is larger here and
-  smaller there, and V knows where.
-
-Where innovations stay coloured although the plant has not changed (it drifts, or the structure
-fits here and there but not both), the memory is too long: the rate of forgetting grows as long as
-z(t)·z(t-1) exceeds what coloured noise may show, and falls back where it does not.
+d is free of misfit that has been seen before. What it still has in common from sample to sample
+without any change could add up: within a visit the error of what the place is known for, and misfit
+between the nodes (variance LOCAL); over the whole window slow noise, lag, and wear since the last
+visit (variance COMMON). So a sample weighs less by as much as makes b vary by them, at the worst,
+no more than by white noise. The variance of white noise itself is that of half the difference of
+consecutive d, which knows nothing of what they have in common.
 """
 
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
+from service.identification.kernels.places import CLIP, POWER_MEMORY, shake
 from service.identification.kernels.row_layout import (
+    ATTENTIVE,
     CHANGES,
+    COMMON,
     COUNT,
     EVIDENCE,
-    FACTOR,
-    HASTE,
-    LAST,
-    LATELY,
-    MEAN,
+    FLOOR,
+    FLOOR_WEIGHT,
+    LAST_D,
+    LOCAL,
+    MISFIT,
+    MISFIT_POWER,
     POWER,
-    RECENT,
+    REVISITED,
     SAMPLE,
-    SCALE,
-    SCALE_WEIGHT,
     SIZE,
     SUM,
+    SUMMED,
     SUSPECT_SAMPLE,
     SUSPECT_TIME,
+    SUSPECTED,
+    SWEPT,
     TIME,
+    VISIT_LENGTH,
     Counts,
     Places,
     Size,
 )
 from service.identification.kernels.rules import Rule
+from service.identification.kernels.scores import is_coloured
 from service.identification.kernels.triangles import add_square, squared_length
 from service.identification.samples import Floats
 
-EVERY = 8
 WINDOW = 1.0 / 100.0
-MEAN_WINDOW = 1.0 / 400.0
-SCALE_WINDOW = 1.0 / 1000.0
+IN_WINDOW = 2.0 / WINDOW  # squared sum of the weights over the sum of their squares
+IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
+IN_VISIT = 3.0  # the same for the samples of a visit so far, each
 SETTLED = 20.0
-CLIP = 4.0
-FAMILIAR = 2.0
-ENOUGH = 20.0
-FAR = 0.1  # squared, in units of the columns' scales
-POWER_WINDOW = 1.0 / 200.0
-LEAST_POWER = 0.1
-TOLERATED = 0.4
-HASTE_STEP = 0.005
+FEWEST_BETWEEN = 8  # looks at least from a change to the next
+MISFIT_HERE = 10.0  # times its mean square that misfit may be at one place
+FITS = 0.1  # times the noise: misfit below which theta is believed where no place is known
+MISFIT_UNSEEN = 0.02  # times the noise that misfit may be without being seen
+ROUNDING = 1e-12  # of the flow, squared
+TINY = 1e-300
+FIRST = 1500  # samples before which a map is learnt rather than changed
+PATIENCE = 300  # samples after which what was suspected is taken for noise
+EXPERIENCE = 100.0  # looks at places known before, before which all is noise
 SUSPICIOUS = 3.0  # standard deviations
 
-_KEEP, _KEEP_LONG = 1.0 - WINDOW, 1.0 - SCALE_WINDOW
+_KEEP = 1.0 - WINDOW
 
 
 def value_of(deviations: float, n: int) -> float:
@@ -77,87 +77,108 @@ def value_of(deviations: float, n: int) -> float:
 
 
 @inlined
-def weigh(size: Size, s: Floats, at: Places, e: float, square: float, r: float, rule: Rule) -> None:
+def weigh(
+    size: Size, s: Floats, at: Places, d: float, e: float, y: float, r: float, count: int
+) -> None:
     """Take a sample into the score.
 
     Parameters
     ----------
     size, s, at
-        The row: regressor in ``x``; of the state, ``previous``,
-        ``score``, ``variance`` and ``detector`` are written.
-    e, square
-        Innovation, and its square over what its variance is in units of σ².
-    r
-        xᵀPx.
+        The row: regressor in ``x``; ``score``, ``variance`` and ``detector`` are written.
+    d, e, y, r
+        What is new of its residual, NaN where its place is not known; innovation; flow; xᵀPx.
+    count
+        Samples so far.
     """
-    n = len(size)
-    d = at.detector
-    moved = 0.0
-    for j in range(n):
-        step = (s[at.x + j] - s[at.previous + j]) * s[at.unit + j]
-        moved += step * step
-        s[at.previous + j] = s[at.x + j]
-    z = 0.0
-    if s[d + SCALE] > 0.0:
-        z = np.copysign(min(np.sqrt(square / s[d + SCALE]), CLIP), e)
-    settled = s[d + SCALE_WEIGHT] > SETTLED
-    if settled:
-        square = min(square, 9.0 * s[d + SCALE])
-    s[d + SCALE_WEIGHT] += 1.0 - SCALE_WINDOW * s[d + SCALE_WEIGHT]
-    s[d + SCALE] += (square - s[d + SCALE]) / s[d + SCALE_WEIGHT]
-    s[d + SUM] += e
-    if s[d + SCALE_WEIGHT] <= SETTLED:
+    g = at.detector
+    step = d - s[g + LAST_D]
+    s[g + LAST_D] = d
+    if not np.isnan(step):
+        square = 0.5 * step * step
+        if s[g + SUSPECTED] > 0.0:
+            square = s[g + FLOOR]
+        elif s[g + FLOOR_WEIGHT] > SETTLED:
+            square = min(square, CLIP * CLIP * s[g + FLOOR])
+        s[g + FLOOR_WEIGHT] += 1.0 - s[g + FLOOR_WEIGHT] / POWER_MEMORY
+        s[g + FLOOR] += (square - s[g + FLOOR]) / s[g + FLOOR_WEIGHT]
+    local = s[g + LOCAL] if not np.isnan(step) else np.inf
+    if s[g + MISFIT_POWER] > 0.0:  # where the structure fits, theta knows better than the place
+        misfit = max(0.0, s[g + MISFIT])
+        doubt = MISFIT_HERE * misfit + MISFIT_UNSEEN * s[g + MISFIT_POWER] + r * s[g + POWER]
+        if not np.isnan(step):
+            doubt += (e - d) * (e - d)
+        elif s[g + REVISITED] < EXPERIENCE or misfit > FITS * s[g + MISFIT_POWER]:
+            doubt = np.inf  # nobody knows this place
+        if doubt < local:
+            local = doubt
+            d = e
+    if local == np.inf or s[g + FLOOR_WEIGHT] <= SETTLED or count < FIRST:
         return
-    s[d + POWER] += POWER_WINDOW * (z * z - s[d + POWER])
-    colour = z * s[d + LAST] / max(s[d + POWER], LEAST_POWER)
-    haste = s[d + HASTE] + HASTE_STEP * (colour - TOLERATED)
-    s[d + HASTE] = min(max(haste, 0.0), rule.most)
-    s[d + LAST] = z
-    independence = min(1.0, moved * (1.0 / FAR))
-    stationary = FAMILIAR * max(1.0 - rule.lam, SCALE_WINDOW)
-    weight = independence * min(1.0, stationary / r) if r > 0.0 else 0.0
-    step = weight * (z - s[d + MEAN])
-    s[d + MEAN] += MEAN_WINDOW * independence * (z - s[d + MEAN])
-    s[d + EVIDENCE] = _KEEP * s[d + EVIDENCE] + weight
-    s[d + RECENT] = _KEEP * _KEEP * s[d + RECENT] + weight * weight
-    s[d + LATELY] = _KEEP_LONG * s[d + LATELY] + weight * weight
-    for j in range(n):
-        s[at.g + j] = step * s[at.x + j]
-        s[at.score + j] = _KEEP * s[at.score + j] + s[at.g + j]
-    add_square(size, s, at.variance, at.g, _KEEP_LONG)
+    s[g + SUM] += d
+    s[g + SUMMED] += 1.0
+    alike = s[g + VISIT_LENGTH] + IN_SWEEP * s[g + SWEPT]
+    doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * alike * local
+    z = d / np.sqrt(s[g + FLOOR] + doubt + ROUNDING * y * y + TINY)
+    z = min(max(z, -CLIP), CLIP)
+    s[g + EVIDENCE] = _KEEP * s[g + EVIDENCE] + 1.0
+    for j in range(len(size)):
+        s[at.score + j] = _KEEP * s[at.score + j] + z * s[at.x + j]
+    add_square(size, s, at.variance, at.x, _KEEP * _KEEP)
 
 
 @inlined
-def has_changed(size: Size, s: Floats, at: Places, counters: Counts, t: int, rule: Rule) -> bool:
-    """Whether the plant has changed, and then the evidence is dropped; asked after EVERY samples.
+def has_changed(
+    size: Size,
+    s: Floats,
+    at: Places,
+    own: Floats,
+    counters: Counts,
+    t: int,
+    rule: Rule,
+    every: int,
+) -> bool:
+    """Whether the plant has changed, and then the evidence is dropped; asked after each look.
 
     Parameters
     ----------
-    size, s, at, counters
+    size, s, at, own, counters
         State, written in place.
     t
         Time of the last sample.
+    every
+        One of so many samples is looked at without suspicion.
     """
     n = len(size)
-    d = at.detector
-    s[d + FACTOR] = np.exp(s[d + HASTE])
-    if s[d + EVIDENCE] < ENOUGH:
+    g = at.detector
+    if s[g + EVIDENCE] < 0.9 * FEWEST_BETWEEN:
         return False
 
     T = squared_length(size, s, at.score, at.variance, at.f, at.Px, at.L)
-    T *= s[d + LATELY] / s[d + RECENT]
     if rule.suspicious > T:
         counters[SUSPECT_SAMPLE] = counters[COUNT] + 1
         counters[SUSPECT_TIME] = t
-        s[d + SUM] = 0.0
+        s[g + SUM] = 0.0
+        s[g + SUMMED] = 0.0
+        s[g + SUSPECTED] = 0.0
+    elif counters[COUNT] - counters[SUSPECT_SAMPLE] < PATIENCE and s[g + FLOOR_WEIGHT] > EXPERIENCE:
+        s[g + SUSPECTED] = 1.0  # what may be a change is no measure of noise
+    else:
+        s[g + SUSPECTED] = 0.0
+    # Every sample is looked at under suspicion, unless noise lasts: it would count once too often.
+    s[g + ATTENTIVE] = 0.0 if is_coloured(s, g) else s[g + SUSPECTED]
     if rule.threshold >= T:
         return False
+    # T has grown evenly since the change: from so many looks before it was suspicious.
+    before = s[g + SUMMED] * rule.suspicious / max(T - rule.suspicious, TINY)
+    since = counters[SUSPECT_SAMPLE] - int(every * min(before, 0.5 / WINDOW))
     counters[CHANGES] += 1
-    counters[SAMPLE] = counters[SUSPECT_SAMPLE]
+    counters[SAMPLE] = max(since, 1)
     counters[TIME] = counters[SUSPECT_TIME]
-    s[d + SIZE] = s[d + SUM] / max(1, counters[COUNT] + 1 - counters[SUSPECT_SAMPLE])
-    for place in (EVIDENCE, RECENT, MEAN, SUM):
-        s[d + place] = 0.0
+    s[g + SIZE] = s[g + SUM] / max(1.0, s[g + SUMMED])
+    for place in (EVIDENCE, SUM, SUMMED, SUSPECTED, ATTENTIVE):
+        s[g + place] = 0.0
     for j in range(n):
         s[at.score + j] = 0.0
+    shake(own)
     return True

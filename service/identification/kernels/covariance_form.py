@@ -3,10 +3,15 @@
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
+from service.identification.kernels.places import LONGEST, PROVEN
 from service.identification.kernels.row_layout import (
     COUNT,
-    FACTOR,
+    HASTE,
+    LAST_Z,
+    LATELY,
     OPENED,
+    SCALE,
+    SCALE_WEIGHT,
     SQUARES,
     TRACE,
     VARIANCE,
@@ -22,15 +27,47 @@ from service.identification.samples import Floats
 SETTLED = 20.0
 GOLDEN = 40503  # golden section of 65536
 FLOOR = 1e-4  # information along X, in squared scaled units, that forgetting leaves there
+CLIP = 4.0  # standard deviations beyond which an innovation counts as so many
+SCALE_WINDOW = 1.0 / 1000.0  # per sample, of the mean square that is the unit
+POWER_WINDOW = 1.0 / 200.0  # per sample, of the mean square of late
+LEAST_POWER = 0.1  # of the mean square of late, in that unit
+TOLERATED = 0.4  # correlation of consecutive innovations: what coloured noise may show
+HASTE_STEP = 0.005  # per sample
 OPENING = 10.0  # a changed plant: what was learnt before weighs a tenth of a sample
 
 
 @inlined
-def pace(s: Floats, at: Places, rule: Rule) -> float:
-    """λ as it is now: it falls while the innovations stay coloured."""
+def pace(size: Size, s: Floats, at: Places, rule: Rule) -> float:
+    """λ as it is now; of places that drift along all n directions, while it forgets along one."""
     if rule.threshold == np.inf:
         return rule.lam
-    return float(1.0 - (1.0 - rule.lam) * max(1.0, s[at.detector + FACTOR]))
+    haste = s[at.detector + HASTE]
+    if rule.lam < 1.0:
+        return float(1.0 - (1.0 - rule.lam) * np.exp(haste))
+    return float(1.0 - len(size) * np.exp(haste) / LONGEST) if haste > PROVEN else 1.0
+
+
+@inlined
+def hurry(s: Floats, at: Places, rule: Rule, e: float, square: float) -> None:
+    """Of a plant that is known to drift: forget faster while innovations stay coloured.
+
+    ``square``: that of e over what its variance is in units of σ².
+    """
+    g = at.detector
+    z = 0.0
+    if s[g + SCALE] > 0.0:
+        z = np.copysign(min(np.sqrt(square / s[g + SCALE]), CLIP), e)
+    settled = s[g + SCALE_WEIGHT] > SETTLED
+    if settled:
+        square = min(square, 9.0 * s[g + SCALE])
+    s[g + SCALE_WEIGHT] += 1.0 - SCALE_WINDOW * s[g + SCALE_WEIGHT]
+    s[g + SCALE] += (square - s[g + SCALE]) / s[g + SCALE_WEIGHT]
+    if settled:
+        s[g + LATELY] += POWER_WINDOW * (z * z - s[g + LATELY])
+        colour = z * s[g + LAST_Z] / max(s[g + LATELY], LEAST_POWER)
+        haste = s[g + HASTE] + HASTE_STEP * (colour - TOLERATED)
+        s[g + HASTE] = min(max(haste, 0.0), rule.most)
+        s[g + LAST_Z] = z
 
 
 @inlined

@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels.change_detection import EVERY, has_changed, weigh
+from service.identification.kernels.change_detection import has_changed, weigh
 from service.identification.kernels.compiled import kernel
 from service.identification.kernels.covariance_form import (
     forget_subspace,
     grows_beyond_limit,
+    hurry,
     is_nth,
     learn_noise,
     let_go,
@@ -24,10 +25,23 @@ from service.identification.kernels.covariance_form import (
 )
 from service.identification.kernels.factors import is_estimable
 from service.identification.kernels.information_form import warm_up
+from service.identification.kernels.places import (
+    LONGEST,
+    LOOK_EVERY,
+    LOOK_EVERY_YOUNG,
+    PROVEN,
+    REFIT,
+    YOUNG,
+    look,
+    refit,
+)
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.row_layout import (
+    ATTENTIVE,
     COUNT,
     FACTORED,
+    FADING,
+    HASTE,
     LOOKS,
     PLACES_OF_COUNTERS,
     SAMPLE,
@@ -49,10 +63,12 @@ from service.identification.kernels.rules import (
     Rule,
     rejection,
 )
+from service.identification.kernels.scores import SETTLED, gather, gather_moments
 from service.identification.kernels.triangles import add_square, rotate, take_in, whiten
 from service.identification.samples import Codes, Floats, Segments, Status, Times
 
 TRACE_EVERY = 16
+NOISE_LAM = 0.9995  # of the mean square that is the noise, for rules that look for changes
 
 _OK = int(Status.OK)
 _UNEXCITED = int(Status.UNEXCITED)
@@ -70,6 +86,7 @@ class Memory(NamedTuple):
     rhs: Floats
     counters: Counts
     window: Floats
+    places: Floats
 
 
 class Batch(NamedTuple):
@@ -77,6 +94,10 @@ class Batch(NamedTuple):
 
     t, X, y, usable : (N,), (N, n), (N,), (N,)
         Samples; where ``usable`` is 0 the state is not touched.
+    a, b : (N,)
+        Where on the grid of places each sample lies, in its steps; NaN: nowhere.
+    nodes : (K, n) or (0, n)
+        Regressors at the nodes of that grid; without rows there is none.
     predicted, residual, early, status : (N,)
         Written: the trace.
     thetas : (N, n) or (0, n)
@@ -90,6 +111,9 @@ class Batch(NamedTuple):
     X: Floats
     y: Floats
     usable: Codes
+    a: Floats
+    b: Floats
+    nodes: Floats
     predicted: Floats
     residual: Floats
     early: Floats
@@ -115,13 +139,14 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     segments
         Which samples are whose.
     """
-    row, R, rhs, counters, _ = memory
-    t, X, y, usable, predicted, residual, early, status, thetas, changes = batch
+    row, R, rhs, counters, _, places = memory
+    t, X, y, usable, a, b, nodes, predicted, residual, early, status, thetas, changes = batch
     n = len(size)
     at = places_of(n)
     kind, found = rule.kind, 0
     divides, watches = kind <= RESETTING, rule.threshold < np.inf
-    s, own = np.empty(at.end), np.empty(PLACES_OF_COUNTERS, np.int64)
+    placed = watches and len(nodes) > 0
+    s, own, box = np.empty(at.end), np.empty(PLACES_OF_COUNTERS, np.int64), np.empty(8)
     for one in range(len(segments.members)):
         m, first, stop = segments.members[one], segments.starts[one], segments.stops[one]
         for p in range(at.x):
@@ -134,7 +159,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 X, y, usable, predicted, residual, early, status, thetas, first,
             )  # fmt: skip
             first += 1
-        lam = pace(s, at, rule)
+        lam = pace(size, s, at, rule)
         for j in range(n):
             s[at.unit + j] = 1.0 / s[at.scale + j] if s[at.scale + j] > 0.0 else 0.0
         for i in range(first, stop):
@@ -173,6 +198,12 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                     s[at.scale + j] = abs(s[at.x + j])
                     s[at.unit + j] = 1.0 / s[at.scale + j]
 
+            every = LOOK_EVERY if own[COUNT] > YOUNG else LOOK_EVERY_YOUNG
+            looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
+            d = np.nan
+            if placed and looks:
+                d = look(size, s, at, nodes, places[m], box, a[i], b[i], e, r, own, rule)
+
             # What is forgotten: P ← (P - weight·PXXᵀP/(alpha + weight·r))/alpha.
             code = _OK if r > 0.0 else _UNEXCITED
             alpha, weight, held = 1.0, 1.0, False
@@ -195,7 +226,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
 
             # What the noise has made of theta; q: of Xᵀtheta.
             q = r
-            if s[at.noise + WEIGHT] > 0.0:
+            if s[at.noise + WEIGHT] > 0.0 and not watches:
                 q = r * s[at.noise + SQUARES] / s[at.noise + WEIGHT]
             if weight != 1.0:
                 added = 1.0 if divides else (1.0 - weight) * lam
@@ -203,7 +234,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             elif divides:
                 add_square(size, s, at.spread, at.x, alpha * alpha)
             square = e * e / (1.0 + q)
-            learn_noise(s, at, kind, lam, square)
+            learn_noise(s, at, kind, NOISE_LAM if watches else lam, square)
 
             # L = P(t)·X(t), eq. (23).
             gain *= e
@@ -212,16 +243,25 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             status[i] = code
             note(s, at, thetas, i, n)
             if watches:
-                weigh(size, s, at, e, square, r, rule)
-                if own[COUNT] % EVERY == 0:
-                    if has_changed(size, s, at, own, t[i], rule):
-                        let_go(size, s, at, own, rule.lam)
-                        if found < len(changes):
-                            changes[found, 0] = i
-                            changes[found, 1] = i - (own[COUNT] - own[SAMPLE])
-                            changes[found, 2] = s[at.detector + SIZE]
-                        found += 1
-                    lam = pace(s, at, rule)
+                if r < SETTLED:
+                    gather(size, s, at, e)
+                if rule.lam < 1.0:
+                    hurry(s, at, rule, e, square)
+            if looks:
+                gather_moments(size, s, at)
+                weigh(size, s, at, d, e, y[i], r, own[COUNT])
+                if has_changed(size, s, at, places[m], own, t[i], rule, every):
+                    let_go(size, s, at, own, rule.lam)
+                    if found < len(changes):
+                        changes[found, 0] = i
+                        changes[found, 1] = i - (own[COUNT] - own[SAMPLE])
+                        changes[found, 2] = s[at.detector + SIZE]
+                    found += 1
+                s[at.detector + FADING] = np.exp(s[at.detector + HASTE]) / LONGEST
+                lam = pace(size, s, at, rule)
+            drifts = placed and rule.lam == 1.0 and s[at.detector + HASTE] > PROVEN
+            if drifts and own[COUNT] & (REFIT - 1) == 0:
+                refit(s, R[m], rhs[m], places[m], nodes, float(own[COUNT]))
         for p in range(at.x):
             row[m, p] = s[p]
         for p in range(PLACES_OF_COUNTERS):

@@ -29,10 +29,17 @@ PLACES_OF_COUNTERS = 11
 WEIGHT, SQUARES, VARIANCE, TRACE = range(4)
 PLACES_OF_NOISE = 4
 
-# Places in `detector`.
-EVIDENCE, RECENT, LATELY, MEAN, SCALE_WEIGHT, SCALE, SUM, SIZE = range(8)
-LAST, POWER, HASTE, FACTOR = range(8, 12)
-PLACES_OF_DETECTOR = 12
+# Places in `detector`: of the test for changes; of the memory of places.
+EVIDENCE, SUM, SIZE, FLOOR, FLOOR_WEIGHT, LAST_D = range(6)
+LAST_E, POWER, POWER_WEIGHT, LOCAL, NODE = range(6, 11)
+VISIT_LENGTH, VISIT_SUM, VISIT_POWER, HASTE, FADING = range(11, 16)
+MISFIT, MISFIT_POWER, NEW, LAG, GAP, VISIT_SQUARES, VISIT_WEIGHT, VISIT_COMMON = range(16, 24)
+COMMON, CARRIED, LAST_MEAN, BEND, SUSPECTED, CLOSED = range(24, 30)
+# Of the long-run covariance of the scores.
+LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQUARE = range(30, 38)
+# Of the haste of a rule that forgets anyway.
+SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
+PLACES_OF_DETECTOR = 46
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
@@ -47,12 +54,19 @@ class Places(NamedTuple):
 
     theta: int
     scale: int
-    previous: int
     score: int
     early: int
+    block: int
+    block_before: int
+    previous: int
+    reaction: int
+    reacted: int
     factor: int
     spread: int
     variance: int
+    omega: int
+    moments: int
+    doubt: int
     noise: int
     detector: int
     x: int
@@ -67,13 +81,16 @@ class Places(NamedTuple):
 def places(n: int) -> Places:
     """Places for n parameters."""
     triangle = n * (n + 1) // 2
-    factor = 5 * n
-    noise = factor + 3 * triangle
-    x = noise + 16
+    factor = 9 * n
+    noise = factor + 6 * triangle
+    detector = noise + PLACES_OF_NOISE
+    x = detector + PLACES_OF_DETECTOR
     L = x + 5 * n
     return Places(
-        0, n, 2 * n, 3 * n, 4 * n, factor, factor + triangle, factor + 2 * triangle, noise,
-        noise + 4, x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
+        0, n, 2 * n, 3 * n, 4 * n, 5 * n, 6 * n, 7 * n, 8 * n,
+        factor, factor + triangle, factor + 2 * triangle, factor + 3 * triangle,
+        factor + 4 * triangle, factor + 5 * triangle, noise, detector,
+        x, x + n, x + 2 * n, x + 3 * n, x + 4 * n, L, L + triangle,
     )  # fmt: skip
 
 

@@ -1,0 +1,363 @@
+"""What the valve did at each place: a memory of flows over (U, √dp) that knows no structure.
+
+A grid of nodes; node k holds the flow v that was measured there, whatever the structure makes of
+it. Of the structure the slopes alone are used, to carry a sample to the nodes around it: what
+earlier visits lead to expect of the residual is c = Σ φₖ·(vₖ - Xₖᵀtheta), φ bilinear. So
+
+- e = c + d: the innovation e is what the place is known for, c, and what is new, d;
+- c is misfit of the structure: it comes back as long as the plant stays;
+- d is noise as long as the plant stays, whether the structure fits or not.
+
+A node's flow is a running mean, with the gain of a Kalman filter whose covariance is diagonal. What
+is known of it fades with time.
+
+Drift is told from noise and misfit by visits: d averaged over a visit to a node, times the same of
+the visit before. Noise of visits that lie apart is independent, however coloured it is, and misfit
+is not in d; what is left on the average is the square of the way by which the memory lags behind.
+Where that is more than TOLERATED, what is known of the nodes fades faster, and so does what theta
+rests on, yet no faster than places are seen again; and theta is fitted anew to what the nodes hold:
+each place counts with what it showed last, and none is lost.
+"""
+
+import numpy as np
+
+from service.identification.kernels.compiled import inlined, inner
+from service.identification.kernels.factors import back_substitute, independence, rotate_in
+from service.identification.kernels.information_form import INDEPENDENT, settle
+from service.identification.kernels.row_layout import (
+    BEND,
+    CARRIED,
+    CLOSED,
+    COMMON,
+    COUNT,
+    FADING,
+    FLOOR,
+    GAP,
+    HASTE,
+    LAG,
+    LAST_E,
+    LAST_MEAN,
+    LOCAL,
+    MISFIT,
+    MISFIT_POWER,
+    NEW,
+    NODE,
+    POWER,
+    POWER_WEIGHT,
+    REVISITED,
+    SUSPECTED,
+    SWEPT,
+    VARIANCE,
+    VISIT_COMMON,
+    VISIT_LENGTH,
+    VISIT_POWER,
+    VISIT_SQUARES,
+    VISIT_SUM,
+    VISIT_WEIGHT,
+    Counts,
+    Places,
+    Size,
+    places_of,
+)
+from service.identification.kernels.rules import Rule
+from service.identification.kernels.triangles import whiten
+from service.identification.samples import Floats
+
+# Fields of a node: flow, l/min; samples it is the mean of; number of the sample that touched it
+# last; mean square of d around it; mean of d over the last visit; end of that visit; visits; looks
+# of the last one.
+FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS, STAYED = range(8)
+FIELDS = 8
+
+NODES_A, NODES_B = 17, 12  # of the grid, along U and √dp
+TOP_DP = 225.0  # bar: the last node
+
+SETTLED = 20  # samples after theta was determined before a place is remembered
+FIT = 0.5  # theta carries a sample to its nodes where its own variance xᵀPx is below this
+SHARE = 0.75  # of φ that must be known before anything is expected of a place
+LEAST = 0.02  # samples that must be known of a node, or it is new again
+FIRST = 0.05  # samples that the first one counts for at least
+CHANGED = 0.01  # samples that a node counts for once the plant has changed
+BENT = 0.25  # of the second difference of nodes: error between them, at a kink rather more
+SURE = 3.0  # standard deviations by which noise of visits must agree to be more than chance
+NEAR = 0.2  # φ from which a sample makes a node known
+PRIOR = 10.0  # samples that the mean square of all d counts for in a node's own
+SPREAD_MEMORY = 100.0  # samples that a node's mean square remembers
+POWER_MEMORY = 10_000.0  # samples that the mean square of all remembers
+CLIP = 4.0  # standard deviations beyond which d counts as so many: outliers
+HETEROGENEOUS = 1.2  # times the mean square of all: what a node's may be by chance
+LONG_VISIT = 8.0  # looks after which a stay at one place is another visit
+APART = 64.0  # samples after which noise has forgotten: visits closer together are one
+VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
+LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
+FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
+HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
+TOLERATED = 0.1  # colour of visits that is let be
+ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
+LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
+PROVEN = 2.0  # logarithm of how many times shorter memory is drift
+REVISITS = 0.5  # of the mean time between visits to a node: memory is no shorter
+UNVISITED = 10.0  # times the mean square of misfit: error beside a node never visited
+ALL_SURE = 0.95  # of φ that was visited, or there is one
+UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
+MOST_COLOUR = 4.0  # of one pair of visits
+MISFIT_RATE = 1.0 / 200.0  # per visit
+NEW_RATE = 1.0 / 100.0
+EQUAL = 4.0  # looks from which all places count alike
+REFIT = 512  # samples after which theta is fitted anew while it drifts
+YOUNG, LOOK_EVERY_YOUNG = 4096, 2  # samples; of those one of so many is held against its place,
+LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
+SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
+AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
+
+
+@inlined
+def look(
+    size: Size,
+    s: Floats,
+    at: Places,
+    nodes: Floats,
+    own: Floats,
+    box: Floats,
+    a: float,
+    b: float,
+    e: float,
+    r: float,
+    counters: Counts,
+    rule: Rule,
+) -> float:
+    """Hold a sample against what its place is known for, and remember it; d, NaN where new.
+
+    Parameters
+    ----------
+    size, s, at
+        The row of the state: regressor in ``x``; ``detector`` is written, there LOCAL and COMMON:
+        variance of what d has in common with others of this visit, and of others before.
+    nodes : (K, n)
+        Regressors at the nodes.
+    own : (K, FIELDS)
+        The state's nodes, written.
+    box : (8,)
+        Scratch.
+    a, b
+        Place in steps of the grid; outside of it, or NaN, nothing is remembered.
+    e, r
+        Innovation before the update, xᵀPx.
+    counters, rule
+        Of the state.
+    """
+    n = len(size)
+    g = at.detector
+    inside = a >= 0.0 and a <= NODES_A - 1.0 and b >= 0.0 and b <= NODES_B - 1.0
+    if not (inside and r < FIT and counters[COUNT] > SETTLED + n):
+        return np.nan
+    i, j = min(int(a), NODES_A - 2), min(int(b), NODES_B - 2)
+    p, q = a - i, b - j
+    first = i * NODES_B + j
+    nearest = first + (1 if q > 0.5 else 0) + (NODES_B if p > 0.5 else 0)
+    if nearest != int(s[g + NODE]) or s[g + VISIT_LENGTH] >= LONG_VISIT:
+        close_visit(s, at, own, float(counters[COUNT]), rule)
+        apart = abs(nearest - int(s[g + NODE]))
+        row = (apart + 1) // NODES_B * NODES_B
+        s[g + SWEPT] = 1.0 if abs(apart - row) <= 1 and row <= NODES_B else 0.0
+        s[g + NODE] = nearest
+        s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
+    now, fading = float(counters[COUNT]), s[g + FADING]
+    known, sure, c, S, age, flow = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for corner in range(4):
+        k = first + (corner & 1) + (corner >> 1) * NODES_B
+        f = (q if corner & 1 else 1.0 - q) * (p if corner >> 1 else 1.0 - p)
+        expected = 0.0  # by theta, at the node
+        for m in range(n):
+            expected += nodes[k, m] * s[at.theta + m]
+        box[corner] = f
+        box[4 + corner] = expected
+        weight = own[k, KNOWN]
+        if weight > LEAST:
+            gone = now - own[k, TOUCHED]
+            weight /= 1.0 + fading * gone
+            own[k, KNOWN] = weight
+            known += f
+            if own[k, VISITS] > 0.0:
+                sure += f
+            c += f * (own[k, FLOW] - expected)
+            S += f * f / weight
+            age = max(age, gone)
+            flow = max(flow, abs(own[k, FLOW]))
+        own[k, TOUCHED] = now
+    d = np.nan
+    s[g + VISIT_LENGTH] += 1.0
+    if known >= SHARE:
+        c /= known
+        S /= known * known
+        d = e - c
+        weight = own[nearest, KNOWN]
+        spread = (weight * own[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
+        wear = AGEING * age * flow
+        spread = spread * (1.0 + S) + wear * wear
+        own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
+        young = 1.0 + UNSURE / (1.0 + own[nearest, VISITS])
+        between = max(young * max(0.0, s[g + VISIT_COMMON]), s[g + BEND] * s[g + BEND])
+        # A node never visited, and those beside it, hold what theta made of them once.
+        guessed = UNVISITED * max(0.0, s[g + MISFIT]) if sure < ALL_SURE else 0.0
+        s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed
+        whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
+        chance = SURE * s[g + VISIT_POWER] / np.sqrt(1.0 + s[g + CLOSED])
+        s[g + COMMON] = wear * wear + 2.0 * (
+            max(0.0, s[g + LAG] - SURE * s[g + VISIT_POWER] * np.sqrt(whole))
+            + max(0.0, s[g + CARRIED] - chance)
+        )
+        step = d
+        if s[g + POWER_WEIGHT] > SETTLED:
+            step = min(max(d, -CLIP * np.sqrt(spread)), CLIP * np.sqrt(spread))
+        if sure >= SHARE and s[g + SUSPECTED] == 0.0:
+            s[g + POWER_WEIGHT] += 1.0 - s[g + POWER_WEIGHT] / POWER_MEMORY
+            s[g + POWER] += (step * step / (1.0 + S) - s[g + POWER]) / s[g + POWER_WEIGHT]
+        s[g + VISIT_SQUARES] += step * step / (1.0 + S)
+        s[g + VISIT_SUM] += step
+        again = own[nearest, VISITED] > 0.0 and now - own[nearest, VISITED] > APART
+        if again and s[g + VISIT_LENGTH] == 1.0 and s[g + SUSPECTED] == 0.0:
+            s[g + REVISITED] += 1.0
+            s[g + MISFIT] += MISFIT_RATE * (c * e - s[g + MISFIT])
+            s[g + MISFIT_POWER] += MISFIT_RATE * (d * d - s[g + MISFIT_POWER])
+        gain = step / (1.0 + S)
+        for corner in range(4):
+            k = first + (corner & 1) + (corner >> 1) * NODES_B
+            weight, f = own[k, KNOWN], box[corner]
+            if weight > LEAST:
+                own[k, FLOW] += gain * f / weight
+                own[k, KNOWN] = weight / (1.0 - f * f / (weight * (1.0 + S)))
+                if own[k, VISITS] == 0.0 and k != nearest:  # seen from one side alone, so far
+                    own[k, KNOWN] = min(own[k, KNOWN], 1.0)
+    if sure >= SHARE:
+        s[g + NEW] -= NEW_RATE * s[g + NEW]
+    else:
+        d = np.nan
+        s[g + NEW] += NEW_RATE * (e * s[g + LAST_E] - s[g + NEW])
+    s[g + LAST_E] = e
+    for corner in range(4):
+        k = first + (corner & 1) + (corner >> 1) * NODES_B
+        if own[k, KNOWN] <= LEAST and box[corner] > NEAR:
+            for m in range(n):
+                s[at.g + m] = nodes[k, m]
+            if whiten(size, s, at.factor, at.g, at.L) > FIT:
+                continue
+            own[k, FLOW] = box[4 + corner] + e
+            # Carried there by theta, it is as wrong as its residuals are large.
+            whole = s[at.noise + VARIANCE]
+            own[k, KNOWN] = max(FIRST, min(1.0, s[g + FLOOR] / whole)) if whole > 0.0 else 1.0
+            own[k, SPREAD] = s[g + POWER]
+            own[k, VISITED] = -1.0
+            own[k, VISITS] = 0.0
+    return d
+
+
+@inlined
+def bend(size: Size, s: Floats, at: Places, nodes: Floats, own: Floats, i: int, j: int) -> float:
+    """How far the residual bends between the nodes of a cell along U: bilinear is wrong by that."""
+    largest, before, last = 0.0, 0.0, 0.0
+    seen = 0
+    for step in range(4):
+        column = i - 1 + step
+        k = column * NODES_B + j
+        if column < 0 or column >= NODES_A or own[k, KNOWN] <= LEAST:
+            seen = 0
+            continue
+        c = own[k, FLOW]
+        for m in range(len(size)):
+            c -= nodes[k, m] * s[at.theta + m]
+        if seen >= 2:
+            largest = max(largest, abs(before - 2.0 * last + c))
+        before = last
+        last = c
+        seen += 1
+    return BENT * largest
+
+
+@inlined
+def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> None:
+    """Compare the visit that has ended with the one before to the same node."""
+    g = at.detector
+    length = s[g + VISIT_LENGTH]
+    k = int(s[g + NODE])
+    if length > 0.0 and own[k, VISITS] > 0.0 and s[g + SUSPECTED] == 0.0:
+        mean = s[g + VISIT_SUM] / length
+        power = s[g + VISIT_POWER]
+        square = mean * mean
+        if s[g + VISIT_WEIGHT] > VISIT_MEMORY / 100.0:
+            square = min(square, CLIP * CLIP * power)
+        s[g + VISIT_WEIGHT] += length - min(1.0, length / VISIT_MEMORY) * s[g + VISIT_WEIGHT]
+        part = length / s[g + VISIT_WEIGHT]
+        s[g + VISIT_POWER] += part * (square - power)
+        s[g + VISIT_COMMON] += part * (square - s[g + FLOOR] / length - s[g + VISIT_COMMON])
+        s[g + CLOSED] += 1.0 - part * s[g + CLOSED]
+        s[g + CARRIED] += part * (mean * s[g + LAST_MEAN] - s[g + CARRIED])
+        s[g + LAST_MEAN] = min(max(mean, -CLIP * np.sqrt(power)), CLIP * np.sqrt(power))
+        # Only now: what a visit brings is judged by what was known before it.
+        weight = min(own[k, KNOWN], SPREAD_MEMORY)
+        share = length / (weight + length)
+        own[k, SPREAD] += share * (s[g + VISIT_SQUARES] / length - own[k, SPREAD])
+        gap = now - length - own[k, VISITED]
+        apart = own[k, VISITED] <= 0.0 or gap > APART or length >= LONG_VISIT
+        if own[k, VISITS] > SEEN_OFTEN and apart:
+            recent = min(1.0, length / LAG_MEMORY)
+            common = max(0.0, s[g + VISIT_COMMON])
+            expected = (s[g + FLOOR] / length + common) * (s[g + FLOOR] / own[k, STAYED] + common)
+            colour = mean * own[k, DEVIATION] / max(np.sqrt(expected), 1e-300)
+            colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
+            s[g + LAG] += recent * (mean * own[k, DEVIATION] - s[g + LAG])
+            s[g + GAP] += recent * (now - own[k, VISITED] - s[g + GAP])
+            tolerated = ONCE_PROVEN if s[g + HASTE] > PROVEN else TOLERATED
+            haste = s[g + HASTE] + HASTE_STEP * min(1.0, length / FULL_VISIT) * (colour - tolerated)
+            if rule.lam == 1.0:
+                most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
+                s[g + HASTE] = max(min(haste, most), 0.0)
+        if apart:
+            own[k, DEVIATION] = mean
+            own[k, STAYED] = length
+    if length > 0.0:
+        own[k, VISITS] += 1.0
+        own[k, VISITED] = now
+    s[g + VISIT_LENGTH] = 0.0
+    s[g + VISIT_SUM] = 0.0
+    s[g + VISIT_SQUARES] = 0.0
+
+
+@inner
+def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: float) -> None:
+    """Theta and P = U·D·Uᵀ by least squares from the flows of all nodes, each as far as known.
+
+    ``R`` and ``rhs`` are scratch and left empty. Where the nodes do not determine theta, all stays.
+    """
+    n = len(rhs)
+    at = places_of(n)
+    g = at.detector
+    gap, ageing = max(s[g + GAP], APART), 0.0  # ageing: of a place's variance, 1/samples²
+    if s[g + FLOOR] > 0.0:
+        ageing = max(s[g + LAG], 0.0) / (s[g + FLOOR] * gap * gap)
+    scale, x = s[at.scale : at.scale + n], np.empty(n)
+    for k in range(len(own)):
+        if own[k, VISITS] > 0.0:
+            aged = ageing * (now - own[k, TOUCHED]) ** 2
+            root = np.sqrt(LOOK_EVERY / (1.0 / min(own[k, KNOWN], EQUAL) + aged))
+            for j in range(n):
+                x[j] = root * nodes[k, j]
+            rotate_in(R, rhs, x, root * own[k, FLOW], 1.0, scale, k)
+    if independence(R) > INDEPENDENT:
+        back_substitute(R, rhs, s[at.theta : at.theta + n])
+        settle(s, R)
+        for p in range(at.spread, at.variance):
+            s[p] = 0.0
+    for j in range(n):
+        rhs[j] = 0.0
+        for k in range(n):
+            R[j, k] = 0.0
+
+
+@inlined
+def shake(own: Floats) -> None:
+    """The plant has changed: what is remembered of every place counts next to nothing."""
+    for k in range(len(own)):
+        own[k, KNOWN] = min(own[k, KNOWN], CHANGED)
+        own[k, VISITED] = min(own[k, VISITED], 0.0)
+        own[k, VISITS] = 0.0
