@@ -34,7 +34,8 @@ LAG_U, LAG_Q = "LagU", "LagQ"
 PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
-SAMPLE_AGE, WAITING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Waiting"
+SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
+WAITING = f"{DIAGNOSTICS}.Waiting"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -424,7 +425,7 @@ def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
             range=(0.0, YEAR_S),
         ),
         VariableNode(
-            f"{valve}.{WAITING}",
+            f"{valve}.{PENDING}",
             "Samples that wait for signals of theirs, or for earlier samples.",
             ua.VariantType.UInt64,
         ),

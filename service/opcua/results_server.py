@@ -41,12 +41,12 @@ from service.opcua.information_model import (
     LAST_ACTION,
     NAMESPACE,
     PARAMETERS,
+    PENDING,
     ROOT,
     SAMPLE_AGE,
     SERVICE,
     SIGNALS,
     U_RANGE,
-    WAITING,
     VariableNode,
     axis,
     check_names,
@@ -204,7 +204,7 @@ class ResultsServer(Startable):
         known = np.where(np.isnan(health.age_s), waits, good)
         self._blocks.write(
             every,
-            [Column(SAMPLE_AGE, health.age_s, known, t), Column(WAITING, health.waiting, good, t)],
+            [Column(SAMPLE_AGE, health.age_s, known, t), Column(PENDING, health.waiting, good, t)],
         )
         self._server.write(
             (self._variables[name], value, code, now)

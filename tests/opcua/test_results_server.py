@@ -346,7 +346,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
     assert (await value(observer, "Valvistor.Diagnostics.SampleAge"))[:2] == (0.25, Codes.Good)
     unknown = Codes.BadWaitingForInitialData
     assert (await value(observer, "V2.Diagnostics.SampleAge"))[1] == unknown
-    assert (await value(observer, "Valvistor.Diagnostics.Waiting"))[0] == 3
+    assert (await value(observer, "Valvistor.Diagnostics.Pending"))[0] == 3
     shown = {
         "Checkpoint.Age": 1.5,
         "Checkpoint.Failures": 7,

@@ -61,7 +61,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const lost = ["Missing", "Late", "Gaps"].reduce((sum, name) => sum + (counts[name] || 0), 0), share = of("CoverageShare");
     const rejected = ["BadStatus", "NotFinite", "OutOfRange", "Frozen", "TooFast", "Spike", "BeyondRange"].reduce((sum, name) => sum + (counts[name] || 0), 0);
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
-    const waiting = live.get("Diagnostics.Waiting")?.value;
+    const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const lines = [
       [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or the signals of one sample carry different times (alignment.tolerance_ms)."}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],

@@ -199,7 +199,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
       const when = of("ChangeTime");
       lines.push(["Abrupt changes", changes ? `${changes}, the last at ${new Date(when).toLocaleTimeString("en-GB")}: ${fixed(of("ChangeSize"), 1)} l/min` : "none"]);
     }
-    const waiting = live.get("Diagnostics.Waiting")?.value;
+    const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     if (waiting) lines.push(["Waiting for", String(waiting)]);
     const action = live.get("Diagnostics.LastAction")?.value;
     if (action) lines.push(["Last action", action]);
