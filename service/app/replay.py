@@ -42,7 +42,7 @@ class EstimatorReport:
     Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
     inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
-    spread of measurements about the map of late, ``covered`` the share of the samples tried that
+    recent spread of measurements about the map, ``covered`` the share of the samples tried that
     lay within their 95 % interval, ``survey`` what the map does not know, ``beyond_range`` how many
     samples had a U that some estimator of the valve cannot describe, ``T`` (°C) the oil
     temperature measured last, ``change`` the last change of the valve that was found,
@@ -90,7 +90,7 @@ def replay(
     config
         Valves and estimators; without it the default estimators run on every valve found.
     progress
-        Told the file and how much of it is done (0 to 1).
+        Called with the file and how much of it is done (0 to 1).
     tap
         Sees every batch with what the estimators said of it.
     insist

@@ -342,7 +342,7 @@ class RecordingConfig(_Section):
 
 
 class LogConfig(_Section):
-    """What is told while the service runs."""
+    """What is logged while the service runs."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["console", "json"] = "console"

@@ -365,7 +365,7 @@ class Observer:
 
 
 def is_time(value: object) -> bool:
-    """Tell whether a value is a DateTime."""
+    """Whether a value is a DateTime."""
     return isinstance(value, datetime)
 
 

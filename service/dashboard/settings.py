@@ -84,7 +84,7 @@ class PageSettings:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is this machine's own.
+    """Whether an address is this machine's own.
 
     >>> is_loopback("127.0.0.1"), is_loopback("0.0.0.0")
     (True, False)

@@ -96,7 +96,7 @@ class ChangedResults:
                 yield valve, Shown(WAITING, list(reasons), int(ua.StatusCodes.Good), now)
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
-        """Tell whether it is another thing, or one of the facts is another than last time."""
+        """Whether it is another thing, or one of the facts is another than last time."""
         key = valve, name
         before = self._told.get(key)
         if before is not None and before[0] is thing and before[1:] == facts:

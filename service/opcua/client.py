@@ -318,5 +318,5 @@ class _Binding:
     valves: tuple[ValveNodes, ...]
 
 
-_CLOCKS_AGREE_S = 0.1  # closer together no age is told better by the source's clock
+_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

@@ -312,7 +312,7 @@ async def open_connection(settings: SourceSettings, ticket: Ticket | None = None
 async def _resume(
     client: Client, session: BatchSession, settings: SourceSettings, ticket: Ticket
 ) -> bool:
-    """Take up a session; tell whether the server had it.
+    """Take up a session; return whether the server had it.
 
     Private seams of asyncua: ``Client._server_nonce``, ``_policy_ids``.
     """

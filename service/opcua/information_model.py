@@ -132,7 +132,7 @@ def estimator_variables(
         ),
         VariableNode(
             f"{prefix}.NoiseStd",
-            "Standard deviation of a measured flow about the map, of late: noise, and what the "
+            "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
             unit=litres,
             range=(0.0, Q_max),
@@ -210,7 +210,7 @@ def survey_variables(
         ),
         VariableNode(
             f"{prefix}.CoverageShare",
-            "Part of the regions of Coverage that samples of late lie in.",
+            "Part of the regions of Coverage that recent samples lie in.",
             range=(0.0, 1.0),
         ),
         VariableNode(

@@ -3,7 +3,7 @@
 =====================================  ==========================================================
 nothing known yet                      BadWaitingForInitialData
 parameters not determined              UncertainInitialValue
-inputs without news, parameters held   UncertainSubNormal
+inputs without variety, parameters held UncertainSubNormal
 the newest sample is unusable          BadSensorFailure
 no samples any more                    BadNoCommunication
 RequiredU at the end of the range      UncertainEngineeringUnitsExceeded

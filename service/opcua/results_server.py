@@ -113,7 +113,7 @@ class ResultsServer(Startable):
         Stamps what no sample is behind.
     scalars_interval_s
         Shortest time between two results of a valve in its single variables; its Frame has them
-        all. Bad news never waits.
+        all. What is Bad never waits.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class ResultsServer(Startable):
         )
 
     def _due(self, results: Results) -> NDArray[np.bool_]:
-        """Whose single variables are told of now, (M,)."""
+        """Whose single variables are written now, (M,)."""
         now, valves = self._clock.monotonic(), results.valves
         due = now >= self._scalars_due[valves]
         for estimator in results.estimators.values():

@@ -69,7 +69,7 @@ class SaidOfNode:
 async def check_units(
     connection: Connection, valves: Sequence[ValveNodes], nodes: CheckedNodes
 ) -> None:
-    """Compare the nodes' EngineeringUnits and EURange with what we were told of them.
+    """Compare the nodes' EngineeringUnits and EURange with what the configuration says of them.
 
     A server that has neither, or cannot look them up, is believed.
 

@@ -41,7 +41,7 @@ class Model:
     t
         Source time of the last sample, UTC ns; 0 before the first.
     samples : (10, 12)
-        Samples of late in each cell over U and √dp: the covered region.
+        Recent samples in each cell over U and √dp: the covered region.
     support
         What the map rests on: beyond it `invert` says EXTRAPOLATING.
     """

@@ -49,7 +49,7 @@ class LiveSettings:
         is OLD times as old, bad.
     reorder_s : float
         A sample that waits for earlier ones waits no longer than this, should no more samples come
-        that it could be told by.
+        that it could be seen by.
     checkpoint_interval_s, map_interval_s : float
         How often states are kept at least (few valves: every second), and how often the inverse
         tables are computed anew.

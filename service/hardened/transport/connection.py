@@ -327,7 +327,7 @@ class Connection(asyncio.BufferedProtocol):
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
         smallest = min(hello.ReceiveBufferSize, hello.SendBufferSize)
         if smallest < _SMALLEST_BUFFER or len(hello.EndpointUrl or "") > 4_096:
-            self._greeted = True  # so that the peer is told why
+            self._greeted = True  # so that the peer hears why
             raise ServiceError(_Codes.BadConnectionRejected)
         self._greeted = True
         limits = self.channel.limits
@@ -345,7 +345,7 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, acknowledge))
 
     async def _serve(self, message: ua.Message) -> bool:
-        """Answer a request; tell whether the connection goes on."""
+        """Answer a request; return whether the connection goes on."""
         request_id = message.SequenceHeader().RequestId
         body = Reader(bytes(message.body()), self._budget())
         self._shared.traffic.requests += 1
