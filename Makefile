@@ -17,6 +17,7 @@ demo: $(RUNTIME)
 	@$(BIN)/valvemap demo
 
 test: lint
+	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or $(PEERS))"
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
 
