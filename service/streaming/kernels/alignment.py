@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import kernel
+from service.identification.kernels import compiled as counted
 from service.streaming.kernels.by_number import judge, place_by_number, resume, settle
 from service.streaming.kernels.by_time import leave_by_time, place_by_time
+from service.streaming.kernels.compiled import kernel
 from service.streaming.kernels.waiting import (
     BEGIN_ANEW,
     FILLED,
@@ -13,9 +14,12 @@ from service.streaming.kernels.waiting import (
     MAKE_ROOM,
     NOTHING,
     SEQUENCE,
+    SETTLE,
     SIGNALS,
     SIZE,
     STRIDE,
+    TIME,
+    ZERO,
     Aligned,
     Changes,
     Rules,
@@ -39,32 +43,30 @@ def align_changes(
     Before, ``command`` (FLUSH or BEGIN_ANEW) is carried out for some ``valves``. Where a row is
     full and ``may_grow``, the loop stops before the change that found it so.
     """
-    n = 0
+    n = ZERO
     capacity = w.slots.shape[1]
     for i in range(start - len(valves), len(changes.item)):
         k, todo, time = -1, NOTHING, 0
         if i < start:
             v, todo = int(valves[start - 1 - i]), command
-            if not rules.numbered[v]:
-                n = leave_by_time(w, v, -1, True, rules, out, n)  # noqa: FBT003
-                continue
         else:
             v = int(changes.item[i] // STRIDE)
             j = changes.item[i] % STRIDE
             if may_grow and w.order[v, SIZE] == capacity:
                 return i, n
             time, value, status = changes.source_time[i], changes.value[i], changes.status[i]
-            if not rules.numbered[v]:
-                if j != SEQUENCE:
-                    k = place_by_time(w, v, j, time, value, status, rules)
-                    if k >= 0:
-                        n = leave_by_time(w, v, k, False, rules, out, n)  # noqa: FBT003
-                continue
-            k = place_by_number(w, v, j, time, value, status, rules)
-            if k >= 0:
-                todo, time = JUDGE, int(w.slots[v, k, 0])
-            elif w.order[v, SIZE] == capacity and not may_grow:
-                todo = MAKE_ROOM
+            if rules.numbered[v]:
+                k = place_by_number(w, v, j, time, value, status, rules)
+                if k >= 0:
+                    todo, time = JUDGE, int(w.slots[v, k, TIME])
+                elif w.order[v, SIZE] == capacity and not may_grow:
+                    todo = MAKE_ROOM
+            elif j != SEQUENCE:
+                k = place_by_time(w, v, j, time, value, status, rules)
+                todo = SETTLE if k >= 0 else NOTHING
+        if todo != NOTHING and not rules.numbered[v]:
+            n = leave_by_time(w, v, k, i < start, rules, out, n)
+            continue
         while todo != NOTHING:
             if todo == JUDGE:
                 todo = judge(w, v, k, rules)
@@ -89,7 +91,7 @@ def find_waiting(rules: Rules, w: Waiting, waits: NDArray[np.bool_]) -> None:
                 break
 
 
-@kernel
+@counted.kernel
 def sort_by_valve(
     out: Aligned,
     t: NDArray[np.int64],

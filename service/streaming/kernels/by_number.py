@@ -8,7 +8,7 @@ it leaves at once; behind a hole it waits until other samples have spanned ``reo
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import inner
+from service.streaming.kernels.compiled import inlined, inner
 from service.streaming.kernels.waiting import (
     BASE,
     BEFORE_FIRST,
@@ -44,6 +44,7 @@ from service.streaming.kernels.waiting import (
     SINCE,
     SIZE,
     TIME,
+    ZERO,
     Aligned,
     Rules,
     Waiting,
@@ -63,7 +64,7 @@ _SLACK_NS = 1e9  # how far a repeated sample may lie from the straight line of n
 _SLACK = 0.5  # … and by how much of its distance from the newest
 
 
-@inner
+@inlined
 def place_by_number(
     w: Waiting, v: int, j: int, time: int, value: float, status: int, rules: Rules
 ) -> int:
@@ -96,7 +97,7 @@ def place_by_number(
     return k if w.slots[v, k, FILLED] == rules.required[v] | _NUMBERED else -1
 
 
-@inner
+@inlined
 def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
     """Judge a complete sample by its number and time; return what is to be done."""
     order, slot, time = w.order[v], w.slots[v, k], w.slots[v, k, TIME]
@@ -131,7 +132,7 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
     return SETTLE
 
 
-@inner
+@inlined
 def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int) -> int:
     """Have all leave that may; return how many samples have left.
 
@@ -188,7 +189,7 @@ def resume(order: NDArray[np.int64], slots: NDArray[np.int64], time: int) -> int
     return find(slots, order[SIZE], time)
 
 
-@inner
+@inlined
 def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
     """Place of the sample that leaves next, or -1."""
     order, lowest, waited = w.order[v], -1, np.int64(-1)
@@ -276,10 +277,10 @@ def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
         order[GAPS_KEPT] += 1
 
 
-@inner
+@inlined
 def _sweep(w: Waiting, v: int, rules: Rules) -> None:
     """Take away what is gone, and what has been passed by for so long that it stays incomplete."""
-    order, kept = w.order[v], 0
+    order, kept = w.order[v], ZERO
     high = order[HIGH]
     for k in range(order[SIZE]):
         slot = w.slots[v, k]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner
+from service.streaming.kernels.compiled import inlined, inner
 from service.streaming.kernels.waiting import (
     CLOCK_STEPS,
     DUPLICATES,
@@ -17,6 +17,7 @@ from service.streaming.kernels.waiting import (
     SIZE,
     TIME,
     TIMES_KEPT,
+    ZERO,
     Aligned,
     Rules,
     Waiting,
@@ -28,7 +29,7 @@ from service.streaming.kernels.waiting import (
 )
 
 
-@inner
+@inlined
 def place_by_time(
     w: Waiting, v: int, j: int, time: int, value: float, status: int, rules: Rules
 ) -> int:
@@ -66,7 +67,7 @@ def place_by_time(
     return k if w.slots[v, k, FILLED] == rules.required[v] else -1
 
 
-@inner
+@inlined
 def leave_by_time(
     w: Waiting,
     v: int,
@@ -89,14 +90,14 @@ def leave_by_time(
             return n
     newest = w.slots[v, complete, TIME]
     started = order[HIGH] != NEVER
-    done = 0
+    done = ZERO
     while done < order[SIZE]:
         time = w.slots[v, done, TIME]
         if w.slots[v, done, FILLED] == rules.required[v]:
             if reorder > 0 and time > newest - reorder:
                 break
             n = emit(w, v, done, rules, out, n)
-            keep_pace(order, w.counters[v], time, 0)
+            keep_pace(order, w.counters[v], time, ZERO)
             order[LAST_TIME] = time
             w.left[v, order[TIMES_KEPT] % w.left.shape[1]] = time
             order[TIMES_KEPT] += 1
@@ -110,7 +111,7 @@ def leave_by_time(
     return n
 
 
-@inner
+@inlined
 def _drop(w: Waiting, v: int, count: int) -> None:
     """Take the ``count`` oldest slots away."""
     w.order[v, HIGH] = w.slots[v, count - 1, TIME]
@@ -142,9 +143,11 @@ def _hopeless(w: Waiting, v: int, k: int, rules: Rules) -> bool:
     return True
 
 
-@inner
+@inlined
 def _has_left(w: Waiting, v: int, time: int, tolerance: int) -> bool:
     """Whether a sample of that time is among the last that left; their times grow."""
+    if time - tolerance > w.order[v, LAST_TIME]:
+        return False
     high, room = w.order[v, TIMES_KEPT], w.left.shape[1]
     if high == 0 or time - tolerance > w.left[v, (high - 1) % room]:
         return False

@@ -1,11 +1,11 @@
 """What waits for its fellows, and the loops that both ways of ordering samples share."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import inner
+from service.streaming.kernels.compiled import inlined, inner
 
 SIGNALS = 5
 SEQUENCE = 5
@@ -23,6 +23,7 @@ STRIDE = 6
     COUNTERS,
 ) = range(9)
 
+ZERO = cast("int", np.int64(0))  # for the literal 0 numba compiles what is called with it anew
 NEVER = np.iinfo(np.int64).min
 NO_NUMBER = np.int64(-(2**62))  # no running number was ever so low
 
@@ -117,7 +118,7 @@ class Aligned(NamedTuple):
     quality: NDArray[np.uint8]
 
 
-@inner
+@inlined
 def find(slots: NDArray[np.int64], size: int, time: int) -> int:
     """Position of the first of a valve's slots not before ``time``."""
     low, high = 0, size
@@ -158,7 +159,7 @@ def severity(status: int) -> int:
     return min(status >> 30, 2)
 
 
-@inner
+@inlined
 def emit(w: Waiting, v: int, k: int, rules: Rules, out: Aligned, n: int) -> int:
     """Write slot ``k`` as sample ``n``; its quality is that of its worst signal."""
     worst, time = 0, w.slots[v, k, TIME]
@@ -181,7 +182,7 @@ def emit(w: Waiting, v: int, k: int, rules: Rules, out: Aligned, n: int) -> int:
     return n + 1
 
 
-@inner
+@inlined
 def keep_pace(
     order: NDArray[np.int64], counters: NDArray[np.int64], time: int, numbers: int
 ) -> None:
