@@ -51,6 +51,7 @@ async def _read(url: str, valves: int, seconds: float, server: int) -> dict[str,
             name,
             *(f"{prefix}{name}.RLS.{number}" for number in NUMBERS),
             sequence=f"{prefix}{name}.RLS.SampleCount",
+            insist=True,  # they are no signals
         )
         for name in _names(valves)
     ]

@@ -11,8 +11,7 @@ from fractions import Fraction
 from typing import Final
 
 import numpy as np
-
-from service.identification.samples import Floats
+from numpy.typing import NDArray
 
 UNECE: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
 
@@ -169,7 +168,7 @@ class Scaling:
         """Whether every number stays what it is, to the last bit."""
         return self.gain == 1.0 and self.offset == 0.0
 
-    def __call__(self, values: Floats) -> Floats:
+    def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Numbers in the unit that is used inside; the very same ones where nothing changes."""
         if self.is_identity:
             return values

@@ -6,7 +6,7 @@ from support.plant import as_changes, plant
 
 from service.streaming.alignment import AlignmentSettings
 from service.streaming.data_changes import Signal
-from service.streaming.kernels.alignment import NEVER
+from service.streaming.kernels.waiting import NEVER
 from service.streaming.waiting import waited_for
 
 T = 1_800_000_000_000_000_000
