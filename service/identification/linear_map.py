@@ -74,5 +74,5 @@ class LinearMap:
         return state.theta.copy(), np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
 
     def adaptation(self, _state: LinearMapState) -> Adaptation:
-        """Steady: it never learns."""
+        """Undecided: it never learns, and does not look."""
         return Adaptation.UNDECIDED

@@ -13,6 +13,7 @@ from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
+from service.identification.kernels.filtered_scores import PLACES_OF_COLOUR, ROWS_OF_BLOCKS
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
@@ -40,6 +41,9 @@ class MaximumLikelihoodState(State):
         Ramp, counts, noise variance and powers, see the kernel.
     early : (s,)
         The structure's parameters up to 31 samples before; NaN before the first time.
+    omega, moments, blocks, colour : (s, s), (s, s), (6, s), (7,)
+        Of innovations that stay coloured, see
+        :mod:`service.identification.kernels.filtered_scores`.
     """
 
     theta: Floats
@@ -52,6 +56,10 @@ class MaximumLikelihoodState(State):
     filtered: Floats
     monitor: Floats
     early: Floats
+    omega: Floats
+    moments: Floats
+    blocks: Floats
+    colour: Floats
 
 
 @dataclass(frozen=True)
@@ -183,6 +191,7 @@ class MaximumLikelihood:
         scale = np.append(self._scale, np.ones(self.nd))
         P = np.diag(covariance(state.factor))
         variance = np.maximum(np.diag(_parameter_covariance(state)), 0.0)
+        variance[: len(self._scale)] *= _inflations(state)
         known = (P > 0) & (kernel.UNDETERMINED * state.prior >= P)
         known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
         return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
@@ -202,7 +211,8 @@ class MaximumLikelihood:
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""
         n = len(self._scale)
-        return _parameter_covariance(state)[:n, :n] / np.outer(self._scale, self._scale)
+        wider = np.sqrt(_inflations(state)) / self._scale
+        return _parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
         """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
@@ -421,6 +431,10 @@ def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
         filtered=np.zeros(channels),
         monitor=monitor,
         early=np.full(ns, np.nan),
+        omega=np.zeros((ns, ns)),
+        moments=np.zeros((ns, ns)),
+        blocks=np.zeros((ROWS_OF_BLOCKS, ns)),
+        colour=np.zeros(PLACES_OF_COLOUR),
     )
 
 
@@ -460,6 +474,13 @@ def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
         over = lower + np.tril(lower, -1).T
     with np.errstate(all="ignore"):
         return np.asarray(_noise_variance(state) * over)
+
+
+def _inflations(state: MaximumLikelihoodState) -> Floats:
+    """How many times wider than in white innovations the structure's variances are (s,)."""
+    values = np.empty(len(state.rls_theta))
+    kernel.inflations(_memory(state), values)
+    return values
 
 
 def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:

@@ -203,7 +203,7 @@ class RbfNetwork:
         return one_by_one(self, states)
 
     def adaptation(self, _state: RbfNetworkState) -> Adaptation:
-        """Steady: the network learns at one pace, whatever its residuals do."""
+        """Undecided: the network does not look what its residuals do."""
         return Adaptation.UNDECIDED
 
     def adaptation_many(self, states: RbfNetworkState) -> Codes:

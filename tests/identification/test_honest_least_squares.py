@@ -7,6 +7,7 @@ from benchmarks import circumstances as honest
 from service.identification.adaptation import Adaptation
 from service.identification.forgetting import Adaptive
 from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Status
 
 RLS = RecursiveLeastSquares(forgetting=Adaptive())
 
@@ -110,3 +111,30 @@ def test_in_slow_noise_the_interval_of_the_true_flow_holds():
     assert len(widths) >= 10
     assert 0.88 <= np.mean(np.concatenate(inside)) <= 0.99
     assert np.mean(widths) <= 1.5 * honest.rms(errors)
+
+
+def test_damage_on_a_machines_cycle_is_found_where_the_structure_fits():
+    valve = honest.eq7
+    for seed in (11, 12, 13):
+        U, dp = honest.cycle(seed, 10_600)
+        Q = valve(U, dp)
+        Q[10_000:] *= 0.9
+        end = 10_000 + int(np.flatnonzero(Q[10_000:] > 10.0)[99]) + 1
+        noisy = Q + honest.white(seed, len(U))
+        before = learnt(U[:10_000], dp[:10_000], noisy[:10_000])
+        assert RLS.last_change(before) is None
+        change = RLS.last_change(learnt(U[:end], dp[:end], noisy[:end]))
+        assert change is not None
+        assert change.size < -0.5
+
+
+def test_the_memory_is_never_opened_beyond_use_however_often():
+    U, dp = honest.scattered(7, 4_000)
+    state = learnt(U, dp, honest.eq7(U, dp))
+    rest = np.full(4_000, 50.0), np.full(4_000, 100.0)
+    flow = honest.eq7(*rest)
+    for k in range(40):  # one valve after another, at one point
+        samples = honest.samples_of(*rest, flow * (1.0 + 0.5 * (k % 2)))
+        state, trace = RLS.update(state, samples)
+    assert np.isfinite(state.factor).all()
+    assert set(trace.status.tolist()) <= {Status.OK, Status.UNEXCITED}

@@ -97,7 +97,7 @@ def test_inform_is_the_inverse(seed, v):
 
 
 @given(seeds, vectors, vectors, weights, weights)
-def test_rotate_turns_a_symmetric_matrix(seed, x, v, taken, added):
+def test_rotate_rotates_a_symmetric_matrix(seed, x, v, taken, added):
     s = row_with(seed, x=x, Px=v)
     B = np.eye(N) - taken * np.outer(x, v)
     expected = B @ symmetric(s, AT.spread) @ B.T + added * np.outer(x, x)

@@ -47,12 +47,13 @@ from service.identification.kernels.row_layout import (
     Size,
 )
 from service.identification.kernels.rules import Rule
-from service.identification.kernels.scores import is_coloured
+from service.identification.kernels.scores import ROUNDING, is_coloured
 from service.identification.kernels.triangles import add_square, squared_length
 from service.identification.samples import Floats
 
 WINDOW = 1.0 / 100.0
-IN_WINDOW = 2.0 / WINDOW  # squared sum of the weights over the sum of their squares
+IN_WINDOW = 60.0  # of 2/WINDOW, the squared sum of the weights over the sum of their squares: what
+# is the same all along the window may add 3n to T, far below any threshold
 IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
 IN_VISIT = 3.0  # the same for the samples of a visit so far, each
 SETTLED = 20.0
@@ -60,7 +61,6 @@ FEWEST_BETWEEN = 8  # looks at least from a change to the next
 MISFIT_HERE = 10.0  # times its mean square that misfit may be at one place
 FITS = 0.1  # times the noise: misfit below which theta is believed where no place is known
 MISFIT_UNSEEN = 0.02  # times the noise that misfit may be without being seen
-ROUNDING = 1e-12  # of the flow, squared
 TINY = 1e-300
 FIRST = 1500  # samples before which a map is learnt rather than changed
 PATIENCE = 300  # samples after which what was suspected is taken for noise
@@ -95,7 +95,7 @@ def weigh(
     step = d - s[g + LAST_D]
     s[g + LAST_D] = d
     if not np.isnan(step):
-        square = 0.5 * step * step
+        square = 0.5 * step * step + ROUNDING * y * y
         if s[g + SUSPECTED] > 0.0:
             square = s[g + FLOOR]
         elif s[g + FLOOR_WEIGHT] > SETTLED:
@@ -113,7 +113,7 @@ def weigh(
         if doubt < local:
             local = doubt
             d = e
-    if local == np.inf or s[g + FLOOR_WEIGHT] <= SETTLED or count < FIRST:
+    if local == np.inf or s[g + FLOOR_WEIGHT] <= SETTLED or count < FIRST or r == 0.0:
         return
     s[g + SUM] += d
     s[g + SUMMED] += 1.0
@@ -155,7 +155,7 @@ def has_changed(
         return False
 
     T = squared_length(size, s, at.score, at.variance, at.f, at.Px, at.L)
-    if rule.suspicious > T:
+    if not rule.suspicious <= T:  # NaN: no evidence
         counters[SUSPECT_SAMPLE] = counters[COUNT] + 1
         counters[SUSPECT_TIME] = t
         s[g + SUM] = 0.0
@@ -167,7 +167,7 @@ def has_changed(
         s[g + SUSPECTED] = 0.0
     # Every sample is looked at under suspicion, unless noise lasts: it would count once too often.
     s[g + ATTENTIVE] = 0.0 if is_coloured(s, g) else s[g + SUSPECTED]
-    if rule.threshold >= T:
+    if not rule.threshold < T:
         return False
     # T has grown evenly since the change: from so many looks before it was suspicious.
     before = s[g + SUMMED] * rule.suspicious / max(T - rule.suspicious, TINY)

@@ -156,6 +156,8 @@ def let_go(size: Size, s: Floats, at: Places, counters: Counts, lam: float) -> N
     samples = float(counters[COUNT] - counters[OPENED])
     growth = OPENING * (min(1.0 / (1.0 - lam), samples) if lam < 1.0 else samples)
     counters[OPENED] = counters[COUNT]
+    trace = scaled_trace(size, s, at.factor, at.scale)
+    growth = min(growth, max(1.0, TRACE_LIMIT / trace)) if trace > 0.0 else growth
     p = at.factor
     for j in range(n):
         s[p + j] *= growth

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.kernels import filtered_scores
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.factors import covariance, project, rank_one
 from service.identification.kernels.residual_spread import EARLIER
@@ -63,6 +64,10 @@ class Memory(NamedTuple):
     filtered: Floats
     monitor: Floats
     early: Floats
+    omega: Floats
+    moments: Floats
+    blocks: Floats
+    colour: Floats
 
 
 class Rule(NamedTuple):
@@ -150,7 +155,10 @@ def run_fleet(
     segments
         Which samples are whose.
     """
-    theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor, before = fleet
+    (
+        theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor, before,
+        omega, moments, blocks, colour,
+    ) = fleet  # fmt: skip
     members, starts, stops = segments
     scratch, history = _scratch(theta.shape[1]), np.empty((0, theta.shape[1]))
     use = np.ones(len(y), np.uint8)
@@ -158,7 +166,7 @@ def run_fleet(
         m = members[s]
         memory = Memory(
             theta[m], factor[m], spread[m], prior[m], rls_theta[m], rls_factor[m], raw[m],
-            filtered[m], monitor[m], before[m],
+            filtered[m], monitor[m], before[m], omega[m], moments[m], blocks[m], colour[m],
         )  # fmt: skip
         _span(
             memory, rule, orders, scratch, X, y, use, predicted, posterior, early, share, status,
@@ -246,6 +254,7 @@ def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, share
     n, ns = len(memory.theta), X.shape[1]
     scratch = _scratch(n)
     x = scratch.h
+    held = _samples_held(memory, scratch)
     for t in range(len(X)):
         before = 0.0
         for j in range(ns):
@@ -257,6 +266,7 @@ def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, share
         variances[t] = r
         if memory.monitor[DETERMINED] > 0.0:
             variances[t] = _spread_along(memory.spread, x, scratch.Sh)
+            variances[t] = _widened(memory, scratch.Ph, variances[t], held)
 
 
 @inner
@@ -394,6 +404,9 @@ def _step(
     monitor[VARIANCE] += (e * e / (1.0 + q) - monitor[VARIANCE]) / monitor[WEIGHT]
     _forget(memory.factor, rule.kind, lam, ramp, scratch, r, before)
 
+    if monitor[DETERMINED] > 0.0:
+        filtered_scores.gather(memory.omega, memory.moments, memory.blocks, memory.colour, hf, e, y)
+
     rls_e = _rest(h, memory.rls_theta, ns, y)
     before = 0.0
     for j in range(ns):
@@ -501,6 +514,47 @@ def _spread_along(S: Floats, x: Floats, Sx: Floats) -> float:
 
 
 @inner
+def _widened(memory: Memory, g: Floats, variance: float, held: float) -> float:
+    """Variance over σ² along ``g`` = P·x in the noise there is; ``held``: samples if x reacts."""
+    noise = memory.monitor[VARIANCE]
+    times = filtered_scores.inflation(memory.omega, memory.moments, memory.colour, g, noise)
+    bias = held * filtered_scores.bias_along(memory.blocks, g) if held > 0.0 else 0.0
+    return float(variance * times + (bias * bias / noise if noise > 0.0 else 0.0))
+
+
+@inner
+def _samples_held(memory: Memory, scratch: _Scratch) -> float:
+    """Samples that P holds, s over the trace of P·M; 0 where regressors do not react."""
+    if not filtered_scores.reacts(memory.blocks, memory.colour):
+        return 0.0
+    ns, trace = len(memory.rls_theta), 0.0
+    for j in range(ns):
+        _along_axis(memory, scratch, j)
+        for k in range(ns):
+            trace += scratch.Ph[k] * memory.moments[max(j, k), min(j, k)]
+    return ns / trace if trace > 0.0 else 0.0
+
+
+@inner
+def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
+    """Column j of P into ``scratch.Ph``."""
+    for k in range(len(scratch.h)):
+        scratch.h[k] = 1.0 if j == k else 0.0
+    project(memory.factor, scratch.h, scratch.f, scratch.Ph)
+
+
+@kernel
+def inflations(memory: Memory, values: Floats) -> None:
+    """Write how many times the variance of each parameter (s,) is that in white noise."""
+    scratch = _scratch(len(memory.theta))
+    held = _samples_held(memory, scratch)
+    for j in range(len(values)):
+        _along_axis(memory, scratch, j)
+        own = memory.spread[j, j]
+        values[j] = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
+
+
+@inner
 def _update_spread(S: Floats, Px: Floats, Sx: Floats, gain: float, q: float) -> None:
     """Covariance of theta over σ²: S ← (I - L·hfᵀ)·S·(I - L·hfᵀ)ᵀ + L·Lᵀ, whatever the gain L."""
     c = gain * gain * (1.0 + q)
@@ -545,6 +599,7 @@ def _restart(memory: Memory) -> None:
     monitor[RESTARTS] = restarts
     monitor[COUNT] = count
     monitor[RAMP] = RAMP_START if ns < len(memory.theta) else 1.0
+    filtered_scores.forget(memory.omega, memory.moments, memory.blocks, memory.colour)
     memory.theta[:] = 0.0
     memory.factor[:] = 0.0
     memory.spread[:] = 0.0

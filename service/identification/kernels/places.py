@@ -27,6 +27,7 @@ from service.identification.kernels.information_form import INDEPENDENT, settle
 from service.identification.kernels.row_layout import (
     BEND,
     CARRIED,
+    CLOCK,
     CLOSED,
     COMMON,
     COUNT,
@@ -38,12 +39,16 @@ from service.identification.kernels.row_layout import (
     LAST_E,
     LAST_MEAN,
     LOCAL,
+    LOOKED_AT,
     MISFIT,
     MISFIT_POWER,
     NEW,
     NODE,
     POWER,
     POWER_WEIGHT,
+    REST_A,
+    REST_B,
+    RESTED,
     REVISITED,
     SUSPECTED,
     SWEPT,
@@ -63,7 +68,7 @@ from service.identification.kernels.rules import Rule
 from service.identification.kernels.triangles import whiten
 from service.identification.samples import Floats
 
-# Fields of a node: flow, l/min; samples it is the mean of; number of the sample that touched it
+# Fields of a node: flow, l/min; samples it is the mean of; time by the clock when it was touched
 # last; mean square of d around it; mean of d over the last visit; end of that visit; visits; looks
 # of the last one.
 FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS, STAYED = range(8)
@@ -107,8 +112,11 @@ EQUAL = 4.0  # looks from which all places count alike
 REFIT = 512  # samples after which theta is fitted anew while it drifts
 YOUNG, LOOK_EVERY_YOUNG = 4096, 2  # samples; of those one of so many is held against its place,
 LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
-SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
+SEEN_OFTEN = 3.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
+WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
+REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
+AT_REST = 0.05  # steps of the grid within which it is one place
 
 
 @inlined
@@ -151,18 +159,19 @@ def look(
     inside = a >= 0.0 and a <= NODES_A - 1.0 and b >= 0.0 and b <= NODES_B - 1.0
     if not (inside and r < FIT and counters[COUNT] > SETTLED + n):
         return np.nan
+    tick(s, g, a, b, float(counters[COUNT]))
     i, j = min(int(a), NODES_A - 2), min(int(b), NODES_B - 2)
     p, q = a - i, b - j
     first = i * NODES_B + j
     nearest = first + (1 if q > 0.5 else 0) + (NODES_B if p > 0.5 else 0)
     if nearest != int(s[g + NODE]) or s[g + VISIT_LENGTH] >= LONG_VISIT:
-        close_visit(s, at, own, float(counters[COUNT]), rule)
+        close_visit(s, at, own, s[g + CLOCK], rule)
         apart = abs(nearest - int(s[g + NODE]))
         row = (apart + 1) // NODES_B * NODES_B
         s[g + SWEPT] = 1.0 if abs(apart - row) <= 1 and row <= NODES_B else 0.0
         s[g + NODE] = nearest
         s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
-    now, fading = float(counters[COUNT]), s[g + FADING]
+    now, fading = s[g + CLOCK], s[g + FADING]
     known, sure, c, S, age, flow = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for corner in range(4):
         k = first + (corner & 1) + (corner >> 1) * NODES_B
@@ -203,7 +212,7 @@ def look(
         s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed
         whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
         chance = SURE * s[g + VISIT_POWER] / np.sqrt(1.0 + s[g + CLOSED])
-        s[g + COMMON] = wear * wear + 2.0 * (
+        s[g + COMMON] = WORN * wear * wear + 2.0 * (
             max(0.0, s[g + LAG] - SURE * s[g + VISIT_POWER] * np.sqrt(whole))
             + max(0.0, s[g + CARRIED] - chance)
         )
@@ -250,6 +259,19 @@ def look(
             own[k, VISITED] = -1.0
             own[k, VISITS] = 0.0
     return d
+
+
+@inlined
+def tick(s: Floats, g: int, a: float, b: float, count: float) -> None:
+    """Let the clock by which places age go on with the samples, but where the valve rests."""
+    if abs(a - s[g + REST_A]) + abs(b - s[g + REST_B]) > AT_REST:
+        s[g + REST_A] = a
+        s[g + REST_B] = b
+        s[g + RESTED] = 0.0
+    step = min(count - s[g + LOOKED_AT], REST - s[g + RESTED])
+    s[g + LOOKED_AT] = count
+    s[g + RESTED] += step
+    s[g + CLOCK] += step
 
 
 @inlined
@@ -306,7 +328,7 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
             colour = mean * own[k, DEVIATION] / max(np.sqrt(expected), 1e-300)
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
             s[g + LAG] += recent * (mean * own[k, DEVIATION] - s[g + LAG])
-            s[g + GAP] += recent * (now - own[k, VISITED] - s[g + GAP])
+            s[g + GAP] += recent * (max(now - own[k, VISITED], APART) - s[g + GAP])
             tolerated = ONCE_PROVEN if s[g + HASTE] > PROVEN else TOLERATED
             haste = s[g + HASTE] + HASTE_STEP * min(1.0, length / FULL_VISIT) * (colour - tolerated)
             if rule.lam == 1.0:

@@ -38,6 +38,7 @@ from service.identification.kernels.places import (
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
+    CLOCK,
     COUNT,
     FACTORED,
     FADING,
@@ -244,7 +245,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             note(s, at, thetas, i, n)
             if watches:
                 if r < SETTLED:
-                    gather(size, s, at, e)
+                    gather(size, s, at, e, y[i])
                 if rule.lam < 1.0:
                     hurry(s, at, rule, e, square)
             if looks:
@@ -261,7 +262,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 lam = pace(size, s, at, rule)
             drifts = placed and rule.lam == 1.0 and s[at.detector + HASTE] > PROVEN
             if drifts and own[COUNT] & (REFIT - 1) == 0:
-                refit(s, R[m], rhs[m], places[m], nodes, float(own[COUNT]))
+                refit(s, R[m], rhs[m], places[m], nodes, s[at.detector + CLOCK])
         for p in range(at.x):
             row[m, p] = s[p]
         for p in range(PLACES_OF_COUNTERS):

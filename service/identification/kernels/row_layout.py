@@ -39,7 +39,9 @@ COMMON, CARRIED, LAST_MEAN, BEND, SUSPECTED, CLOSED = range(24, 30)
 LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQUARE = range(30, 38)
 # Of the haste of a rule that forgets anyway.
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
-PLACES_OF_DETECTOR = 46
+# Of the clock by which places age.
+CLOCK, LOOKED_AT, REST_A, REST_B, RESTED = range(46, 51)
+PLACES_OF_DETECTOR = 51
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 

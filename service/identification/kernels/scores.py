@@ -40,16 +40,18 @@ MEMORY = 32_768.0  # samples that Omega, M and the colour remember
 FEWEST = 4.0  # blocks
 COLOURED = 4.0  # standard deviations of the correlation of consecutive e
 REACTS = 16.0  # squared standard deviations of Γ along one direction
-STUDENT = 6.0  # over the number of blocks: what the quantile of so few grows by, squared, and what
-# innovations lack, as theta followed slow noise when it was young
+ROUNDING = 1e-12  # of the flow, squared
+STUDENT = (
+    3.6  # over the number of blocks: what the quantile of so few grows by, squared; pairs overlap
+)
 
 
 @inlined
-def gather(size: Size, s: Floats, at: Places, e: float) -> None:
-    """Take a sample's score x·e in."""
+def gather(size: Size, s: Floats, at: Places, e: float, y: float) -> None:
+    """Take a sample's score x·e in; ``y``: its flow, whose rounding is no colour."""
     n, g = len(size), at.detector
     s[g + BLOCK_PRODUCT] += e * s[g + LAST_SCORED]
-    s[g + BLOCK_SQUARE] += e * e
+    s[g + BLOCK_SQUARE] += e * e + ROUNDING * y * y
     s[g + LAST_SCORED] = e
     for j in range(n):
         s[at.block + j] += e * s[at.x + j]
