@@ -97,6 +97,7 @@ VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
 FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
 HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
+PROVEN_STEP = 0.1  # the same once drift is proven: only its pace is to be found then
 TOLERATED = 0.1  # colour of visits that is let be
 ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
 LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
@@ -110,9 +111,9 @@ MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
 EQUAL = 4.0  # looks from which all places count alike
 REFIT = 512  # samples after which theta is fitted anew while it drifts
-YOUNG, LOOK_EVERY_YOUNG = 4096, 2  # samples; of those one of so many is held against its place,
+YOUNG, LOOK_EVERY_YOUNG = 16_384, 2  # samples; of those one of so many is held against its place,
 LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
-SEEN_OFTEN = 3.0  # visits from which one is compared with the one before
+SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
 REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
@@ -329,8 +330,10 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
             s[g + LAG] += recent * (mean * own[k, DEVIATION] - s[g + LAG])
             s[g + GAP] += recent * (max(now - own[k, VISITED], APART) - s[g + GAP])
-            tolerated = ONCE_PROVEN if s[g + HASTE] > PROVEN else TOLERATED
-            haste = s[g + HASTE] + HASTE_STEP * min(1.0, length / FULL_VISIT) * (colour - tolerated)
+            tolerated, pace = TOLERATED, HASTE_STEP
+            if s[g + HASTE] > PROVEN:
+                tolerated, pace = ONCE_PROVEN, PROVEN_STEP
+            haste = s[g + HASTE] + pace * min(1.0, length / FULL_VISIT) * (colour - tolerated)
             if rule.lam == 1.0:
                 most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
                 s[g + HASTE] = max(min(haste, most), 0.0)
