@@ -55,6 +55,7 @@ WINDOW = 1.0 / 100.0
 IN_WINDOW = 60.0  # of 2/WINDOW, the squared sum of the weights over the sum of their squares: what
 # is the same all along the window may add 3n to T, far below any threshold
 IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
+LONG_VISIT = 8.0  # looks after which a stay at one place is another, as far as evidence goes
 IN_VISIT = 3.0  # the same for the samples of a visit so far, each
 SETTLED = 20.0
 FEWEST_BETWEEN = 8  # looks at least from a change to the next
@@ -117,7 +118,7 @@ def weigh(
         return
     s[g + SUM] += d
     s[g + SUMMED] += 1.0
-    alike = s[g + VISIT_LENGTH] + IN_SWEEP * s[g + SWEPT]
+    alike = 1.0 + (s[g + VISIT_LENGTH] - 1.0) % LONG_VISIT + IN_SWEEP * s[g + SWEPT]
     doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * alike * local
     z = d / np.sqrt(s[g + FLOOR] + doubt + ROUNDING * y * y + TINY)
     z = min(max(z, -CLIP), CLIP)

@@ -53,6 +53,7 @@ from service.identification.kernels.row_layout import (
     SUSPECTED,
     SWEPT,
     VARIANCE,
+    VISIT_BEGAN,
     VISIT_COMMON,
     VISIT_LENGTH,
     VISIT_POWER,
@@ -91,8 +92,8 @@ SPREAD_MEMORY = 100.0  # samples that a node's mean square remembers
 POWER_MEMORY = 10_000.0  # samples that the mean square of all remembers
 CLIP = 4.0  # standard deviations beyond which d counts as so many: outliers
 HETEROGENEOUS = 1.2  # times the mean square of all: what a node's may be by chance
-LONG_VISIT = 8.0  # looks after which a stay at one place is another visit
-APART = 64.0  # samples after which noise has forgotten: visits closer together are one
+APART = 64.0  # samples after which noise has forgotten: a longer stay is another visit, visits
+# closer together are one
 VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
 FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
@@ -165,12 +166,14 @@ def look(
     p, q = a - i, b - j
     first = i * NODES_B + j
     nearest = first + (1 if q > 0.5 else 0) + (NODES_B if p > 0.5 else 0)
-    if nearest != int(s[g + NODE]) or s[g + VISIT_LENGTH] >= LONG_VISIT:
+    stayed = s[g + LOOKED_AT] - s[g + VISIT_BEGAN]
+    if nearest != int(s[g + NODE]) or stayed >= APART:
         close_visit(s, at, own, s[g + CLOCK], rule)
         apart = abs(nearest - int(s[g + NODE]))
         row = (apart + 1) // NODES_B * NODES_B
         s[g + SWEPT] = 1.0 if abs(apart - row) <= 1 and row <= NODES_B else 0.0
         s[g + NODE] = nearest
+        s[g + VISIT_BEGAN] = s[g + LOOKED_AT]
         s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
     now, fading = s[g + CLOCK], s[g + FADING]
     known, sure, c, S, age, flow = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -321,7 +324,8 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         share = length / (weight + length)
         own[k, SPREAD] += share * (s[g + VISIT_SQUARES] / length - own[k, SPREAD])
         gap = now - length - own[k, VISITED]
-        apart = own[k, VISITED] <= 0.0 or gap > APART or length >= LONG_VISIT
+        stayed = s[g + LOOKED_AT] - s[g + VISIT_BEGAN]
+        apart = own[k, VISITED] <= 0.0 or gap > APART or stayed >= APART
         if own[k, VISITS] > SEEN_OFTEN and apart:
             recent = min(1.0, length / LAG_MEMORY)
             common = max(0.0, s[g + VISIT_COMMON])

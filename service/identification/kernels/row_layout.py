@@ -40,8 +40,8 @@ LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQU
 # Of the haste of a rule that forgets anyway.
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
 # Of the clock by which places age.
-CLOCK, LOOKED_AT, REST_A, REST_B, RESTED = range(46, 51)
-PLACES_OF_DETECTOR = 51
+CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN = range(46, 52)
+PLACES_OF_DETECTOR = 52
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
