@@ -84,7 +84,7 @@ def inflation(
     white *= noise_variance
     if not white > 0.0:
         return 1.0
-    return max(1.0, long_run / white * (1.0 + STUDENT / colour[BLOCKS]))
+    return float(max(1.0, long_run / white * (1.0 + STUDENT / colour[BLOCKS])))
 
 
 @inner
