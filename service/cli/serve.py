@@ -12,7 +12,8 @@ from service.config.loading import load_config
 
 
 def serve(config: ConfigOption = None) -> None:
-    """Subscribe to the source, identify, publish, until Ctrl-C."""
+    """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
+    from service.app.reload import Reload
     from service.app.serve import serve as run
     from service.app.signals import stop_on_signal
 
@@ -20,9 +21,9 @@ def serve(config: ConfigOption = None) -> None:
     set_up_logs(loaded.log)
 
     async def until_stopped() -> None:
-        stop = asyncio.Event()
-        with stop_on_signal(stop):
-            await run(loaded, stop)
+        stop, reload = asyncio.Event(), Reload(lambda: load_config(config))
+        with stop_on_signal(stop, reload.ask_by_signal):
+            await run(loaded, stop, reload=reload)
 
     asyncio.run(until_stopped())
 
