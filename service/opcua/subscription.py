@@ -390,7 +390,11 @@ class Subscription:
             return decode_republish_response(await self._session.request(request))
         except DecodeError as error:
             raise Senseless(f"a message again that is not understood: {error}") from error
-        except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
+        except (
+            ua.uaerrors.BadMessageNotAvailable,
+            ua.uaerrors.BadServiceUnsupported,
+            TimeoutError,
+        ):
             return None
 
     def _skip_to_oldest(self, available: Sequence[int]) -> None:
