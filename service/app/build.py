@@ -19,7 +19,7 @@ from service.hardened import (
     ensure_certificate,
 )
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.storage.layout import NUMBERS, Layout, ValveLayout
+from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -28,7 +28,7 @@ from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
-from service.streaming.units import QUANTITY_OF, Measure
+from service.streaming.units import MEASURED, QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -99,7 +99,9 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
 def build_layout(config: Config) -> Layout:
     """Where recordings hold the valves' signals."""
     return Layout(
-        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
+        valves=tuple(
+            ValveLayout(valve.name, _measures(valve, MEASURED)) for valve in config.valves
+        ),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,

@@ -60,7 +60,7 @@ class _Recorder:
         pass
 
     async def take(self, changes: DataChanges) -> None:
-        self._waiting, samples = self._alignment.update(self._waiting, changes)
+        self._waiting, samples = self._alignment.take(self._waiting, changes)
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)
             self.samples += len(batch)

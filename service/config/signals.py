@@ -16,8 +16,6 @@ from service.streaming.units import (
 
 Range = tuple[float, float]
 
-_SIGNALS = ("U", "p1", "p2", "Q", "T", "required_U")
-
 
 class SignalConfig(BaseModel):
     """One signal; what is left out is as in the table of recordings: %, bar, l/min, °C."""
@@ -85,7 +83,7 @@ class SignalsConfig(BaseModel):
 
     @model_validator(mode="after")
     def _quantities_fit(self) -> Self:
-        for name in _SIGNALS:
+        for name in QUANTITY_OF:
             signal: SignalConfig = getattr(self, name)
             unit, quantity = signal.measure(name).unit, QUANTITY_OF[name]
             if unit is not None and unit.quantity is not quantity:
