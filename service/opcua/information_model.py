@@ -523,4 +523,5 @@ _COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
+    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
 }

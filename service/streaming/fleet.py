@@ -40,7 +40,7 @@ from service.streaming.score import Score, recent_rmse
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 
-COUNTER_NAMES = (*OF_GATE, "beyond_range")
+COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
 
 
 class Fleet:
@@ -128,7 +128,8 @@ class Fleet:
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
-        return np.column_stack((self._gate.counts(), beyond))
+        too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
+        return np.column_stack((self._gate.counts(), beyond, too_fast))
 
 
 class _Lanes:
@@ -175,6 +176,10 @@ class _Lanes:
         self._support.learn(samples, trace.status, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
+
+    def too_fast(self) -> Times:
+        """How many samples moved too fast for the lags of their signals (M,)."""
+        return self._states.too_fast(len(self.beyond))
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Which samples have a U that the estimator cannot describe (N,); they are counted."""
@@ -296,6 +301,11 @@ class _Stacked:
         found = self._estimator.lags if isinstance(self._estimator, Auto) else None
         return [found(member(self._all, m)) if found else None for m in chosen]
 
+    def too_fast(self, M: int) -> Times:
+        if isinstance(self._estimator, Auto):
+            return self._estimator.too_fast(self._all)
+        return np.zeros(M, np.int64)
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -336,6 +346,9 @@ class _Listed:
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         return [None] * len(chosen)
+
+    def too_fast(self, M: int) -> Times:
+        return np.zeros(M, np.int64)
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

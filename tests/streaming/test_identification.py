@@ -5,6 +5,7 @@ import pytest
 from support.plant import as_changes, plant
 
 from service.errors import CommandRejected
+from service.identification.auto import Auto
 from service.identification.inversion import InverseStatus
 from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Quality, Status
@@ -193,6 +194,13 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
     identification.take_samples(0, closed)
     assert identification.result(0).estimators["RLS"].status is Status.OK
     assert identification.counters(0)["beyond_range"] == 50
+
+
+def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
+    slow = replace(plan, estimators={"Auto": Auto(lag_U=0.0, lag_Q=0.3)}, inverse="Auto")
+    identification = Identification([slow], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification.take_samples(0, plant(500))  # U jumps from sample to sample
+    assert identification.counters(0)["too_fast_for_lag"] > 400
 
 
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):
