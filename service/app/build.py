@@ -18,6 +18,7 @@ from service.hardened import (
     UserStore,
     ensure_certificate,
 )
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
@@ -183,6 +184,9 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
+        accuracy=SensorAccuracy(
+            **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}
+        ),
     )
 
 

@@ -29,6 +29,10 @@ class SignalConfig(BaseModel):
     )
     range: Range | None = Field(None, description="what the two raw numbers mean, in unit")
 
+    accuracy: float = Field(
+        0.0, ge=0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
+    )
+
     @field_validator("unit")
     @classmethod
     def _is_known(cls, text: str | None) -> str | None:
@@ -67,6 +71,11 @@ class SignalConfig(BaseModel):
         if unit is not None and unit.quantity is Quantity.ELECTRICAL:
             unit = inside(QUANTITY_OF[signal])  # what is named is the unit of raw
         return Measure(self.column, unit, self.raw, self.range)
+
+    def error_limit(self, signal: str) -> float:
+        """Limit ± of the sensor's error, in the unit that is used inside."""
+        unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])
+        return float(unit.factor) * self.accuracy
 
 
 class SignalsConfig(BaseModel):

@@ -138,6 +138,13 @@ def estimator_variables(
             range=(0.0, Q_max),
         ),
         VariableNode(
+            f"{prefix}.SystematicStd",
+            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
+            "standard deviation: no number of samples averages it out.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
             f"{prefix}.SampleCount",
             "Samples taken in since the start or the last Reset.",
             ua.VariantType.UInt64,

@@ -198,6 +198,8 @@ def _estimator_columns(
         yield Column(
             f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
         )
+    stated = np.where(np.isfinite(results.systematic_std), codes, worse(codes, _Codes.BadNoData))
+    yield Column(f"{name}.SystematicStd", results.systematic_std, stated, t)
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
     if by_name:

@@ -21,6 +21,7 @@ from service.identification.fleet import ManyModels, copied, member, members, re
 from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.support import Support
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
@@ -58,7 +59,7 @@ class Fleet:
         self.plan = plan
         self._gate = plan.gate.initial_state(M)
         self._lanes = {
-            name: _Lanes(estimator, M, nothing_seen(plan))
+            name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
             for name, estimator in plan.estimators.items()
         }
         self._t = np.zeros(M, np.int64)
@@ -135,7 +136,9 @@ class Fleet:
 class _Lanes:
     """One estimator on M valves."""
 
-    def __init__(self, estimator: AnyEstimator, M: int, support: Support) -> None:
+    def __init__(
+        self, estimator: AnyEstimator, M: int, support: Support, accuracy: SensorAccuracy
+    ) -> None:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
@@ -143,6 +146,7 @@ class _Lanes:
         self._cells = np.tile(none.cells, (M, 1, 1))
         self._overall = np.tile(none.overall, (M, 1))
         self._support = support.of_many(M)
+        self._accuracy = accuracy
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
@@ -210,6 +214,7 @@ class _Lanes:
             score=Score(self._scores[m].copy()),
             spread=ResidualSpread(self._cells[m].copy(), self._overall[m].copy()),
             support=self._support.one(m),
+            accuracy=self._accuracy,
             frozen=bool(self._frozen[m]),
             count=int(count),
             t=int(t),
@@ -239,6 +244,7 @@ class _Lanes:
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
             lags=self._states.lags(chosen),
+            systematic_std=np.full(len(chosen), np.nan),
         )
 
     def put(self, m: int, lane: Lane) -> None:

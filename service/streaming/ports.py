@@ -148,7 +148,8 @@ class EstimatorResult:
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
     ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
-    ``lags`` those of U's effect and of the flow meter, s.
+    ``lags`` those of U's effect and of the flow meter, s; ``systematic_std`` what the sensors'
+    errors make of the flow at the newest sample, l/min, NaN where nothing is said of them.
     """
 
     t: int
@@ -165,6 +166,7 @@ class EstimatorResult:
     change: Change | None = None
     structure: str | None = None
     lags: tuple[float, float] | None = None
+    systematic_std: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -215,6 +217,7 @@ class EstimatorResults:
     change: Sequence[Change | None]
     structure: Sequence[str | None]
     lags: Sequence[tuple[float, float] | None]
+    systematic_std: Floats
 
 
 @dataclass(frozen=True)
@@ -282,6 +285,7 @@ class Results:
                     change=found.change[m],
                     structure=found.structure[m],
                     lags=found.lags[m],
+                    systematic_std=float(found.systematic_std[m]),
                 )
                 for name, found in self.estimators.items()
             },
