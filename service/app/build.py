@@ -83,6 +83,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         application_uri=None if own is not None else APPLICATION_URI,
         publishing_interval_ms=config.source.publishing_interval_ms,
         queue_size=config.source.queue_size,
+        history_s=config.source.history_s,
         timeout_s=config.source.timeout_s,
     )
     nodes = [

@@ -97,6 +97,8 @@ class SourceSettings:
         Changes kept until ``receive`` takes them. Overflow policy: *back-pressure*. From there on
         no further publish request goes out, so the server's own queues fill, and what they drop
         shows in ``counters.overflows``.
+    history_s
+        How far back the server's history is asked for what was not heard; 0: never.
     """
 
     url: str
@@ -115,6 +117,7 @@ class SourceSettings:
     timeout_s: float = 5.0
     publish_requests: int = 10
     buffer_limit: int = 1_000_000
+    history_s: float = 3_600.0
 
     def __post_init__(self) -> None:
         """Check what goes together.

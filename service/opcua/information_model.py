@@ -481,6 +481,11 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "Changes whose value is no number, and messages that cannot be understood.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Source.FromHistory",
+                "Changes that were not heard and were read from the source's history.",
+                counts,
+            ),
         ),
     }
 

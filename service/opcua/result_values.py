@@ -148,6 +148,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.Overflows", health.source.overflows),
         ("Source.MissingMessages", health.source.missing_messages),
         ("Source.Undecodable", health.source.undecodable),
+        ("Source.FromHistory", health.source.from_history),
     ):
         yield f"{SERVICE}.{name}", count, int(_Codes.Good)
 

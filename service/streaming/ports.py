@@ -28,6 +28,7 @@ class SourceCounters:
     missing_messages: int = 0
     overflows: int = 0
     undecodable: int = 0
+    from_history: int = 0
 
 
 class Source(Protocol):
