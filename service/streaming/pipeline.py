@@ -64,7 +64,8 @@ class ValvePlan:
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
-    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called.
+    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
+    ``nodes`` says what to call its signals where one is missing.
     """
 
     name: str
@@ -76,6 +77,7 @@ class ValvePlan:
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
     feed_forward: FeedForward | None = None
     insist: bool = False
+    nodes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
