@@ -18,8 +18,9 @@ from service.hardened import (
     UserStore,
     ensure_certificate,
 )
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.storage.layout import NUMBERS, Layout, ValveLayout
+from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -29,7 +30,7 @@ from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
-from service.streaming.units import QUANTITY_OF, Measure
+from service.streaming.units import MEASURED, QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -96,6 +97,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         application_uri=None if own is not None else APPLICATION_URI,
         publishing_interval_ms=config.source.publishing_interval_ms,
         queue_size=config.source.queue_size,
+        history_s=config.source.history_s,
         timeout_s=config.source.timeout_s,
     )
     nodes = [
@@ -113,7 +115,9 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
 def build_layout(config: Config) -> Layout:
     """Where recordings hold the valves' signals."""
     return Layout(
-        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
+        valves=tuple(
+            ValveLayout(valve.name, _measures(valve, MEASURED)) for valve in config.valves
+        ),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,
@@ -196,6 +200,9 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in _READ if valve.nodes.of(name)},
+        accuracy=SensorAccuracy(
+            **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}
+        ),
     )
 
 

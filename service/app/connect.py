@@ -15,8 +15,8 @@ from service.opcua.browsing import find_numbers
 from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.opcua.connection import open_connection
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.naming import ROLES, Candidate, ValveProposal, propose
-from service.streaming.units import QUANTITY_OF, Measure, Quantity, inside
+from service.streaming.naming import Candidate, ValveProposal, propose
+from service.streaming.units import MEASURED, QUANTITY_OF, Measure, Quantity, inside
 
 CLEAR_DP = 2.0  # bar: by less two pressures are not told apart
 FEW = 5  # values: of fewer nothing is said
@@ -84,7 +84,9 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
     lines: list[str] = []
     silent: list[str] = []
     for number, valve in enumerate(config.valves):
-        nodes = {role: node for role in ROLES if (node := getattr(valve.nodes, role)) is not None}
+        nodes = {
+            role: node for role in MEASURED if (node := getattr(valve.nodes, role)) is not None
+        }
         for role, seen in _seen_of(changes, number, nodes, watch_s).items():
             comes = "on change" if seen.on_change else "cyclic"
             lines.append(
@@ -159,7 +161,7 @@ def _of_alignment(found: Found) -> str:
 
 def _of_valve(valve: ValveProposal) -> str:
     lines = ["[[valves]]", f"name = {json.dumps(valve.name)}", "", "[valves.nodes]"]
-    for role in ROLES:
+    for role in MEASURED:
         if role in valve.nodes:
             shown = "/".join(valve.nodes[role].path)
             lines.append(
@@ -238,7 +240,7 @@ def _seen_of(
 ) -> dict[str, Watched]:
     of_signal = {
         role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
-        for place, role in enumerate(ROLES)
+        for place, role in enumerate(MEASURED)
         if role in roles
     }
     clock_signal = max(of_signal.values(), key=len)

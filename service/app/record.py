@@ -96,7 +96,7 @@ class _Recorder:
             raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
 
     def _append(self, changes: DataChanges) -> None:
-        self._waiting, samples = self._alignment.update(self._waiting, changes)
+        self._waiting, samples = self._alignment.take(self._waiting, changes)
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)
             self.samples += len(batch)

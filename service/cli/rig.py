@@ -12,7 +12,7 @@ import typer
 from service.app.build import PRODUCT, load_users
 from service.app.signals import stop_on_signal, stop_with_parent
 from service.cli.logs import set_up_logs
-from service.cli.options import FolderOption
+from service.cli.options import FolderOption, RevocationOption
 from service.config.models import LogConfig
 from service.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from service.identification.samples import Samples
@@ -64,13 +64,7 @@ def rig(
         ),
     ] = Limits.publishing_interval_ms,
     *,
-    require_crl: Annotated[
-        bool,
-        typer.Option(
-            envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
-            help="Certificates of an authority need its revocation list.",
-        ),
-    ] = True,
+    require_crl: RevocationOption = True,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
     ] = False,

@@ -55,6 +55,12 @@ class SourceConfig(_Section):
     queue_size: int = Field(
         1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
     )
+    history_s: float = Field(
+        3_600.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how far back its history is asked for what was not heard; 0 = never",
+    )
     timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
     startup_timeout_s: float = Field(
         10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"

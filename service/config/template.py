@@ -60,7 +60,7 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 
 # [valves.signals] # units and names of a plant's own, live and in recordings: docs/units.md
 # U = {{ raw = [4, 20], range = [0, 100], column = "FCV-101.cmd" }} # mA, or counts: raw -> %
-# p1 = {{ unit = "psi" }}
+# p1 = {{ unit = "psi", accuracy = 15 }} # its sensor may be off by ± 15 psi
 # p2 = {{ unit = "psi" }}
 # Q = {{ unit = "gpm" }} # of the United States; "imp gpm"
 # T = {{ unit = "°F" }}

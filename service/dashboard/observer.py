@@ -3,10 +3,10 @@
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from enum import StrEnum
 
-from service.clock import Clock
+from service.clock import Clock, utc_ns
 from service.dashboard.judgement import Reason, Severity, Standing, judge
 from service.dashboard.layout import (
     NO_ESTIMATORS,
@@ -371,10 +371,7 @@ def is_time(value: object) -> bool:
 
 def in_ns(time: object) -> int:
     """UTC ns of a DateTime; 0 if it is none."""
-    if not isinstance(time, datetime):
-        return 0
-    known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
-    return round(known.timestamp() * 1e6) * 1_000
+    return utc_ns(time) if isinstance(time, datetime) else 0
 
 
 _SHOWN = ("Status", "ResidualRmse", "NoiseStd", "SampleCount", "PredictedFlow")

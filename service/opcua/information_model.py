@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 
 from asyncua import ua
 
@@ -134,6 +135,13 @@ def estimator_variables(
             f"{prefix}.NoiseStd",
             "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.SystematicStd",
+            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
+            "standard deviation: no number of samples averages it out.",
             unit=litres,
             range=(0.0, Q_max),
         ),
@@ -395,6 +403,16 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     )
 
 
+def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """What changes of a valve's inverse map with each result."""
+    rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
+    return tuple(
+        node
+        for node in inverse_variables(valve)
+        if node.dimensions is None and not node.writable and node.id not in rare
+    )
+
+
 def map_variable(valve: ValveDescription) -> VariableNode:
     """The inverse map as a matrix, an ImageItemType (Part 8, 5.3.4.4)."""
     return VariableNode(
@@ -485,6 +503,11 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "Changes whose value is no number, and messages that cannot be understood.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Source.FromHistory",
+                "Changes that were not heard and were read from the source's history.",
+                counts,
+            ),
         ),
     }
 
@@ -500,6 +523,7 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     )
 
 
+@cache
 def _sentences(statuses: type[IntEnum]) -> str:
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
 
@@ -534,4 +558,5 @@ _COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
+    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
 }

@@ -299,6 +299,7 @@ class Identification:
                 found,
                 quality=np.maximum(found.quality, at_best),
                 survey=[self._surveys[valve].get(name) for valve in valves],
+                systematic_std=self._systematic_std(fleet, valves, name),
             )
             for name, found in fleet.results(places).items()
         }
@@ -317,6 +318,18 @@ class Identification:
                 )
             ],
         )
+
+    def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
+        """What the sensors' errors make of the flow at the newest sample of each valve, l/min."""
+        found = np.full(len(valves), np.nan)
+        if not fleet.plan.accuracy.is_stated:
+            return found
+        for k, valve in enumerate(valves):
+            newest = dict(zip(SIGNALS, self._newest.values[valve], strict=True))
+            point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
+            lane = fleet.lane(int(self._member_of[valve]), name)
+            (found[k],) = pipeline.systematic(lane, *point)
+        return found
 
     def _inverse_results(
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
@@ -622,7 +635,8 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     places = np.zeros((2, len(plans)), np.int64)
     for valve, plan in enumerate(plans):
         estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
-        key = repr((plan.gate, estimators, pipeline.nothing_seen(plan).ranges.tolist()))
+        ranges = pipeline.nothing_seen(plan).ranges.tolist()
+        key = repr((plan.gate, estimators, ranges, plan.accuracy))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)

@@ -202,11 +202,11 @@ class LiveService:
             self._old[old] = True
             self._unpublished.update(dict.fromkeys(old.tolist()))
 
-    def _ages(self) -> Floats:
+    def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
         now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
-        ages = np.maximum((now - self._newest) * 1e-9, 0.0)
-        return np.where(self._newest > 0, ages, np.nan)
+        newest = self._newest[valves]
+        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
@@ -381,7 +381,7 @@ class LiveService:
         if not (armed and self._connected):
             return Situation(armed, self._connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = self._ages()[valve]
+        behind = float(self._ages(slice(valve, valve + 1))[0])
         answer, status = self.identification.required(valve)
         return Situation(
             armed=armed,
