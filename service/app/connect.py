@@ -106,6 +106,8 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
 
 def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
     """What the configuration would need for a signal that came so."""
+    if config.alignment.finds_timing:
+        return
     held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
     if seen.on_change and held < seen.longest_s:
         yield (
@@ -148,19 +150,12 @@ def _of_source(settings: SourceSettings) -> str:
 
 
 def _of_alignment(found: Found) -> str:
-    """Tolerance for the skew that was seen, and how long values that come seldom serve."""
-    seen = [signal for valve in found.watched.values() for signal in valve.values()]
-    skews = [signal.skew_ms for signal in seen if not signal.on_change]
-    tolerance = float(np.ceil(2.0 * max(skews, default=0.0)))
-    held: dict[str, float] = {}
-    for valve in found.watched.values():
-        for name, signal in valve.items():
-            if signal.on_change:
-                held[name] = max(held.get(name, 0.0), 10.0, 5.0 * signal.longest_s)
-    lines = ["[alignment]", f"tolerance_ms = {tolerance:g} # twice the skew that was seen"]
-    if held:
-        shown = ", ".join(f"{name} = {seconds:.0f}" for name, seconds in held.items())
-        lines.append(f"hold_s = {{ {shown} }} # written on change")
+    """What was seen of how signals come; the service finds it again, and exactly."""
+    lines = ["[alignment]", "# how signals come is found at the start; when watched:"]
+    for valve, signals in found.watched.items():
+        for name, seen in signals.items():
+            comes = "on change" if seen.on_change else f"{seen.rate_hz:.3g} Hz"
+            lines.append(f"#   {valve}.{name}: {comes}, {seen.skew_ms:.3g} ms beside the others")
     return "\n".join([*lines, ""])
 
 

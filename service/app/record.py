@@ -1,14 +1,21 @@
 """Recording a source: aligned samples, as they come, into a file."""
 
 import asyncio
+import json
 from pathlib import Path
 
+import numpy as np
 import structlog
 
-from service.app.build import build_alignment, build_source, build_supervisor_settings
+from service.app.build import (
+    build_alignment,
+    build_source,
+    build_supervisor_settings,
+    build_timing,
+)
 from service.clock import SystemClock
 from service.config.models import Config
-from service.errors import SourceError
+from service.errors import SourceError, StorageError
 from service.storage.recordings import RecordingWriter
 from service.streaming.data_changes import DataChanges
 from service.streaming.supervisor import supervise
@@ -20,6 +27,8 @@ async def record(
     config: Config, file: Path, stop: asyncio.Event, duration_s: float | None = None
 ) -> int:
     """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` is over.
+
+    Where the signals carried no common time, ``FILE.timing.json`` says how each came.
 
     Returns
     -------
@@ -43,6 +52,8 @@ async def record(
         finally:
             if ends is not None:
                 ends.cancel()
+        recorder.finish()
+    recorder.write_timing(file)
     return recorder.samples
 
 
@@ -53,6 +64,7 @@ class _Recorder:
         self._names = [valve.name for valve in config.valves]
         self._alignment = build_alignment(config)
         self._waiting = self._alignment.initial_state()
+        self._timing = build_timing(config)
         self._writer = writer
         self.samples = 0
 
@@ -60,6 +72,30 @@ class _Recorder:
         pass
 
     async def take(self, changes: DataChanges) -> None:
+        self._append(changes if self._timing is None else self._timing.take(changes))
+
+    def finish(self) -> None:
+        """Write what waits for more of its scan."""
+        if self._timing is not None:
+            self._append(self._timing.flush(np.arange(len(self._names))))
+
+    def write_timing(self, file: Path) -> None:
+        """Write beside the recording how the signals came.
+
+        Raises
+        ------
+        StorageError
+        """
+        found = {} if self._timing is None else self._timing.found_by(self._names)
+        if not found:
+            return
+        beside = file.with_name(f"{file.name}.timing.json")
+        try:
+            beside.write_text(json.dumps(found, indent=2, ensure_ascii=False), encoding="utf-8")
+        except OSError as error:
+            raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
+
+    def _append(self, changes: DataChanges) -> None:
         self._waiting, samples = self._alignment.take(self._waiting, changes)
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)

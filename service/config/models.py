@@ -112,7 +112,12 @@ class StateConfig(_Section):
 class AlignmentConfig(_Section):
     """How the signals of one sample find together."""
 
-    tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
+    tolerance_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=10_000.0,
+        description="largest difference of the times of one sample; 0 = found at the start",
+    )
     max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
     reorder_ms: float = Field(
         1_000.0,
@@ -123,9 +128,20 @@ class AlignmentConfig(_Section):
     )
     max_pending: int = Field(4_096, ge=16, le=1_000_000)
     hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
-        default_factory=dict, description="signals whose last value serves for this long"
+        default_factory=dict,
+        description="signals whose last value serves for this long; none = found at the start",
+    )
+    find_timing: bool = Field(
+        default=True,
+        description="find out at the start how signals come that carry no common time, unless "
+        "tolerance_ms or hold_s say so",
     )
     stale_after_s: float = Field(2.0, gt=0.0, le=3_600.0)
+
+    @property
+    def finds_timing(self) -> bool:
+        """Whether it has to be found how the signals come."""
+        return self.find_timing and self.tolerance_ms == 0.0 and not self.hold_s
 
 
 class LimitsConfig(_Section):
@@ -200,6 +216,11 @@ class NodesConfig(_Section):
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def of(self, name: str) -> str | None:
+        """The node of a signal, if there is one."""
+        node: str | None = getattr(self, name)
+        return node
 
     @classmethod
     def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:

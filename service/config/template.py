@@ -38,7 +38,8 @@ file = {quoted(data / "state.sqlite")}
 checkpoint_interval_s = 10
 
 [alignment] # which signals make one sample
-tolerance_ms = 0 # 0 = the same SourceTimestamp
+# How signals come that carry no common time is found at the start; these two say it instead.
+# tolerance_ms = 6 # of the times of one sample
 # hold_s = {{ T = 10 }} # a signal that reports less often than the others
 # reorder_ms = 1000 # behind a hole in nodes.sequence; without one nothing waits unless given
 

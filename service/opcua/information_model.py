@@ -36,7 +36,7 @@ PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
-WAITING = f"{DIAGNOSTICS}.Waiting"
+WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -280,6 +280,17 @@ def waiting_variable(valve: str) -> VariableNode:
         f"{valve}.{WAITING}",
         "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
         "each signal that is to blame, with the setting that would help; empty while all is well.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
+def timing_variable(valve: str) -> VariableNode:
+    """How a valve's signals come."""
+    return VariableNode(
+        f"{valve}.{TIMING}",
+        "How each of the valve's signals comes, as found at the start and fixed since: with one "
+        "time, one after the other in a scan, or on change.",
         ua.VariantType.String,
         dimensions=(0,),
     )

@@ -162,13 +162,15 @@ class LiveService:
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages()
-        self._lost[members] = ages[members] > OLD * self._settings.stale_after_s
-        self._old[members] = ages[members] > self._settings.stale_after_s
+        steady = ~self.identification.holds()[members]
+        self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
+        self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
         self._say_what_is_doubted()
+        self._say_what_was_found()
         await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
@@ -192,9 +194,10 @@ class LiveService:
     async def _doubt(self, now: float) -> None:
         """Call old what has become it since the last sample."""
         ages, limit = self._ages(), self._settings.stale_after_s
-        stale = (now - self._last_sample > limit) | (ages > OLD * limit)
+        silent = self.identification.holds() & self._connected  # nothing has changed
+        stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
-        old = np.flatnonzero((ages > limit) & ~self._old)
+        old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
             self._unpublished.update(dict.fromkeys(old.tolist()))
@@ -305,6 +308,11 @@ class LiveService:
             why = [finding.sentence for finding in self.identification.findings(valve)]
             remedy = "mend the configuration, or insist = true for this valve"
             log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
+
+    def _say_what_was_found(self) -> None:
+        for valve in self.identification.newly_timed():
+            name = self.identification.plans[valve].name
+            log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
 
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:

@@ -66,7 +66,7 @@ class ValvePlan:
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
     valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
-    ``accuracy`` is that of its sensors.
+    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing.
     """
 
     name: str
@@ -79,6 +79,7 @@ class ValvePlan:
     feed_forward: FeedForward | None = None
     insist: bool = False
     accuracy: SensorAccuracy = EXACT
+    nodes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

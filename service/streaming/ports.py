@@ -255,7 +255,7 @@ class Results:
     """All that is published of M valves that are treated alike.
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
-    ``waiting`` says of each why nothing is learnt from it.
+    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come.
     """
 
     valves: Times
@@ -265,6 +265,7 @@ class Results:
     counter_names: tuple[str, ...]
     signals: SignalResults | None = None
     waiting: Sequence[tuple[str, ...]] = ()
+    timing: Sequence[tuple[str, ...]] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
