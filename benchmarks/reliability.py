@@ -170,7 +170,9 @@ async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
 def main() -> None:
     """Measure, and write the page between its marks."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0, 300.0], metavar="S")
+    parser.add_argument(
+        "--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0, 300.0], metavar="S"
+    )
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--flips", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)

@@ -15,6 +15,7 @@ from service.identification.map_shapes import Shape
 from service.identification.samples import Samples
 from service.opcua.decoding import decode_data_changes, was_compiled_before
 from service.streaming.data_changes import DataChanges
+from service.streaming.valve_timing import make_one_scan
 
 _NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
 _ONE_CHANGE = DataChanges(
@@ -57,6 +58,7 @@ def _compile(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
+    make_one_scan()
     identification.waits()
     for valve in identification.one_of_each_kind():
         plan = identification.plans[valve]

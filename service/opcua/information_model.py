@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 
 from asyncua import ua
 
@@ -35,7 +36,7 @@ PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
-WAITING = f"{DIAGNOSTICS}.Waiting"
+WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -134,6 +135,13 @@ def estimator_variables(
             f"{prefix}.NoiseStd",
             "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.SystematicStd",
+            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
+            "standard deviation: no number of samples averages it out.",
             unit=litres,
             range=(0.0, Q_max),
         ),
@@ -277,6 +285,17 @@ def waiting_variable(valve: str) -> VariableNode:
     )
 
 
+def timing_variable(valve: str) -> VariableNode:
+    """How a valve's signals come."""
+    return VariableNode(
+        f"{valve}.{TIMING}",
+        "How each of the valve's signals comes, as found at the start and fixed since: with one "
+        "time, one after the other in a scan, or on change.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The regions of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"
@@ -381,6 +400,16 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             "Pressure drops of the map's columns, bar.",
             dimensions=(len(valve.map_dp),),
         ),
+    )
+
+
+def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """What changes of a valve's inverse map with each result."""
+    rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
+    return tuple(
+        node
+        for node in inverse_variables(valve)
+        if node.dimensions is None and not node.writable and node.id not in rare
     )
 
 
@@ -494,6 +523,7 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     )
 
 
+@cache
 def _sentences(statuses: type[IntEnum]) -> str:
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
 
@@ -528,4 +558,5 @@ _COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
+    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
 }

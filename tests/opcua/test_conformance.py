@@ -183,6 +183,7 @@ class Asker:
         request.Parameters.NodesToWrite = [ua.WriteValue(self.server.demand.id, VALUE, Value=value)]
 
     async def _HistoryRead(self, request):
+        request.Parameters.ReleaseContinuationPoints = False
         request.Parameters.HistoryReadDetails = ua.ReadRawModifiedDetails(
             IsReadModified=False, NumValuesPerNode=1
         )
