@@ -12,6 +12,7 @@ from service.hardened.address_space.insertion import many_nodes
 from service.hardened.address_space.nodes import (
     add_method,
     add_object,
+    add_property,
     add_variable,
 )
 from service.hardened.address_space.units import Unit
@@ -70,6 +71,7 @@ __all__ = [
     "Variable",
     "add_method",
     "add_object",
+    "add_property",
     "add_variable",
     "caller",
     "ensure_certificate",

@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 
 from asyncua import ua
 
@@ -384,6 +385,16 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     )
 
 
+def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """What changes of a valve's inverse map with each result."""
+    rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
+    return tuple(
+        node
+        for node in inverse_variables(valve)
+        if node.dimensions is None and not node.writable and node.id not in rare
+    )
+
+
 def map_variable(valve: ValveDescription) -> VariableNode:
     """The inverse map as a matrix, an ImageItemType (Part 8, 5.3.4.4)."""
     return VariableNode(
@@ -489,6 +500,7 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     )
 
 
+@cache
 def _sentences(statuses: type[IntEnum]) -> str:
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
 

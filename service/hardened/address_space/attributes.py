@@ -99,12 +99,12 @@ class Attributes:
         self, request: ua.CallMethodRequest, role: Role, outside: Outside
     ) -> ua.CallMethodResult:
         """Call a method of our own."""
-        method = self._methods.get(request.MethodId)
         owner = self._aspace.get(request.ObjectId)
         if owner is None or request.MethodId not in self._aspace:
             return _no_call(_Codes.BadNodeIdUnknown)
         if not any(ref.IsForward and ref.NodeId == request.MethodId for ref in owner.references):
             return _no_call(_Codes.BadMethodInvalid)
+        method = self._methods.get(request.MethodId)
         if method is None:
             return _no_call(_Codes.BadNotImplemented)
         if role < method.required:
