@@ -57,7 +57,7 @@ async def serve(
         at start: of the configuration, the source, the server's address, the stores; at the end:
         if the states cannot be kept.
     """
-    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config))
+    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config, _show_progress))
 
     async def ready() -> None:  # no sample waits for a compiler
         await asyncio.shield(compiled)
@@ -82,11 +82,12 @@ async def serve(
             await live.start()
             log.info("results served", url=server.url)
             if not was_compiled_before():
-                await asyncio.wait({compiled}, timeout=2.0)
-                if not compiled.done():
-                    log.info("compiling: half a minute at the first start")
                 await compiled
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:
                 await live.keep()
+
+
+def _show_progress(done: int, of: int) -> None:
+    log.info("compiling, at the first start only", part=done + 1, of=of)

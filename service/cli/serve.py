@@ -81,4 +81,7 @@ def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from service.app.warm_up import warm_up as run
 
-    run(load_config(config))
+    def show(done: int, of: int) -> None:
+        typer.echo(f"compiling: {done} of {of} parts are done", err=True)
+
+    run(load_config(config), show)
