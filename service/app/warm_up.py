@@ -25,6 +25,7 @@ from service.opcua.decoding import decode_data_changes, was_compiled_before
 from service.streaming.data_changes import DataChanges
 from service.streaming.plausibility import Plausibility
 from service.streaming.quality_gate import QualityGate
+from service.streaming.valve_timing import make_one_scan
 
 _NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
 _ONE_CHANGE = DataChanges(
@@ -136,6 +137,7 @@ def _align(config: Config) -> None:
     alignment = build_alignment(config)
     waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
     alignment.waits(waiting)
+    make_one_scan()
 
 
 def _look_around() -> None:
@@ -152,6 +154,7 @@ def compile_here(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
+    make_one_scan()
     identification.waits()
     for valve in identification.one_of_each_kind():
         plan = identification.plans[valve]

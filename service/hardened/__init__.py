@@ -26,6 +26,7 @@ from service.hardened.errors import (
     ServerError,
     StorageError,
 )
+from service.hardened.history.historian import Historian, Records, Span
 from service.hardened.lifecycle import Startable
 from service.hardened.security.certificates import (
     OwnCertificate,
@@ -51,6 +52,7 @@ __all__ = [
     "ConfigurationError",
     "HardenedError",
     "HardenedServer",
+    "Historian",
     "InvalidArgument",
     "Limits",
     "ManualClock",
@@ -59,10 +61,12 @@ __all__ = [
     "OwnCertificate",
     "Pki",
     "Product",
+    "Records",
     "Role",
     "ServerCounters",
     "ServerError",
     "ServerSettings",
+    "Span",
     "Startable",
     "StorageError",
     "SystemClock",

@@ -27,9 +27,11 @@ from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
 from service.hardened.address_space.watchers import drive, notify
 from service.hardened.audit import Audit
-from service.hardened.binary.encoding import instant, nanoseconds
+from service.hardened.binary.encoding import DTYPES, instant, nanoseconds
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
+from service.hardened.history.historian import Historian
+from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
 from service.hardened.logs import bounded_logger
 from service.hardened.monitoring.event_filter import event_of_asyncua
@@ -119,13 +121,14 @@ class HardenedServer(Startable):
             self._clock,
             limits.audit_events_per_second,
         )
+        self._histories = Histories(limits)
         self._services = Services(
             limits,
             self._clock,
             self._attributes,
             self._view,
             self._subscriptions,
-            self._inside.history_manager,
+            self._histories,
             self._audit,
         )
         self._announcements = SelfDescription(
@@ -317,6 +320,25 @@ class HardenedServer(Startable):
         """
         block.take(block.batch(values, source_times, codes, present, self._clock.now()))
 
+    def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
+        """Let clients read what variables have been; who keeps it is asked with each request.
+
+        Raises
+        ------
+        ServerError
+            if a variable is no scalar number.
+        """
+        for variable in variables:
+            if variable.array or variable.type not in DTYPES:
+                raise ServerError(f"{variable.id.Identifier}: histories are of scalar numbers")
+            self._histories.add(variable, historian)
+            attributes = self._inside.aspace[variable.id].attributes
+            for of_level in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+                level = attributes[of_level].value.Value.Value | 1 << ua.AccessLevel.HistoryRead
+                attributes[of_level].value = ua.DataValue(ua.Variant(level, ua.VariantType.Byte))
+            historizing = ua.DataValue(ua.Variant(True, ua.VariantType.Boolean))  # noqa: FBT003
+            attributes[ua.AttributeIds.Historizing].value = historizing
+
     def mark(self, variable: Variable, code: int) -> None:
         """Change the status of a variable's value, keeping value and source time."""
         held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
@@ -373,7 +395,7 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce()
+        self._announcements.announce(has_history=len(self._histories) > 0)
         self._announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)

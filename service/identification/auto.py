@@ -313,9 +313,9 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
-    def too_fast(self, state: AutoState) -> int:
-        """How many samples were not learnt from, as the signals moved too fast for the lags."""
-        return int(state.counters[memory.TOO_FAST])
+    def too_fast(self, states: AutoState) -> Counts:
+        """How many samples of each of M valves moved too fast for the lags to be learnt from."""
+        return np.asarray(states.counters[..., memory.TOO_FAST])
 
     def change_counts(self, states: AutoState) -> Counts:
         """How many changes were found of each of M valves."""

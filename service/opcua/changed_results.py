@@ -12,6 +12,7 @@ from service.opcua.information_model import (
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
+    TIMING,
     WAITING,
     counter_name,
 )
@@ -91,9 +92,10 @@ class ChangedResults:
                     yield valve, new
 
     def _waiting(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
-        for valve, reasons in zip(_numbers(results.valves), results.waiting, strict=False):
-            if self._is_new(valve, WAITING, None, reasons):
-                yield valve, Shown(WAITING, list(reasons), int(ua.StatusCodes.Good), now)
+        for name, found in ((WAITING, results.waiting), (TIMING, results.timing)):
+            for valve, sentences in zip(_numbers(results.valves), found, strict=False):
+                if self._is_new(valve, name, None, sentences):
+                    yield valve, Shown(name, list(sentences), int(ua.StatusCodes.Good), now)
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Whether it is another thing, or one of the facts is another than last time."""

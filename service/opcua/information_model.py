@@ -36,7 +36,7 @@ PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
-WAITING = f"{DIAGNOSTICS}.Waiting"
+WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -135,6 +135,13 @@ def estimator_variables(
             f"{prefix}.NoiseStd",
             "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.SystematicStd",
+            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
+            "standard deviation: no number of samples averages it out.",
             unit=litres,
             range=(0.0, Q_max),
         ),
@@ -273,6 +280,17 @@ def waiting_variable(valve: str) -> VariableNode:
         f"{valve}.{WAITING}",
         "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
         "each signal that is to blame, with the setting that would help; empty while all is well.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
+def timing_variable(valve: str) -> VariableNode:
+    """How a valve's signals come."""
+    return VariableNode(
+        f"{valve}.{TIMING}",
+        "How each of the valve's signals comes, as found at the start and fixed since: with one "
+        "time, one after the other in a scan, or on change.",
         ua.VariantType.String,
         dimensions=(0,),
     )
@@ -485,6 +503,11 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "Changes whose value is no number, and messages that cannot be understood.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Source.FromHistory",
+                "Changes that were not heard and were read from the source's history.",
+                counts,
+            ),
         ),
     }
 
@@ -535,4 +558,5 @@ _COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
+    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
 }

@@ -8,7 +8,8 @@ from asyncua import ua
 
 from service.errors import SourceRejected
 from service.opcua.connection import Connection, status_name
-from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
+from service.opcua.requests import in_chunks, operation_limits
+from service.opcua.source_nodes import MonitoredNode
 from service.streaming.data_changes import SIGNALS_PER_VALVE
 
 _log = logging.getLogger(__name__)

@@ -39,6 +39,7 @@ from service.opcua.information_model import (
     LAG_Q,
     LAG_U,
     PARAMETERS,
+    SERVICE,
     SIGNALS,
 )
 from service.streaming.ports import (
@@ -88,12 +89,7 @@ def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Ite
     parameters are variables of their own, too.
     """
     for name, estimator in results.estimators.items():
-        yield from _estimator_columns(name, estimator, now)
-        if name in by_name:
-            codes = estimator_codes(estimator)
-            of_none = worse(codes, _Codes.UncertainInitialValue)
-            t = np.where(estimator.t, estimator.t, now)
-            yield _each(f"{name}.{PARAMETERS}", estimator.theta, codes, of_none, t)
+        yield from _estimator_columns(name, estimator, now, by_name=name in by_name)
     yield from _inverse_columns(results.inverse, now)
     if results.signals is not None:
         yield _signal_column(results.signals, now)
@@ -143,7 +139,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
     """Identifier, value and StatusCode of what is shown of the service itself."""
     never = math.isnan(health.checkpoint_age_s)
     age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
-    yield "Service.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
+    yield f"{SERVICE}.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
     for name, count in (
         ("Checkpoint.Failures", health.checkpoint_failures),
         ("Checkpoint.Refused", health.checkpoints_refused),
@@ -152,8 +148,9 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.Overflows", health.source.overflows),
         ("Source.MissingMessages", health.source.missing_messages),
         ("Source.Undecodable", health.source.undecodable),
+        ("Source.FromHistory", health.source.from_history),
     ):
-        yield f"Service.{name}", count, int(_Codes.Good)
+        yield f"{SERVICE}.{name}", count, int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
@@ -184,7 +181,9 @@ def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
     return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
 
 
-def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterator[Column]:
+def _estimator_columns(
+    name: str, results: EstimatorResults, now: int, *, by_name: bool
+) -> Iterator[Column]:
     codes, own = estimator_codes(results), estimator_own_words(results)
     doubtful = worse(codes, _Codes.UncertainInitialValue)
     t = np.where(results.t, results.t, now)
@@ -200,8 +199,12 @@ def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterat
         yield Column(
             f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
         )
+    stated = np.where(np.isfinite(results.systematic_std), codes, worse(codes, _Codes.BadNoData))
+    yield Column(f"{name}.SystematicStd", results.systematic_std, stated, t)
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
+    if by_name:
+        yield _each(f"{name}.{PARAMETERS}", results.theta, codes, doubtful, t)
 
 
 def _signal_column(signals: SignalResults, now: int) -> Column:

@@ -62,6 +62,7 @@ from service.opcua.information_model import (
     signal_variables,
     survey_axes,
     survey_variables,
+    timing_variable,
     waiting_variable,
 )
 from service.opcua.result_blocks import ResultBlocks
@@ -270,6 +271,7 @@ class ResultsServer(Startable):
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
             await self._add_variable(server, parent, node, middles.tolist())
         await self._add_variable(server, parent, waiting_variable(valve.name), [])
+        await self._add_variable(server, parent, timing_variable(valve.name), [])
         for node in lag_variables(valve):
             await self._add_variable(server, parent, node, None)
         await self._add_variable(server, parent, last_action(valve), "")

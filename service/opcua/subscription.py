@@ -62,6 +62,21 @@ class Tally:
     missing_messages: int = 0
     overflows: int = 0
     undecodable: int = 0
+    from_history: int = 0
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one message brought: the changes, which message, and what is known to be lost before.
+
+    ``behind_gap``: messages before it never came; ``overflows``: queues at the server were full.
+    """
+
+    changes: DataChanges
+    subscription: int
+    message: int
+    behind_gap: bool
+    overflows: int
 
 
 @dataclass(frozen=True)
@@ -77,30 +92,22 @@ class Left:
     acknowledgements
         What was to be acknowledged.
     buffer
-        Changes that nobody has taken yet.
+        What nobody has taken yet.
     items
         The monitored items: node, number at the server, queue granted.
     kept_back
         Messages that are not to be acknowledged before they are committed; None: all may be.
-    handed_out
-        The last message that was heard.
+    behind_gap
+        Whether messages before the next one never came.
     """
 
     created: ua.CreateSubscriptionResult
     next_message: int | None
     acknowledgements: tuple[ua.SubscriptionAcknowledgement, ...]
-    buffer: tuple[DataChanges, ...]
+    buffer: tuple[Part, ...]
     items: tuple[Item, ...]
     kept_back: tuple[int, ...] | None = None
-    handed_out: int | None = None
-
-
-@dataclass(frozen=True)
-class Mark:
-    """How far a subscription has been handed out: its number, and that of the last message."""
-
-    subscription: int
-    message: int
+    behind_gap: bool = False
 
 
 class Subscription:
@@ -118,8 +125,7 @@ class Subscription:
         self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
-        self._handed_out: int | None = None
-        self._accepted: int | None = None
+        self._behind_gap = False
         self._counted: NDArray[np.int64] | None = None  # changes by item, while they are measured
         self._connection = connection
         self._session = connection.session
@@ -134,7 +140,7 @@ class Subscription:
         self._next: int | None = None
         self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
         self._in_turn = asyncio.Lock()
-        self._buffer: list[DataChanges] = []
+        self._buffer: list[Part] = []
         self._buffered = 0
         self._arrived = asyncio.Event()
         self._room = asyncio.Event()
@@ -154,7 +160,7 @@ class Subscription:
             buffer,
             self._items,
             None if self._kept_back is None else tuple(self._kept_back),
-            self._accepted,
+            self._behind_gap,
         )
 
     def go_on_from(self, left: Left) -> None:
@@ -165,7 +171,7 @@ class Subscription:
         self._tidies = True
         if left.kept_back is not None:
             self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
-        self._handed_out = self._accepted = left.handed_out
+        self._behind_gap = left.behind_gap
 
     def hold_back(self) -> None:
         """Acknowledge from now on only what `commit` says."""
@@ -181,18 +187,11 @@ class Subscription:
         """Its monitored items."""
         return self._items
 
-    @property
-    def mark(self) -> Mark | None:
-        """How far it has been handed out; None before the first message."""
-        if self._handed_out is None:
-            return None
-        return Mark(self._created.SubscriptionId, self._handed_out)
-
-    def commit(self, mark: Mark) -> None:
-        """What was handed out up to a mark need not be had again."""
-        if self._kept_back is None or mark.subscription != self._id:
+    def commit(self, subscription: int, message: int) -> None:
+        """What was handed out up to a message need not be had again."""
+        if self._kept_back is None or subscription != self._id:
             return
-        while self._kept_back and (mark.message - self._kept_back[0]) % 2**32 < 2**31:
+        while self._kept_back and (message - self._kept_back[0]) % 2**32 < 2**31:
             number = self._kept_back.popleft()
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
@@ -231,7 +230,7 @@ class Subscription:
         for _ in range(self._settings.publish_requests):
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
-    async def receive(self) -> DataChanges:
+    async def receive(self) -> list[Part]:
         """Wait for changes and take all there are; a failure comes after them."""
         listening = self._clock.monotonic()  # before, it was we who were silent
         while not self._buffer:
@@ -252,14 +251,12 @@ class Subscription:
                     listening = self._clock.monotonic()
                 continue
             self._arrived.clear()
-        changes = DataChanges.concatenate(self._buffer)
-        self._handed_out = self._accepted
-        self._buffer.clear()
+        parts, self._buffer = self._buffer, []
         self._buffered = 0
         if not self._room.is_set():
             self._heard = self._clock.monotonic()  # it was we who were silent
             self._room.set()
-        return changes
+        return parts
 
     async def stop(self) -> None:
         """Send no more publish requests; the session's end deletes the subscription."""
@@ -337,7 +334,6 @@ class Subscription:
     def _accept(self, message: Message) -> None:
         """Take a message in; whatever happens then, it is not asked for again."""
         self._keep(message)
-        self._accepted = message.sequence_number
         self._acknowledge(message.sequence_number)
         self._next = _after(message.sequence_number)
 
@@ -355,12 +351,16 @@ class Subscription:
         for _ in range(gap - beyond):
             message = await self._republish(self._next)
             if message is None or message.sequence_number != self._next:
-                self._tally.missing_messages += 1
+                self._miss(1)
                 self._next = _after(self._next)
             else:
                 self._accept(message)
-        self._tally.missing_messages += beyond
+        self._miss(beyond)
         self._next = number
+
+    def _miss(self, messages: int) -> None:
+        self._tally.missing_messages += messages
+        self._behind_gap |= messages > 0
 
     async def _republish(self, number: int) -> Message | None:
         request = ua.RepublishRequest()
@@ -379,7 +379,7 @@ class Subscription:
         ahead = sorted((n - begin) % 2**32 for n in available)
         ahead = [steps for steps in ahead if steps < 2**31]
         if ahead and ahead[0]:
-            self._tally.missing_messages += ahead[0]
+            self._miss(ahead[0])
             self._next = _ahead(begin, ahead[0])
 
     def _acknowledge(self, number: int) -> None:
@@ -403,10 +403,10 @@ class Subscription:
             self._counted += np.bincount(
                 np.clip(changes.item, 0, len(self._counted) - 1), minlength=len(self._counted)
             )
-        self._hand_out(changes)
-
-    def _hand_out(self, changes: DataChanges) -> None:
-        self._buffer.append(changes)
+        number = message.sequence_number
+        part = Part(changes, self._id, number, self._behind_gap, message.overflows)
+        self._behind_gap = False
+        self._buffer.append(part)
         self._buffered += len(changes)
         if self._buffered >= self._settings.buffer_limit:
             self._room.clear()

@@ -162,13 +162,15 @@ class LiveService:
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages()
-        self._lost[members] = ages[members] > OLD * self._settings.stale_after_s
-        self._old[members] = ages[members] > self._settings.stale_after_s
+        steady = ~self.identification.holds()[members]
+        self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
+        self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
         self._say_what_is_doubted()
+        self._say_what_was_found()
         await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
@@ -192,18 +194,19 @@ class LiveService:
     async def _doubt(self, now: float) -> None:
         """Call old what has become it since the last sample."""
         ages, limit = self._ages(), self._settings.stale_after_s
-        stale = (now - self._last_sample > limit) | (ages > OLD * limit)
+        silent = self.identification.holds() & self._connected  # nothing has changed
+        stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
-        old = np.flatnonzero((ages > limit) & ~self._old)
+        old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
             self._unpublished.update(dict.fromkeys(old.tolist()))
 
-    def _ages(self) -> Floats:
+    def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
         now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
-        ages = np.maximum((now - self._newest) * 1e-9, 0.0)
-        return np.where(self._newest > 0, ages, np.nan)
+        newest = self._newest[valves]
+        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
@@ -306,6 +309,11 @@ class LiveService:
             remedy = "mend the configuration, or insist = true for this valve"
             log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
 
+    def _say_what_was_found(self) -> None:
+        for valve in self.identification.newly_timed():
+            name = self.identification.plans[valve].name
+            log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
+
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:
             self._lost[valve] = True
@@ -373,7 +381,7 @@ class LiveService:
         if not (armed and self._connected):
             return Situation(armed, self._connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = self._ages()[valve]
+        behind = float(self._ages(slice(valve, valve + 1))[0])
         answer, status = self.identification.required(valve)
         return Situation(
             armed=armed,

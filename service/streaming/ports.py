@@ -28,6 +28,7 @@ class SourceCounters:
     missing_messages: int = 0
     overflows: int = 0
     undecodable: int = 0
+    from_history: int = 0
 
 
 class Source(Protocol):
@@ -148,7 +149,8 @@ class EstimatorResult:
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
     ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
-    ``lags`` those of U's effect and of the flow meter, s.
+    ``lags`` those of U's effect and of the flow meter, s; ``systematic_std`` what the sensors'
+    errors make of the flow at the newest sample, l/min, NaN where nothing is said of them.
     """
 
     t: int
@@ -165,6 +167,7 @@ class EstimatorResult:
     change: Change | None = None
     structure: str | None = None
     lags: tuple[float, float] | None = None
+    systematic_std: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,7 @@ class EstimatorResults:
     change: Sequence[Change | None]
     structure: Sequence[str | None]
     lags: Sequence[tuple[float, float] | None]
+    systematic_std: Floats
 
 
 @dataclass(frozen=True)
@@ -251,7 +255,7 @@ class Results:
     """All that is published of M valves that are treated alike.
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
-    ``waiting`` says of each why nothing is learnt from it.
+    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come.
     """
 
     valves: Times
@@ -261,6 +265,7 @@ class Results:
     counter_names: tuple[str, ...]
     signals: SignalResults | None = None
     waiting: Sequence[tuple[str, ...]] = ()
+    timing: Sequence[tuple[str, ...]] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -282,6 +287,7 @@ class Results:
                     change=found.change[m],
                     structure=found.structure[m],
                     lags=found.lags[m],
+                    systematic_std=float(found.systematic_std[m]),
                 )
                 for name, found in self.estimators.items()
             },

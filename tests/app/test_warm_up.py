@@ -13,6 +13,7 @@ from service.config.models import Config
 # In a process of its own: there no other test has used a kernel before.
 LIFE = """
 import gc, sys
+from dataclasses import replace
 import numpy as np
 from numba.core.registry import CPUDispatcher
 from service.app.build import build_identification
@@ -49,6 +50,14 @@ for estimator in identification.plans[0].estimators:
     identification.reset("Valvistor", estimator)
 identification.restore(identification.checkpoints())
 identification.take(as_changes(plant(2_000, first=20_000)))
+
+skewed = build_identification(config)  # signals that carry no common time
+for first in range(0, 1_000, 50):
+    changes = as_changes(plant(50, seed=first, first=first))
+    time = changes.source_time + changes.item % 6 * 500_000
+    skewed.take(replace(changes, source_time=time))
+assert skewed.result(0).estimators["RLS"].sample_count > 800
+skewed.wait_no_longer(np.zeros(1, np.int64))
 late = sorted(used() - before)
 print(*late, sep="\\n")
 sys.exit(bool(late))

@@ -39,6 +39,7 @@ def test_an_estimators_node_ids_are_the_contracts():
         "Valvistor.RLS.Residual",
         "Valvistor.RLS.ResidualRmse",
         "Valvistor.RLS.NoiseStd",
+        "Valvistor.RLS.SystematicStd",
         "Valvistor.RLS.SampleCount",
         "Valvistor.RLS.Status",
     ]
@@ -54,6 +55,7 @@ def test_an_estimators_types_are_the_contracts():
         "Residual": "Double",
         "ResidualRmse": "Double",
         "NoiseStd": "Double",
+        "SystematicStd": "Double",
         "SampleCount": "UInt64",
         "Status": "Int32",
     }

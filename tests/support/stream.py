@@ -15,6 +15,7 @@ from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.supervisor import SupervisorSettings, supervise
+from virtual_rig.history import Ring
 
 RATE_HZ = 100
 
@@ -33,9 +34,10 @@ class NumberedServer:
         self.variables = variables
         self.written = 0
         self.sent = {}  # time and values of each sample, by number
+        self.memory = None
 
     @classmethod
-    async def create(cls, cache, **more):
+    async def create(cls, cache, *, remembers=0, **more):
         server = await HardenedServer.create(
             ServerSettings(
                 url="opc.tcp://127.0.0.1:0/plant/",
@@ -55,11 +57,24 @@ class NumberedServer:
             )
             for name in ("U", "p1", "p2", "Q", "T", "Sequence")
         ]
-        return cls(server, variables)
+        plant = cls(server, variables)
+        if remembers:
+            plant.memory = Ring(variables, remembers, np.float64)
+            server.add_history(variables, plant.memory)
+        return plant
 
     @property
     def port(self):
         return int(self.server.url.split(":")[2].split("/")[0])
+
+    def remember(self, n, t, step_ns):
+        """Have had n samples from a time on that nobody was sent, but for the last one."""
+        k = np.arange(self.written, self.written + n - 1)
+        values = np.column_stack([*((k % 97 + signal).astype(float) for signal in range(5)), k])
+        times = (t + np.arange(n) * step_ns) // 100 * 100
+        self.memory.keep(values, np.repeat(times[:-1, None], 6, axis=1), time.time_ns())
+        self.written += n - 1
+        self.publish(int(times[-1]))
 
     async def play(self, rate_hz):
         """Publish samples for ever; after a standstill, all that were due."""
@@ -87,6 +102,8 @@ class NumberedServer:
         self.server.write(
             (variable, value, 0, t) for variable, value in zip(self.variables, values, strict=True)
         )
+        if self.memory is not None:
+            self.memory.keep(np.array([values]), np.full((1, 6), t // 100 * 100), time.time_ns())
         self.written += 1
 
 
@@ -118,12 +135,17 @@ class Collector:
         pass
 
     @property
+    def longest_wait_s(self):
+        """Longest time without changes."""
+        return float(np.diff(self.arrived).max())
+
+    @property
     def counters(self):
         return {name: n for name, n in self.align.counters(self.state, 0).items() if n}
 
 
 @asynccontextmanager
-async def watching(served, *, named=False, rate_hz=RATE_HZ):
+async def watching(served, *, named=False, rate_hz=RATE_HZ, supervision=None, **settings):
     """A source behind a proxy, and what comes of it."""
     plant, password = served
     stop, collector = asyncio.Event(), Collector()
@@ -134,10 +156,13 @@ async def watching(served, *, named=False, rate_hz=RATE_HZ):
                 f"opc.tcp://127.0.0.1:{proxy.port}/plant/",
                 user="operator" if named else None,
                 password=password if named else None,
+                **settings,
             )
             source = OpcUaSource(settings, [NODES])
             serving = asyncio.create_task(
-                supervise(source, collector, SystemClock(), stop, SupervisorSettings())
+                supervise(
+                    source, collector, SystemClock(), stop, supervision or SupervisorSettings()
+                )
             )
             try:
                 await until(lambda: len(collector.numbers) > rate_hz)

@@ -111,15 +111,6 @@ class Attributes:
             return _no_call(_Codes.BadUserAccessDenied)
         return await call_method(method, request.InputArguments or [], outside)
 
-    def has_history(self, nodeid: ua.NodeId) -> bool:
-        """Whether a node's history can be read."""
-        level = self._aspace.read_attribute_value(nodeid, ua.AttributeIds.AccessLevel)
-        return bool(
-            level.Value is not None
-            and isinstance(level.Value.Value, int)
-            and level.Value.Value & (1 << ua.AccessLevel.HistoryRead)
-        )
-
     def _for_role(self, wanted: ua.ReadValueId, held: ua.DataValue, role: Role) -> ua.DataValue:
         if wanted.AttributeId == ua.AttributeIds.UserAccessLevel:
             variable = self._variables.get(wanted.NodeId)
