@@ -28,16 +28,16 @@ PICTURE = Path(__file__).parents[1] / "docs" / "performance.png"
 FLEETS: Final = (10, 100.0), (100, 100.0), (1_000, 10.0)  # valves, Hz
 REPLAYED: Final = 100, 10_000  # valves, samples of each
 
+_REPLAY: Final = "Default configuration, replay from Parquet"
+
 Sections = Mapping[str, Mapping[str, float]]
 
 
 def measured(seconds: float = 30.0) -> Sections:
     """Replay, and every fleet live."""
-    found = {"Default configuration, replay from Parquet": replayed()}
+    found = {_REPLAY: replayed()}
     for valves, hz in FLEETS:
-        found[f"Default configuration, live, {valves:,} valves of {hz:g} Hz"] = live(
-            valves, hz, seconds
-        )
+        found[_live(valves, hz)] = live(valves, hz, seconds)
     return found
 
 
@@ -91,13 +91,14 @@ def draw(found: Sections, rls: float | None = None) -> None:
         xscale="log", yscale="log", xlabel="valves", ylabel="samples per valve and second, Hz"
     )
     valves = np.array([1.0, 10_000.0])
-    replay = found["Default configuration, replay from Parquet"]["samples/s of a core"]
+    replay = found[_REPLAY]["samples/s of a core"]
     lines = {f"replay, a core: {replay:,.0f} samples/s": replay}
     if rls is not None:
         lines[f"RLS alone, live, a core: {rls:,.0f} samples/s"] = rls
     for label, speed in lines.items():
         axes.plot(valves, speed / valves, label=label)
-    for (n, hz), figures in zip(FLEETS, list(found.values())[1:], strict=True):
+    for n, hz in FLEETS:
+        figures = found[_live(n, hz)]
         cores, lost = figures["cores of the service"], figures["lost"]
         axes.plot([n], [hz], "o" if lost == 0 else "x", color="black")
         axes.annotate(
@@ -110,6 +111,10 @@ def draw(found: Sections, rls: float | None = None) -> None:
     axes.grid(visible=True, which="major", alpha=0.3)
     axes.legend(loc="lower left")
     figure.savefig(PICTURE, dpi=110)
+
+
+def _live(valves: int, hz: float) -> str:
+    return f"Default configuration, live, {valves:,} valves of {hz:g} Hz"
 
 
 def main(arguments: Sequence[str]) -> int:

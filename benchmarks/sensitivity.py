@@ -131,40 +131,44 @@ def _assigned(node: ast.stmt) -> list[tuple[str, ast.expr]]:
 
 
 def _is_number(value: ast.expr) -> bool:
-    inner = value.elts if isinstance(value, ast.Tuple) else [value]
-    numbers = all(
-        isinstance(node, ast.Constant | ast.BinOp | ast.operator)
-        for one in inner
+    return all(
+        isinstance(node, ast.BinOp | ast.operator)
+        or (isinstance(node, ast.Constant) and isinstance(node.value, int | float))
+        for one in (value.elts if isinstance(value, ast.Tuple) else [value])
         for node in ast.walk(one)
     )
-    return numbers and all(_known(one) for one in inner)
 
 
-def _known(value: ast.expr) -> bool:
-    found = eval(compile(ast.Expression(value), "", "eval"), {})  # noqa: S307 - numbers of ours
-    return isinstance(found, int | float)
+def _value(number: ast.expr) -> float:
+    found = eval(compile(ast.Expression(number), "", "eval"), {})  # noqa: S307 - of our own source
+    assert isinstance(found, int | float)  # noqa: S101 - see `_is_number`
+    return found
 
 
-class _Scaled(ast.NodeTransformer):
+def _scaled(source: str, name: str, factor: float) -> ast.Module:
     """The same module with one threshold times a factor; a whole number stays one, and above 0."""
+    tree = ast.parse(source)
+    for statement in tree.body:
+        for assigned, value in _assigned(statement):
+            if assigned == name:
+                numbers = value.elts if isinstance(value, ast.Tuple) else [value]
+                for number in numbers:
+                    _replace(tree, number, _times(_value(number), factor))
+    return ast.fix_missing_locations(tree)
 
-    def __init__(self, name: str, factor: float) -> None:
-        self.name, self.factor = name, factor
 
-    def visit_Module(self, node: ast.Module) -> ast.Module:
-        for statement in node.body:
-            for name, value in _assigned(statement):
-                if name == self.name:
-                    self._replace(value)
-        return ast.fix_missing_locations(node)
+def _times(value: float, factor: float) -> float:
+    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
 
-    def _replace(self, value: ast.expr) -> None:
-        for one in value.elts if isinstance(value, ast.Tuple) else [value]:
-            for node in ast.walk(one):
-                if isinstance(node, ast.Constant):
-                    scaled = node.value * self.factor
-                    node.value = max(1, round(scaled)) if isinstance(node.value, int) else scaled
-                    break
+
+def _replace(tree: ast.Module, old: ast.expr, value: float) -> None:
+    class Replacing(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> Any:
+            if node is old:
+                return ast.copy_location(ast.Constant(value), old)
+            return self.generic_visit(node)
+
+    Replacing().visit(tree)
 
 
 def _source(module: str) -> str:
@@ -181,7 +185,7 @@ def _change(module: str, name: str, factor: float) -> None:
     whole = f"{ROOM}.{module}"
     spec = importlib.util.find_spec(whole)
     assert spec is not None and spec.origin is not None  # noqa: PT018, S101 - it is ours
-    tree = _Scaled(name, factor).visit(ast.parse(_source(module)))
+    tree = _scaled(_source(module), name, factor)
     made = importlib.util.module_from_spec(spec)
     sys.modules[whole] = made
     exec(compile(tree, spec.origin, "exec"), made.__dict__)  # noqa: S102 - our own module
