@@ -111,7 +111,7 @@ def _plan(
     """Make all that a configuration asks for; kernels are compiled in a thread."""
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
-    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config))
+    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config, _show_progress))
 
     async def ready() -> None:  # no sample waits for a compiler
         await asyncio.shield(compiled)
@@ -151,9 +151,6 @@ async def _live(
         await live.start(known)
         log.info("results served", url=server.url)
         if not was_compiled_before():
-            await asyncio.wait({plan.compiled}, timeout=2.0)
-            if not plan.compiled.done():
-                log.info("compiling: half a minute at the first start")
             await plan.compiled
         stopping = asyncio.create_task(_pass_on(stop, ended))
         following = asyncio.create_task(_following(plan, reload, ended))
@@ -215,3 +212,7 @@ async def _checked(plan: _Plan, reload: Reload) -> _Plan | None:
     await following.compiled
     await following.source.check()
     return following
+
+
+def _show_progress(done: int, of: int) -> None:
+    log.info("compiling, at the first start only", part=done + 1, of=of)
