@@ -17,11 +17,12 @@ class RigHistory:
     """The samples of the last ``seconds``; fulfils :class:`service.hardened.Historian`."""
 
     def __init__(self, nodes: RigNodes, seconds: float, rate_hz: float) -> None:
-        valves = len(nodes.sequences.variables)
-        length = min(math.ceil(seconds * rate_hz), _MOST_SAMPLES // valves)
+        valves = nodes.of_valves
+        length = min(math.ceil(seconds * rate_hz), _MOST_SAMPLES // len(valves))
+        signals = [variable for signals, _ in valves for variable in signals]
         self._rings = [
-            Ring(nodes.signals.variables, length, np.float64),
-            Ring(nodes.sequences.variables, length, np.uint32),
+            Ring(signals, length, np.float64),
+            Ring([sequence for _, sequence in valves], length, np.uint32),
         ]
         self._ring_of = {variable.id: ring for ring in self._rings for variable in ring.variables}
 
