@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from service.clock import SystemClock
 from service.config.models import Config
 from service.errors import SourceError, StorageError
 from service.storage.recordings import RecordingWriter
+from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.supervisor import supervise
 
@@ -24,11 +26,16 @@ log = structlog.get_logger(__name__)
 
 
 async def record(
-    config: Config, file: Path, stop: asyncio.Event, duration_s: float | None = None
+    config: Config,
+    file: Path,
+    stop: asyncio.Event,
+    duration_s: float | None = None,
+    progress: Callable[[int], None] = lambda _samples: None,
 ) -> int:
     """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` is over.
 
-    Where the signals carried no common time, ``FILE.timing.json`` says how each came.
+    Where the signals carried no common time, ``FILE.timing.json`` says how each came. ``progress``
+    is called with the number of samples whenever some were written.
 
     Returns
     -------
@@ -41,7 +48,7 @@ async def record(
     """
     clock = SystemClock()
     with RecordingWriter(file) as writer:
-        recorder = _Recorder(config, writer)
+        recorder = _Recorder(config, writer, progress)
         ends = None
         if duration_s is not None:
             ends = asyncio.get_running_loop().call_later(duration_s, stop.set)
@@ -60,24 +67,35 @@ async def record(
 class _Recorder:
     """Fulfils :class:`service.streaming.supervisor.Consumer`."""
 
-    def __init__(self, config: Config, writer: RecordingWriter) -> None:
+    def __init__(
+        self, config: Config, writer: RecordingWriter, progress: Callable[[int], None]
+    ) -> None:
         self._names = [valve.name for valve in config.valves]
         self._alignment = build_alignment(config)
         self._waiting = self._alignment.initial_state()
         self._timing = build_timing(config)
         self._writer = writer
+        self._progress = progress
+        self._every = np.arange(len(self._names))
+        self._source_started = 0
         self.samples = 0
 
     async def connected(self, source_started: int) -> None:
-        pass
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            self._waiting, samples = self._alignment.begin_anew(self._waiting, self._every)
+            self._append(samples)
 
     async def take(self, changes: DataChanges) -> None:
-        self._append(changes if self._timing is None else self._timing.take(changes))
+        self._align(changes if self._timing is None else self._timing.take(changes))
 
     def finish(self) -> None:
-        """Write what waits for more of its scan."""
+        """Write what waits for more of its scan, or for earlier samples."""
         if self._timing is not None:
-            self._append(self._timing.flush(np.arange(len(self._names))))
+            self._align(self._timing.flush(self._every))
+        self._waiting, samples = self._alignment.flush(self._waiting, self._every)
+        self._append(samples)
 
     def write_timing(self, file: Path) -> None:
         """Write beside the recording how the signals came.
@@ -95,11 +113,15 @@ class _Recorder:
         except OSError as error:
             raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
 
-    def _append(self, changes: DataChanges) -> None:
+    def _align(self, changes: DataChanges) -> None:
         self._waiting, samples = self._alignment.take(self._waiting, changes)
+        self._append(samples)
+
+    def _append(self, samples: ByValve) -> None:
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)
             self.samples += len(batch)
+        self._progress(self.samples)
 
     async def tick(self) -> None:
         pass

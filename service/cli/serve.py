@@ -8,6 +8,7 @@ import typer
 
 from service.cli.logs import set_up_logs
 from service.cli.options import ConfigOption, check_folder
+from service.cli.progress import working
 from service.config.loading import load_config
 
 
@@ -45,8 +46,10 @@ def record(
 
     async def until_stopped() -> int:
         stop = asyncio.Event()
-        with stop_on_signal(stop):
-            return await run(loaded, file, stop, duration)
+        of = "" if duration is None else f", {duration:g} s"
+        with stop_on_signal(stop), working(f"waiting for the source{of}") as say:
+            recorded = lambda n: say(f"{file.name}: {n:,} samples{of}")  # noqa: E731
+            return await run(loaded, file, stop, duration, recorded)
 
     n = asyncio.run(until_stopped())
     typer.echo(f"{file}: {n:,} samples")
@@ -67,7 +70,9 @@ def check_config(
     if online:
         from service.app.connect import check_online
 
-        for line in asyncio.run(check_online(loaded, watch)):
+        with working(f"watching {loaded.source.url} for {watch:g} s"):
+            lines = asyncio.run(check_online(loaded, watch))
+        for line in lines:
             typer.echo(line)
     typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
     typer.echo(f"results  {loaded.server.url}")
@@ -81,4 +86,5 @@ def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from service.app.warm_up import warm_up as run
 
-    run(load_config(config))
+    with working("compiling: half a minute at first"):
+        run(load_config(config))

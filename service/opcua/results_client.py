@@ -117,8 +117,10 @@ class ResultsClient:
             if reference.NodeId.NamespaceIndex == self._index
         ]
 
-    async def read(self, ids: Sequence[str]) -> list[Reading]:
+    async def read(self, ids: Sequence[str | int]) -> list[Reading]:
         """Values of variables, one reading each; what cannot be read has a Bad ``code``.
+
+        A number names one of the standard's variables.
 
         Raises
         ------
@@ -194,8 +196,8 @@ class ResultsClient:
             raise SourceLost(f"{self.url}: not connected")
         return self._connection
 
-    def _node(self, id_: str) -> ua.NodeId:
-        return ua.NodeId(id_, self._index)
+    def _node(self, id_: str | int) -> ua.NodeId:
+        return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)
 
 
 def _reading(answer: ua.DataValue) -> Reading:

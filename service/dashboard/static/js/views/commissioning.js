@@ -1,6 +1,6 @@
 // What a new valve still lacks: rates, losses, what is not measured yet, the next test point.
 
-import { css, h, mark, pen, say } from "../dom.js";
+import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, span } from "../format.js";
 
 const REFRESH_MS = 1000;
@@ -125,8 +125,9 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   }
 
   const timer = setInterval(update, REFRESH_MS);
+  const forget = onTheme(update);
   update();
-  return () => clearInterval(timer);
+  return () => { clearInterval(timer); forget(); };
 }
 
 /** Where a value lies between the middles of cells: 0 is the middle of the first. */

@@ -1,7 +1,7 @@
 // The map of one valve: surface, how sure it is where, a section, and which voltage a flow demands.
 
 import { lineChart } from "../charts.js";
-import { css, h, mark, say } from "../dom.js";
+import { css, h, mark, onTheme, say } from "../dom.js";
 import { fixed, INVERSE_STATUS } from "../format.js";
 
 const COLOURINGS = [
@@ -98,8 +98,8 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     ];
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
-      margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
-      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.72, y: -1.62, z: 0.9 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
+      margin: { l: 30, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
+      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.83, y: -1.72, z: 0.96 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;
@@ -155,7 +155,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
       say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, found.error);
     } else {
       const [severity, sentence] = INVERSE_STATUS[found.status] ?? [1, ""];
-      say(answer, `${fixed(found.U ?? NaN, 1)} %`);
+      say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
       say(interval, found.lower === null ? "" : `95 %: ${fixed(found.lower, 2)} to ${fixed(found.upper, 2)} %`);
       mark(verdict, "severity", severity);
       say(verdict, sentence);
@@ -190,7 +190,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   live.addEventListener("values", showStanding);
   user.addEventListener("change", showUser);
   const again = setInterval(ask, 1000); // the map moves on
-  closers.push(() => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
+  closers.push(onTheme(() => schedule(true)), () => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
     () => user.removeEventListener("change", showUser), () => plotted?.purge(plot));
   showUser();
   showStanding();
