@@ -24,6 +24,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "connect": "connect",
     "init": "security",
     "trust": "security",
+    "baseline": "baseline",
     "schema": "package",
     "unit": "package",
     "warm-up": "serve",

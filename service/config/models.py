@@ -23,7 +23,15 @@ from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
 RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
-RESERVED_ESTIMATORS = ("Signals", "Alarms", "Diagnostics", "Inverse", "Frame", "FrameNames")
+RESERVED_ESTIMATORS = (
+    "Signals",
+    "Alarms",
+    "Baseline",
+    "Diagnostics",
+    "Inverse",
+    "Frame",
+    "FrameNames",
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]

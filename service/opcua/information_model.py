@@ -37,6 +37,7 @@ FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
 WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
+BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -44,7 +45,7 @@ U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
-_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS}
+_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE}
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 
@@ -293,6 +294,31 @@ def timing_variable(valve: str) -> VariableNode:
         "time, one after the other in a scan, or on change.",
         ua.VariantType.String,
         dimensions=(0,),
+    )
+
+
+def builds_on_variable(valve: str, estimator: str) -> VariableNode:
+    """Which approved map an estimator's results build on."""
+    return VariableNode(
+        f"{valve}.{estimator}.{BUILDS_ON}",
+        "Version of the approved map that the results build on; empty where none was approved.",
+        ua.VariantType.String,
+    )
+
+
+def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
+    """The map that was approved as new."""
+    prefix = f"{valve}.{BASELINE}"
+    return (
+        VariableNode(
+            f"{prefix}.Version",
+            "The approved map: its running number, and how its hash begins; empty: there is none.",
+            ua.VariantType.String,
+        ),
+        VariableNode(
+            f"{prefix}.Time", "Time of the newest sample behind it.", ua.VariantType.DateTime
+        ),
+        VariableNode(f"{prefix}.DataHash", "SHA-256 of all that it holds.", ua.VariantType.String),
     )
 
 

@@ -33,6 +33,7 @@ from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.opcua.information_model import (
     ARMED,
+    BASELINE,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
@@ -48,6 +49,7 @@ from service.streaming.ports import (
     InverseResults,
     Results,
     SignalResults,
+    Version,
 )
 
 _Codes = ua.StatusCodes
@@ -127,6 +129,16 @@ def lag_values(lags: tuple[float, float], own: int, t: int) -> Iterator[Shown]:
     for name, lag in zip((LAG_U, LAG_Q), lags, strict=True):
         code = own if np.isfinite(lag) else int(_Codes.BadNoData)
         yield Shown(f"{DIAGNOSTICS}.{name}", lag, code, t)
+
+
+def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
+    """The map that was approved as new, in the service's own words; when it was found so."""
+    code = int(_Codes.Good if found is not None else _Codes.BadNoData)
+    moment = None if found is None else datetime.fromtimestamp(found.t / 1e9, UTC)
+    version, digest = ("", "") if found is None else (found.version, found.digest)
+    yield Shown(f"{BASELINE}.Version", version, int(_Codes.Good), now)
+    yield Shown(f"{BASELINE}.Time", moment, code, now)
+    yield Shown(f"{BASELINE}.DataHash", digest, code, now)
 
 
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:

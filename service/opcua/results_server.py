@@ -34,6 +34,7 @@ from service.identification.survey import axes
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
     ARMED,
+    BASELINE,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
@@ -48,6 +49,8 @@ from service.opcua.information_model import (
     U_RANGE,
     VariableNode,
     axis,
+    baseline_variables,
+    builds_on_variable,
     check_names,
     counter_variable,
     discovery_variables,
@@ -67,7 +70,13 @@ from service.opcua.information_model import (
 )
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.opcua.result_values import Column, Shown, columns_of, service_values
+from service.opcua.result_values import (
+    Column,
+    Shown,
+    baseline_values,
+    columns_of,
+    service_values,
+)
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     EstimatorDescription,
@@ -248,6 +257,7 @@ class ResultsServer(Startable):
             await add_part(estimator.name, estimator.description, add_estimator)
         await add_part(SIGNALS, "The newest sample.", self._add_signals)
         await add_part(INVERSE, "The control voltage that a flow demands.", self._add_inverse)
+        await add_part(BASELINE, "The map that was approved as new.", self._add_baseline)
         words = "What became of the valve's data on their way into the model."
         await add_part(DIAGNOSTICS, words, self._add_diagnostics)
 
@@ -320,6 +330,7 @@ class ResultsServer(Startable):
             *discovery_variables(valve, estimator),
         ):
             await self._add_variable(server, parent, node, None)
+        await self._add_variable(server, parent, builds_on_variable(valve.name, estimator.name), "")
         parameters = parameter_variables(valve, estimator)
         if parameters:
             words = "The parameters, each by itself."
@@ -418,6 +429,43 @@ class ResultsServer(Startable):
             description=f"Control voltage for a flow. Status: {_numbered(InverseStatus)}.",
         )
 
+    async def _add_baseline(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+    ) -> None:
+        for node in baseline_variables(valve.name):
+            empty = "" if node.kind == ua.VariantType.String else None
+            await self._add_variable(server, parent, node, empty)
+        prefix = f"{valve.name}.{BASELINE}"
+        for name, action, description in (
+            ("Approve", self._approve, "Keep what is known now as the valve's map when new."),
+            ("RollBack", self._roll_back, "Have all estimators know what they knew when approved."),
+            (
+                "ValveReplaced",
+                self._replace_valve,
+                "Another valve is there: forget what was learnt, and the approved map.",
+            ),
+        ):
+            function = partial(action, valve.name)
+            await self._add_command(server, parent, prefix, name, function, description)
+        flow = Unit.LITRE_PER_MINUTE
+        await add_method(
+            server,
+            parent,
+            f"{prefix}.Compare",
+            partial(self._compare, valve.name),
+            inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String),),
+            outputs=(
+                Argument("Mean", "Now less then, over all points; NaN: none", unit=flow),
+                Argument("Largest", "The largest of them, with its sign", unit=flow),
+                Argument("U", "Where that is", unit=Unit.PERCENT),
+                Argument("dp", "Where that is", unit=Unit.BAR),
+                Argument("Points", "How many could be compared", type=ua.VariantType.UInt32),
+            ),
+            required=Role.OBSERVER,
+            description="By how much a map has moved away from the approved one, where both rest "
+            "on measurements.",
+        )
+
     async def _add_map(
         self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
@@ -482,6 +530,31 @@ class ResultsServer(Startable):
         self._operator.demand(valve, Q, dp)
         self._demands[valve] = (Q, dp)
         self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
+
+    def _approve(self, valve: str) -> None:
+        self._operator.approve(valve)
+        self._show_baseline(valve)
+
+    def _roll_back(self, valve: str) -> None:
+        self._operator.roll_back(valve)
+
+    def _replace_valve(self, valve: str) -> None:
+        self._operator.replace_valve(valve)
+        self._show_baseline(valve)
+
+    def _show_baseline(self, valve: str) -> None:
+        """At once: who has called may read."""
+        found = self._operator.baseline(self._numbers[valve])
+        if self._server is not None:
+            for new in baseline_values(found, self._clock.now()):
+                self._show(self._server, valve, new)
+
+    def _compare(self, valve: str, estimator: str) -> tuple[float, float, float, float, int]:
+        try:
+            found = self._operator.compare(valve, estimator)
+        except CommandRejected as rejected:
+            raise Refused(str(rejected)) from rejected
+        return found.mean, found.largest, found.U, found.dp, found.points
 
     def _arm(self, valve: str) -> None:
         self._operator.arm(valve)

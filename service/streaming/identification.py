@@ -30,6 +30,7 @@ from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
+from service.streaming.baseline import Baseline, Difference, difference
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
@@ -57,6 +58,7 @@ from service.streaming.waiting import waited_for
 MAPS_AT_ONCE = 100
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come
+BASELINE = "Baseline"  # nor so: the map that was approved as new
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
@@ -103,6 +105,8 @@ class Identification:
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
         self._maps = self._first_maps()
         self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
+        self._baselines: dict[int, Baseline] = {}
+        self._approved = np.zeros(len(self.plans), np.int64)  # how many of each valve
         self._armed = np.zeros(len(self.plans), np.bool_)
         self._feed_forward = np.array(
             [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
@@ -310,6 +314,7 @@ class Identification:
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
             signals=self._signals(valves, at_best),
+            baselines=[self._baselines.get(int(valve)) for valve in valves],
             timing=[self.timing(int(valve)) for valve in valves],
             waiting=[
                 self._reasons(int(valve)) if of_use else self.stand_still(int(valve))
@@ -455,6 +460,63 @@ class Identification:
         answer = pipeline.required(self.plans[valve], state)
         return answer, Status.WARMING_UP if status is None else status
 
+    def approve(self, valve: str) -> None:
+        """Keep what the estimators know as the valve's map when new."""
+        number = self._numbers[valve]
+        plan, state = self.plans[number], self.state(number)
+        inverse = state.lanes[plan.inverse]
+        if inverse.status not in (Status.OK, Status.UNEXCITED):
+            said = "nothing was learnt yet" if inverse.status is None else inverse.status.sentence
+            raise CommandRejected(
+                f"{valve}: the map of {plan.inverse} is not one to build on: {said}"
+            )
+        self._approved[number] += 1
+        keys = self._keys[self._fleet_of[number]]
+        count = int(self._approved[number])
+        self._baselines[number] = Baseline.of(count, state.t, state.lanes, keys)
+
+    def roll_back(self, valve: str) -> None:
+        """Have every estimator know what it knew when the baseline was approved."""
+        number, baseline = self._numbers[valve], self._baseline(valve)
+        for name, configured in self.plans[number].estimators.items():
+            now = self.lane(valve, name)
+            try:
+                then = baseline.lane(name, configured)
+            except StateMismatchError as error:
+                raise CommandRejected(f"{valve}.{name}: {error}") from None
+            if now.lam is not None:
+                then = pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(then, frozen=now.frozen))
+
+    def replace_valve(self, valve: str) -> None:
+        """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
+        number = self._numbers[valve]
+        for name in self.plans[number].estimators:
+            self.reset(valve, name)
+        self._baselines.pop(number, None)
+
+    def compare(self, valve: str, estimator: str) -> Difference:
+        """By how much an estimator's map has moved away from the baseline's."""
+        number, baseline = self._numbers[valve], self._baseline(valve)
+        plan = self.plans[number]
+        if estimator not in plan.estimators:
+            raise CommandRejected(f"{valve} has no estimator {estimator!r}")
+        try:
+            then = baseline.lane(estimator, plan.estimators[estimator])
+        except StateMismatchError as error:
+            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        return difference(plan, self.lane(valve, estimator), then, self._T(valve, np.nan))
+
+    def baseline(self, valve: int) -> Baseline | None:
+        """The map that was approved as new, if one was."""
+        return self._baselines.get(valve)
+
+    def _baseline(self, valve: str) -> Baseline:
+        found = self._baselines.get(self._numbers[valve])
+        if found is None:
+            raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
+        return found
+
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""
         number = self._numbers[valve]
@@ -519,7 +581,31 @@ class Identification:
             )
             if self._finds_timing:
                 kept.append(self._timing_of(valve, state.t))
+            if self._approved[valve]:
+                kept.append(self._baseline_of(valve))
         return kept
+
+    def _baseline_of(self, valve: int) -> Checkpoint:
+        """The baseline, or, as ``frozen``, that there is none any more."""
+        found = self._baselines.get(valve)
+        none = Baseline(int(self._approved[valve]), 0, Baseline.digest_of({}), {}, {})
+        packed = (found or none).to_bytes()
+        t = 0 if found is None else found.t
+        name = self.plans[valve].name
+        return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
+
+    def _take_baseline(self, kept: Checkpoint) -> bool:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            return False
+        try:
+            found = Baseline.from_bytes(kept.state)
+        except StateMismatchError:
+            return False
+        self._approved[number] = found.number
+        if not kept.frozen:
+            self._baselines[number] = found
+        return True
 
     def _timing_of(self, valve: int, t: int) -> Checkpoint:
         key = self._timing_key(valve)
@@ -579,7 +665,11 @@ class Identification:
         """
         restored: list[str] = []
         refused: list[str] = []
-        takers = {MEMORY: self._remember, TIMING: self._time_as_before}
+        takers = {
+            MEMORY: self._remember,
+            TIMING: self._time_as_before,
+            BASELINE: self._take_baseline,
+        }
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
             taken = takers.get(kept.estimator, self._restore)(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")

@@ -250,12 +250,53 @@ class SignalResults:
     values: Floats
 
 
+class Version(Protocol):
+    """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
+
+    @property
+    def version(self) -> str:
+        """Its name."""
+
+    @property
+    def t(self) -> int:
+        """UTC ns."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256, hexadecimal."""
+
+
+class Compared(Protocol):
+    """A map against the approved one: now less then, l/min."""
+
+    @property
+    def mean(self) -> float:
+        """Over all points."""
+
+    @property
+    def largest(self) -> float:
+        """With its sign."""
+
+    @property
+    def U(self) -> float:
+        """Where that is, %."""
+
+    @property
+    def dp(self) -> float:
+        """Where that is, bar."""
+
+    @property
+    def points(self) -> int:
+        """How many could be compared."""
+
+
 @dataclass(frozen=True)
 class Results:
     """All that is published of M valves that are treated alike.
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
-    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come.
+    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
+    ``baselines`` names the approved map that its results build on.
     """
 
     valves: Times
@@ -266,6 +307,7 @@ class Results:
     signals: SignalResults | None = None
     waiting: Sequence[tuple[str, ...]] = ()
     timing: Sequence[tuple[str, ...]] = ()
+    baselines: Sequence[Version | None] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -376,6 +418,21 @@ class Operator(Protocol):
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
+
+    def approve(self, valve: str) -> None:
+        """Keep what is known of a valve as its map when new: its baseline."""
+
+    def roll_back(self, valve: str) -> None:
+        """Go back to the baseline."""
+
+    def replace_valve(self, valve: str) -> None:
+        """Another valve is there: forget all, the baseline too."""
+
+    def compare(self, valve: str, estimator: str) -> Compared:
+        """By how much an estimator's map has moved away from the baseline."""
+
+    def baseline(self, valve: int) -> Version | None:
+        """The baseline of a valve, by its number."""
 
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""
