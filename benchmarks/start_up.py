@@ -2,7 +2,7 @@
 
 Rig and service are set up by ``valvemap init``; everything is compiled already. Beside it a bare
 server of asyncua's, in turns, the best of some starts each. Then a service of a thousand valves in
-the default configuration, until it serves, until a client has read a number of one valve, and
+the default configuration, until it serves, until a client has read a number of a few valves, and
 until it has read one of every valve.
 """
 
@@ -27,6 +27,7 @@ from service.hardened import Limits
 from service.opcua.results_server import NAMESPACE
 
 ROUNDS = 4
+READ_AT_ONCE = 20  # valves
 EVENTS = "results served", "source connected", "first results published"
 
 
@@ -62,8 +63,9 @@ def many(valves: int = 1_000) -> dict[str, float]:
             f'[server]\nurl = "{url}"\n[state]\nfile = "{folder / "state.sqlite"}"\n{sections}'
         )
         began = time.perf_counter()
-        with live_speed.running(["benchmarks.start_up", "serve", str(file)], {}):
+        with live_speed.running(["benchmarks.start_up", "serve", str(file)], {}) as pid:
             found = {"results served": time.perf_counter() - began}
+            found["results served, s of a core"] = live_speed.processor_time(pid)
             return found | asyncio.run(_read(url, names, began))
 
 
@@ -73,9 +75,12 @@ async def _read(url: str, names: Sequence[str], began: float) -> dict[str, float
     async with Client(url, timeout=120) as client:
         index = await client.get_namespace_index(NAMESPACE)
         nodes = [client.get_node(ua.NodeId(f"{name}.RLS.Residual", index)) for name in names]
-        for what, chosen in (("one valve read", nodes[:1]), ("every valve read", nodes)):
-            await client.uaclient.read_attributes([n.nodeid for n in chosen], ua.AttributeIds.Value)
-            found[what] = time.perf_counter() - began
+        ids = [node.nodeid for node in nodes]
+        for first in range(0, len(ids), READ_AT_ONCE):
+            chosen = ids[first : first + READ_AT_ONCE]
+            await client.uaclient.read_attributes(chosen, ua.AttributeIds.Value)
+            found.setdefault(f"{READ_AT_ONCE} valves read", time.perf_counter() - began)
+        found["every valve read"] = time.perf_counter() - began
     return found
 
 

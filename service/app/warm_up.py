@@ -19,7 +19,8 @@ from service.identification.estimator import Estimator, key_of
 from service.identification.kernels import cells, grid, lag
 from service.identification.map_shapes import Shape, Variety
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples, Segments
+from service.identification.residual_spread import ResidualSpread
+from service.identification.samples import Samples, Segments, Trace
 from service.identification.support import Support
 from service.opcua.decoding import decode_data_changes, was_compiled_before
 from service.streaming.data_changes import DataChanges
@@ -107,6 +108,7 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         *([_fit, _fill_cells] if finds_structure else []),
         *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
         partial(_align, config),
+        partial(_first_maps, config),
         *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
         _look_around,
     ]
@@ -140,6 +142,11 @@ def _align(config: Config) -> None:
     make_one_scan()
 
 
+def _first_maps(config: Config) -> None:
+    """The inverse of a map, as it is published before the first sample."""
+    build_identification(config)
+
+
 def _look_around() -> None:
     """What is done with samples beside learning from them."""
     samples, one = _samples(), Segments.one(len(_samples()))
@@ -147,7 +154,10 @@ def _look_around() -> None:
     gate = QualityGate()
     gate.judge(gate.initial_state(1), samples, one)
     support = Support.none().of_many(1)
-    support.learn(samples, np.zeros(len(samples), np.uint8), one)
+    status = np.zeros(len(samples), np.uint8)
+    support.learn(samples, status, one)
+    support.one(0).distance(*(np.full(1, x) for x in (50.0, 100.0, 40.0)))
+    ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
 
 
 def compile_here(config: Config) -> None:
