@@ -13,7 +13,8 @@ from service.config.loading import load_config
 
 
 def serve(config: ConfigOption = None) -> None:
-    """Subscribe to the source, identify, publish, until Ctrl-C."""
+    """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
+    from service.app.reload import Reload
     from service.app.serve import serve as run
     from service.app.signals import stop_on_signal
 
@@ -21,9 +22,9 @@ def serve(config: ConfigOption = None) -> None:
     set_up_logs(loaded.log)
 
     async def until_stopped() -> None:
-        stop = asyncio.Event()
-        with stop_on_signal(stop):
-            await run(loaded, stop)
+        stop, reload = asyncio.Event(), Reload(lambda: load_config(config))
+        with stop_on_signal(stop, reload.ask_by_signal):
+            await run(loaded, stop, reload=reload)
 
     asyncio.run(until_stopped())
 
@@ -86,5 +87,5 @@ def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from service.app.warm_up import warm_up as run
 
-    with working("compiling: half a minute at first"):
-        run(load_config(config))
+    with working("compiling: half a minute at first") as say:
+        run(load_config(config), lambda done, of: say(f"compiling: {done} of {of} parts are done"))

@@ -23,6 +23,7 @@ SERVICE = (
     "Source.Overflows",
     "Source.MissingMessages",
     "Source.Undecodable",
+    "Source.FromHistory",
 )
 SUMMARY = {  # of the server's own diagnostics, Part 5, 6.3.3
     "CurrentSessionCount": 2277,

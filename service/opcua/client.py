@@ -41,6 +41,7 @@ from service.opcua.subscription import (
     subscribe,
     take_over,
 )
+from service.opcua.succession import Estate, divided
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.ports import SourceCounters
 
@@ -79,6 +80,8 @@ class OpcUaSource:
         self._valves = tuple(valves)
         self._clock = clock or SystemClock()
         self._ready = ready
+        self._heir: Callable[[Estate], None] | None = None
+        self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: there is none
         self._tally = Tally()
         self._started = 0
         self._clock_offset_s = 0.0
@@ -220,6 +223,45 @@ class OpcUaSource:
         """Go on from a position that was kept, if the source still has the subscription."""
         self._known_position = position
 
+    async def check(self) -> None:
+        """Connect, check every node, and leave: nothing is subscribed to.
+
+        Raises
+        ------
+        SourceLost, SourceRejected, CertificateError
+            as :meth:`connect`.
+        """
+        connection = await open_connection(self._settings)
+        try:
+            await check_units(connection, self._valves, await check_nodes(connection, self._valves))
+        finally:
+            await connection.close()
+
+    def succeed(self, before: "OpcUaSource") -> None:
+        """Take over from another one when it is closed: signals of both miss nothing by it.
+
+        It must be the same user of the same server; else each is on its own.
+        """
+        if before.identity == self.identity:
+            before.bequeath(self.inherit)
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """What a session belongs to: the server, and its user."""
+        settings = self._settings
+        return settings.url, settings.security, settings.user, settings.password
+
+    def bequeath(self, heir: Callable[[Estate], None]) -> None:
+        """Have somebody go on where this source stops, instead of saying good-bye."""
+        self._heir = heir
+
+    def inherit(self, estate: Estate) -> None:
+        """Go on where another source stopped."""
+        ours = divided(estate, self._valves)
+        self._knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
+        self._parts.extend(part for part in ours.parts if len(part.changes))
+        self._left, self._left_at, self._surplus = ours.left, ours.left_at, ours.surplus
+
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
 
@@ -305,6 +347,8 @@ class OpcUaSource:
         self._known_position = None
         if self._left is None:
             return None
+        surplus = self._surplus
+        checked = None if surplus is None else await self._check_nodes(connection)
         found = await take_over(connection, self._left, self._tally, self._clock)
         if found is not None:
             subscription, available = found
@@ -315,8 +359,11 @@ class OpcUaSource:
                 self._leave(subscription)
             if known:
                 subscription.start()
+                if checked is not None and surplus is not None:
+                    await subscription.change_items(checked.monitored, surplus)
+                    self._surplus = None
                 return subscription
-        self._left = None
+        self._left = self._surplus = None
         return None
 
     def _resume(self, position: bytes, nodes: Sequence[MonitoredNode]) -> None:
@@ -350,8 +397,24 @@ class OpcUaSource:
             hold_back=self._holds_back,
         )
 
+    def _estate(self) -> Estate:
+        return Estate(
+            self._valves,
+            self._knowledge,
+            tuple(self._parts),
+            self._tally,
+            self._ticket,
+            self._left,
+            self._left_at,
+            self._surplus or (),
+        )
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
+        heir, self._heir = self._heir, None
+        if heir is not None:
+            await self.drop()
+            heir(self._estate())
         self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None

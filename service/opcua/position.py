@@ -54,7 +54,9 @@ def position_to_bytes(
             "message": mark.message,
             "publishing_interval_ms": created.RevisedPublishingInterval,
             "keep_alive_count": created.RevisedMaxKeepAliveCount,
-            "items": [(item.node.item, item.number, item.queue_size) for item in items],
+            "items": [
+                (item.node.item, item.number, item.queue_size, item.handle) for item in items
+            ],
         },
     }
     return json.dumps(kept).encode()
@@ -94,7 +96,8 @@ def _left(kept: dict[str, Any] | None, nodes: Sequence[MonitoredNode]) -> Left |
         acknowledgements=(),
         buffer=(),
         items=tuple(
-            Item(by_item[item], int(number), int(queue)) for item, number, queue in kept["items"]
+            Item(by_item[item], int(number), int(queue), int(handle))
+            for item, number, queue, handle in kept["items"]
         ),
         kept_back=(),
     )

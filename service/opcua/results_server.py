@@ -1,6 +1,6 @@
 """The results server: what was identified, for any OPC UA client, and what operators may do."""
 
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -123,6 +123,8 @@ class ResultsServer(Startable):
     scalars_interval_s
         Shortest time between two results of a valve in its single variables; its Frame has them
         all. What is Bad never waits.
+    on_reload
+        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
     """
 
     def __init__(
@@ -132,6 +134,7 @@ class ResultsServer(Startable):
         operator: Operator,
         clock: Clock | None = None,
         scalars_interval_s: float = 0.0,
+        on_reload: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -145,6 +148,7 @@ class ResultsServer(Startable):
         self._demands = {valve.name: (np.nan, np.nan) for valve in self._valves}
         self._sequences = np.zeros(len(self._valves), np.int64)
         self._scalars_interval_s = scalars_interval_s
+        self._on_reload = on_reload
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
@@ -298,6 +302,16 @@ class ResultsServer(Startable):
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
                 await self._add_variable(server, parent, node, None)
+        if self._on_reload is not None:
+            await add_method(
+                server,
+                folder,
+                f"{SERVICE}.Reload",
+                partial(_refusing_later, self._on_reload),
+                required=Role.ENGINEER,
+                description="Read the configuration again. Valves that it leaves alone keep what "
+                "they know and miss nothing; a faulty one is refused, and the old one goes on.",
+            )
 
     async def _add_estimator(
         self,
@@ -622,6 +636,14 @@ def _refusing(function: Callable[..., None]) -> Callable[..., None]:
             raise Refused(str(rejected)) from rejected
 
     return command
+
+
+async def _refusing_later(function: Callable[[], Awaitable[None]]) -> None:
+    """The same, for what takes its time."""
+    try:
+        await function()
+    except CommandRejected as rejected:
+        raise Refused(str(rejected)) from rejected
 
 
 def _first(values: Floats) -> float:

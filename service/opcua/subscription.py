@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 
 import numpy as np
@@ -28,7 +28,7 @@ from service.opcua.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
-from service.opcua.monitored_items import Item, create_items, enlarge_queues
+from service.opcua.monitored_items import Item, create_items, delete_items, enlarge_queues
 from service.opcua.responses import Senseless
 from service.opcua.source_nodes import MonitoredNode
 from service.streaming.data_changes import DataChanges
@@ -122,6 +122,7 @@ class Subscription:
     ) -> None:
         self._created = created
         self._items: tuple[Item, ...] = ()
+        self._item_of_handle: NDArray[np.int32] | None = None  # None: they are the same
         self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
@@ -167,7 +168,7 @@ class Subscription:
         """Begin where another one was left."""
         self._next = left.next_message
         self._acknowledgements = list(left.acknowledgements)
-        self._items = left.items
+        self.watch(left.items)
         self._tidies = True
         if left.kept_back is not None:
             self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
@@ -198,6 +199,25 @@ class Subscription:
     def watch(self, items: Sequence[Item]) -> None:
         """See to it from now on that the queues of these items hold what they must."""
         self._items = tuple(items)
+        self._item_of_handle = _items_by_handle(self._items)
+
+    async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
+        """Watch just these nodes: some more than before, and the surplus items no longer.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        watched = {item.node.item for item in self._items}
+        handle = max((item.handle for item in self._items), default=-1) + 1
+        missing = [node for node in nodes if node.item not in watched]
+        with self._connection.errors("changing what is subscribed to"):
+            if surplus:
+                await delete_items(self._connection, self._id, surplus)
+            if missing:
+                by_handle = dict(enumerate(missing, handle))
+                added = await create_items(self._connection, self._id, by_handle)
+                self.watch((*self._items, *added))
 
     async def catch_up(self, available: Sequence[int] = ()) -> bool:
         """Ask for all messages again that were sent over the connection before.
@@ -370,7 +390,11 @@ class Subscription:
             return decode_republish_response(await self._session.request(request))
         except DecodeError as error:
             raise Senseless(f"a message again that is not understood: {error}") from error
-        except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
+        except (
+            ua.uaerrors.BadMessageNotAvailable,
+            ua.uaerrors.BadServiceUnsupported,
+            TimeoutError,
+        ):
             return None
 
     def _skip_to_oldest(self, available: Sequence[int]) -> None:
@@ -389,7 +413,7 @@ class Subscription:
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
-        changes = message.changes
+        changes = self._of_items(message.changes)
         if not len(changes):
             return
         if len(changes) > _MOST_CHANGES:
@@ -411,6 +435,15 @@ class Subscription:
         if self._buffered >= self._settings.buffer_limit:
             self._room.clear()
         self._arrived.set()
+
+    def _of_items(self, changes: DataChanges) -> DataChanges:
+        """The changes that are ours, marked by item instead of handle."""
+        table = self._item_of_handle
+        if table is None or not len(changes):
+            return changes
+        known = (changes.item >= 0) & (changes.item < len(table))
+        item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
+        return replace(changes, item=item)[item >= 0]
 
     async def _adapt_queues(self) -> None:
         """Measure how fast nodes change, and have queues that hold a minute of it."""
@@ -478,7 +511,8 @@ async def subscribe(
     subscription.start()
     try:
         with connection.errors("subscribing"):
-            items = await create_items(connection, result.SubscriptionId, nodes)
+            by_handle = {node.item: node for node in nodes}
+            items = await create_items(connection, result.SubscriptionId, by_handle)
         subscription.watch(items)
     except BaseException:
         await subscription.stop()
@@ -511,6 +545,15 @@ async def take_over(
     subscription = Subscription(connection, left.created, tally, clock)
     subscription.go_on_from(left)
     return subscription, available
+
+
+def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
+    if all(item.handle == item.node.item for item in items):
+        return None
+    table = np.full(1 + max(item.handle for item in items), -1, np.int32)
+    for item in items:
+        table[item.handle] = item.node.item
+    return table
 
 
 def _check_pace(created: ua.CreateSubscriptionResult) -> None:

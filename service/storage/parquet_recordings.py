@@ -228,7 +228,8 @@ def _complete(column: pa.Array, name: str, allowed: str) -> pa.Array:
 
 
 def _array(column: pa.Array) -> NDArray[Any]:
-    array: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+    # Arrow's own arrays are read-only: a type of its own, for which all kernels were compiled anew
+    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
     return array
 
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -120,10 +120,13 @@ class LiveService:
             if plan.feed_forward is not None
         }
 
-    async def start(self) -> None:
-        """Take up what was kept before, and show that nothing is known of the present yet."""
+    async def start(self, known: Sequence[Checkpoint] = ()) -> None:
+        """Take up what was kept before, and show that nothing is known of the present yet.
+
+        ``known`` is newer than what was kept, if there is something.
+        """
         kept = []
-        for one in self._store.load():
+        for one in known or self._store.load():
             if (one.valve, one.estimator) == POSITION:
                 self._source.resume_at(one.state)
             else:
@@ -253,8 +256,11 @@ class LiveService:
             naming the file; the states go on in memory.
         """
         await self.settle()
-        every = self._states(range(len(self._lost)))
-        await asyncio.to_thread(self._store.save, [*every, *self._position(self._mark)])
+        await asyncio.to_thread(self._store.save, [*self.states(), *self._position(self._mark)])
+
+    def states(self) -> list[Checkpoint]:
+        """All that is known of all valves."""
+        return self._states(range(len(self._lost)))
 
     async def settle(self) -> None:
         """Wait for what is being kept."""

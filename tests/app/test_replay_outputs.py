@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.app.replay import as_json, replay
+from service.app.replay import MOST_TRIED, as_json, replay
 from service.cli import run
 
 STEP, N = 3_000, 4_000
@@ -36,6 +36,15 @@ def test_auto_names_the_structure_that_it_has_chosen_and_the_others_none(figures
     assert figures["Auto"]["structure"]
     assert figures["RLS"]["structure"] is None
     assert figures["Auto"]["last_change"] is None
+
+
+def test_the_inverse_is_tried_on_a_thousand_samples_at_most_and_the_score_is_of_all(figures):
+    for name in ("RLS", "Auto"):
+        assert 0 <= figures[name]["inverse"]["infeasible"] <= MOST_TRIED
+        assert figures[name]["inverse"]["round_trip_max"] < 0.1
+        assert figures[name]["one_step"]["n"] == pytest.approx(N, abs=50)
+    after_the_step = 1.0 - STEP / N  # they are spread over the whole of the last batch
+    assert figures["RLS"]["interval"]["covered"] == pytest.approx(after_the_step, abs=0.1)
 
 
 def test_samples_of_the_other_edge_are_counted_and_named(tmp_path, capsys):

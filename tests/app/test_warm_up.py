@@ -3,6 +3,12 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+
+from service.app import warm_up
+from service.config.models import Config
 
 # In a process of its own: there no other test has used a kernel before.
 LIFE = """
@@ -69,3 +75,14 @@ def test_a_long_life_compiles_nothing_that_the_warm_up_did_not():
         env=env,
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
+    ran = []
+    parts = [partial(ran.append, number) for number in range(20)]
+    monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
+    taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda _: warm_up._take_parts(Config(), taken, done), range(2)))
+    assert sorted(ran) == list(range(20))
+    assert done.value == 20

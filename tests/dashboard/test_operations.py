@@ -8,10 +8,11 @@ from asyncua import ua
 from support.shown_service import Read, ShownService
 
 from service.clock import ManualClock, SystemClock
-from service.dashboard.figures import SUMMARY, Figures
+from service.dashboard.figures import SERVICE, SUMMARY, Figures
 from service.dashboard.layout import Valve
 from service.dashboard.settings import PageSettings
 from service.dashboard.web import Page
+from service.opcua.information_model import service_variables
 
 OWN = "http://127.0.0.1:8080"
 
@@ -19,6 +20,11 @@ OWN = "http://127.0.0.1:8080"
 def test_the_server_s_own_counts_are_asked_by_the_standard_s_numbers():
     prefix = "Server_ServerDiagnostics_ServerDiagnosticsSummary_"
     assert {name: getattr(ua.ObjectIds, prefix + name) for name in SUMMARY} == SUMMARY
+
+
+def test_everything_that_the_service_shows_of_itself_is_asked_for():
+    there = {node.id for nodes in service_variables().values() for node in nodes}
+    assert {f"Service.{name}" for name in SERVICE} == there
 
 
 async def test_a_figure_that_is_bad_or_no_number_is_left_out():

@@ -53,5 +53,5 @@ def test_every_node_that_a_document_names_is_there(made):
 def test_every_command_that_a_document_names_is_there():
     for document in sorted([ROOT / "README.md", *DOCS.rglob("*.md")]):
         text = document.read_text(encoding="utf-8")
-        for name in re.findall(r"^\$? ?valvemap ([\w-]+)", text, re.MULTILINE):
+        for name in re.findall(r"^\$? ?valvemap ([a-z][\w-]*)", text, re.MULTILINE):
             assert name in COMMANDS, f"{document.name}: valvemap {name}"

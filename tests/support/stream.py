@@ -35,6 +35,7 @@ class NumberedServer:
         self.written = 0
         self.sent = {}  # time and values of each sample, by number
         self.memory = None
+        self.pace_ns = 0  # from sample to sample; 0: as time goes on
 
     @classmethod
     async def create(cls, cache, *, remembers=0, **more):
@@ -67,10 +68,15 @@ class NumberedServer:
     def port(self):
         return int(self.server.url.split(":")[2].split("/")[0])
 
-    def remember(self, n, t, step_ns):
-        """Have had n samples from a time on that nobody was sent, but for the last one."""
+    def remember(self, n, t, step_ns, signals=None):
+        """Have had n samples from a time on that nobody was sent, but for the last one.
+
+        ``signals`` (n - 1, 5) are what they were.
+        """
         k = np.arange(self.written, self.written + n - 1)
-        values = np.column_stack([*((k % 97 + signal).astype(float) for signal in range(5)), k])
+        if signals is None:
+            signals = np.column_stack([(k % 97 + signal).astype(float) for signal in range(5)])
+        values = np.column_stack([signals, k])
         times = (t + np.arange(n) * step_ns) // 100 * 100
         self.memory.keep(values, np.repeat(times[:-1, None], 6, axis=1), time.time_ns())
         self.written += n - 1
@@ -78,11 +84,12 @@ class NumberedServer:
 
     async def play(self, rate_hz):
         """Publish samples for ever; after a standstill, all that were due."""
-        began, first = time.monotonic(), self.written
+        began, first, t0 = time.monotonic(), self.written, time.time_ns()
         while True:
             due = int((time.monotonic() - began) * rate_hz) + first
             while self.written < due:
-                self.publish(time.time_ns())
+                paced = t0 + (self.written - first) * self.pace_ns
+                self.publish(paced if self.pace_ns else time.time_ns())
             await asyncio.sleep(0.01)
 
     def sent_from(self, first):
@@ -111,11 +118,13 @@ class NumberedServer:
 class Collector:
     """Fulfils Consumer: what came, how it aligns, and when."""
 
+    numbered: bool = True
     numbers: list = field(default_factory=list)
+    times: list = field(default_factory=list)  # of samples
     arrived: list = field(default_factory=list)
 
     def __post_init__(self):
-        self.align = Alignment(AlignmentSettings(), (True,), (True,))
+        self.align = Alignment(AlignmentSettings(), (True,), (self.numbered,))
         self.state = self.align.initial_state()
 
     async def connected(self, source_started):
@@ -124,8 +133,9 @@ class Collector:
     async def take(self, changes):
         number = changes.item % SIGNALS_PER_VALVE == SIGNALS_PER_VALVE - 1
         self.numbers += changes.value[number].astype(np.int64).tolist()
-        self.state, _ = self.align.take(self.state, changes)
-        if number.any():
+        self.state, samples = self.align.take(self.state, changes)
+        self.times += samples.samples.t.tolist()
+        if len(changes):
             self.arrived.append(time.monotonic())
 
     async def tick(self):
@@ -145,10 +155,13 @@ class Collector:
 
 
 @asynccontextmanager
-async def watching(served, *, named=False, rate_hz=RATE_HZ, supervision=None, **settings):
+async def watching(
+    served, *, named=False, rate_hz=RATE_HZ, supervision=None, nodes=None, **settings
+):
     """A source behind a proxy, and what comes of it."""
     plant, password = served
-    stop, collector = asyncio.Event(), Collector()
+    nodes = nodes or NODES
+    stop, collector = asyncio.Event(), Collector(numbered=nodes.sequence is not None)
     playing = asyncio.create_task(plant.play(rate_hz))
     try:
         async with Proxy(plant.port) as proxy:
@@ -158,14 +171,14 @@ async def watching(served, *, named=False, rate_hz=RATE_HZ, supervision=None, **
                 password=password if named else None,
                 **settings,
             )
-            source = OpcUaSource(settings, [NODES])
+            source = OpcUaSource(settings, [nodes])
             serving = asyncio.create_task(
                 supervise(
                     source, collector, SystemClock(), stop, supervision or SupervisorSettings()
                 )
             )
             try:
-                await until(lambda: len(collector.numbers) > rate_hz)
+                await until(lambda: len(collector.times) > rate_hz)
                 yield proxy, source, collector
             finally:
                 stop.set()

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.identification.kernels import grid, lag
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_S, MEAN_T, MEAN_U, WEIGHT
 from service.identification.kernels.surface import T_REFERENCE, T_UNIT, Surface, value
 from service.identification.samples import Floats, Status, Times
@@ -148,7 +148,7 @@ def surface(fleet: Fleet, m: int, which: int) -> Surface:
     )
 
 
-@inner
+@spliced
 def run(
     start: int, stop: int, batch: Batch, longest: float, memory: Memory, champion: Surface,
     challenger: Surface,
@@ -205,7 +205,7 @@ def _asks(scalars: Floats, counters: np.ndarray) -> bool:
     return bool(scalars[CHAMPION_SQUARES] > ASKING * scalars[NOISE] * samples)
 
 
-@inner
+@spliced
 def _take(
     i: int, batch: Batch, U: float, s: float, T: float, Q: float, longest: float, memory: Memory,
     champion: Surface, challenger: Surface, scratch: Floats,

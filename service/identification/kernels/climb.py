@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import kernel, spliced
 from service.identification.kernels.grid import MEAN_Q
 from service.identification.kernels.map_fit import fit, plan_of
 from service.identification.kernels.surface import BORDER
@@ -58,7 +58,7 @@ def is_better(points: Floats, shape: Floats, than: Floats, top: float) -> bool:
     return bic(points, shape, top, sigma_2) < bic(points, than, top, sigma_2) - LEAST_GAIN
 
 
-@kernel
+@spliced
 def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
     """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
     rss, penalty, fall, n_effective = _fit(points, shape, top)
@@ -66,7 +66,7 @@ def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
     return criterion if math.isfinite(criterion) else math.inf
 
 
-@kernel
+@spliced
 def noise(points: Floats, shape: Floats, top: float) -> float:
     """σ² that the richest spline with the shape's kinks and play leaves."""
     rich = shape.copy()
@@ -79,7 +79,7 @@ def noise(points: Floats, shape: Floats, top: float) -> float:
     return max(rss / max(len(points) - n_effective, 1.0), floor, 1e-30)
 
 
-@inner
+@spliced
 def _fit(points: Floats, shape: Floats, top: float) -> tuple[float, float, float, float]:
     n = ladder.size(shape)
     theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))

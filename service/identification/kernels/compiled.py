@@ -31,6 +31,15 @@ def inner(function: F) -> F:
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def spliced(function: F) -> F:
+    """Write a function into the one kernel that calls it, before anything is compiled.
+
+    A callee that is compiled by itself is compiled once more with each of its callers. For what
+    has one caller; what has more is written into each.
+    """
+    return _compile(function, inline="always")
+
+
 def inlined(function: F) -> F:
     """Compile a function into every kernel that calls it: what is constant there is constant here.
 
@@ -56,7 +65,7 @@ def _nothing() -> None:
     pass
 
 
-def _compile(function: F, **options: bool) -> F:
+def _compile(function: F, **options: bool | str) -> F:
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
     compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]
     return compiled

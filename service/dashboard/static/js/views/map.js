@@ -2,7 +2,7 @@
 
 import { lineChart } from "../charts.js";
 import { css, h, mark, onTheme, say } from "../dom.js";
-import { fixed, INVERSE_STATUS } from "../format.js";
+import { counted, fixed, INVERSE_STATUS } from "../format.js";
 
 const COLOURINGS = [
   ["Q", "Flow", "l/min"], ["std", "Uncertainty", "± 2 σ, l/min"], ["status", "Extrapolated", ""], ["change", "Difference", "l/min"],
@@ -105,7 +105,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     plotted = Plotly;
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
-    say(words, `${rows.length ? `${rows.length} places measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${fixed(2 * (reach[reach.length >> 1] ?? NaN), 2)} l/min.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
+    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${fixed(2 * (reach[reach.length >> 1] ?? NaN), 2)} l/min.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
   }
 
   function colours(found) {
@@ -137,7 +137,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
       ...near.map(([u, p, q]) => [u, null, null, null, null, q - slope(found, u, p, section)])].sort((a, b) => a[0] - b[0]);
     const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? row[k] : k ? undefined : row[0])));
     chart.chart.setData(columns);
-    say(sectionWords, `Δp ${fixed(section, 0)} bar · ${near.length} points within ± ${NEAR_BAR} bar`);
+    say(sectionWords, `Δp ${fixed(section, 0)} bar · ${counted(near.length, "point")} within ± ${NEAR_BAR} bar`);
   }
 
   function ask() {
