@@ -89,7 +89,7 @@ class ValveTiming:
         self.found: Found | None = None
         self._back = NOTHING
         self._looked_at = 0
-        self._scans = _no_scans()
+        self._scans = _no_scans(0)  # most valves never need room for any
 
     def take(self, changes: Changed, *, flush: bool = False) -> Changed:
         """Take changes in; return what may go on, in the order of scans where there are such."""
@@ -179,7 +179,7 @@ class ValveTiming:
         )
 
     def _settle(self, found: Found) -> None:
-        self.found, self.stands = found, IN_SCANS
+        self.found, self.stands, self._scans = found, IN_SCANS, _no_scans(_PENDING)
 
     def _into_scans(self, changes: Changed, *, flush: bool = False) -> Changed:
         found = self.found
@@ -257,8 +257,9 @@ class ValveTiming:
         StateMismatchError
             if it is of another shape.
         """
-        fresh, shape = _no_scans(), (SIGNALS_PER_VALVE,)
+        shape = (SIGNALS_PER_VALVE,)
         try:
+            fresh = _no_scans(_PENDING if int(state.stands) == IN_SCANS else 0)
             for name, own in fresh._asdict().items():
                 kept = getattr(state, name)
                 own[: len(kept)] = kept
@@ -294,13 +295,13 @@ _NOT_FOUND = Found(
 )
 
 
-def _no_scans() -> Scans:
+def _no_scans(room: int) -> Scans:
     n = SIGNALS_PER_VALVE
     return Scans(
-        time=np.zeros(_PENDING, np.int64),
-        signal=np.zeros(_PENDING, np.int64),
-        value=np.zeros(_PENDING),
-        status=np.zeros(_PENDING, np.uint32),
+        time=np.zeros(room, np.int64),
+        signal=np.zeros(room, np.int64),
+        value=np.zeros(room),
+        status=np.zeros(room, np.uint32),
         now_value=np.zeros(n),
         now_status=np.zeros(n, np.uint32),
         now_time=np.full(n, NEVER),
