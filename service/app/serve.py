@@ -19,9 +19,9 @@ from service.clock import SystemClock
 from service.config.models import Config
 from service.errors import StorageError, ValvemapError
 from service.hardened import HardenedError, ServerSettings
+from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
 from service.opcua.client import OpcUaSource
-from service.opcua.decoding import was_compiled_before
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
@@ -150,7 +150,7 @@ async def _live(
     async with server:
         await live.start(known)
         log.info("results served", url=server.url)
-        if not was_compiled_before():
+        if not was_warmed_up():
             await plan.compiled
         stopping = asyncio.create_task(_pass_on(stop, ended))
         following = asyncio.create_task(_following(plan, reload, ended))

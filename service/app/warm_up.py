@@ -17,12 +17,13 @@ from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator, key_of
 from service.identification.kernels import cells, grid, lag
+from service.identification.kernels.compiled import note_warm_up, was_warmed_up
 from service.identification.map_shapes import Shape, Variety
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Samples, Segments, Trace
 from service.identification.support import Support
-from service.opcua.decoding import decode_data_changes, was_compiled_before
+from service.opcua.decoding import decode_data_changes
 from service.streaming.data_changes import DataChanges
 from service.streaming.plausibility import Plausibility
 from service.streaming.quality_gate import QualityGate
@@ -46,12 +47,13 @@ def warm_up(config: Config, progress: Progress = lambda _done, _of: None) -> Non
 
     The first run on a machine compiles for half a minute and caches the result on disk; later runs
     load it. A second process helps at that: each takes the next part that nobody has taken, and
-    ``progress`` is told now and then how many are done.
+    ``progress`` hears now and then how many are done.
     """
     decode_data_changes(_NO_CHANGES)
-    if not was_compiled_before():
+    if not was_warmed_up():
         _compile_in_parts(config, progress)
     compile_here(config)
+    note_warm_up()
 
 
 def _compile_in_parts(config: Config, progress: Progress) -> None:

@@ -359,11 +359,6 @@ def overflown(status: NDArray[np.uint32]) -> NDArray[np.bool_]:
     return (status & _OVERFLOW_MASK) == _OVERFLOW
 
 
-def was_compiled_before() -> bool:
-    """Whether the loop over records, once it has run, came from the cache on disk."""
-    return bool(_scan.stats.cache_hits)
-
-
 @njit(cache=True, inline="always")
 def _u4(raw: NDArray[np.uint8], at: int) -> np.uint64:
     return (

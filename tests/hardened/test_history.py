@@ -260,15 +260,15 @@ async def test_only_what_has_a_history_can_be_asked_for_it(server, client):
 
 
 async def test_what_the_server_can_is_announced(server, client):
-    async def told(node):
+    async def said_of(node):
         return await client.get_node(node).read_value()
 
-    assert await told(ua.ObjectIds.HistoryServerCapabilities_AccessHistoryDataCapability)
-    assert not await told(ua.ObjectIds.HistoryServerCapabilities_AccessHistoryEventsCapability)
-    assert not await told(ua.ObjectIds.HistoryServerCapabilities_DeleteRawCapability)
-    assert await told(ua.ObjectIds.HistoryServerCapabilities_MaxReturnDataValues) == VALUES
+    assert await said_of(ua.ObjectIds.HistoryServerCapabilities_AccessHistoryDataCapability)
+    assert not await said_of(ua.ObjectIds.HistoryServerCapabilities_AccessHistoryEventsCapability)
+    assert not await said_of(ua.ObjectIds.HistoryServerCapabilities_DeleteRawCapability)
+    assert await said_of(ua.ObjectIds.HistoryServerCapabilities_MaxReturnDataValues) == VALUES
     points = ua.ObjectIds.Server_ServerCapabilities_MaxHistoryContinuationPoints
-    assert await told(points) == POINTS
+    assert await said_of(points) == POINTS
 
 
 async def test_a_historian_that_takes_its_time_holds_up_nobody_else(server, client):

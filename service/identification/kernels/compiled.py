@@ -48,6 +48,20 @@ def inlined(function: F) -> F:
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 
 
+def was_warmed_up() -> bool:
+    """Whether a warm-up came to its end here before, with the kernels as they are.
+
+    Private seam of numba: the dispatcher's ``_cache``, asked without compiling.
+    """
+    found = _end_of_warm_up._cache.load_overload((), _end_of_warm_up.targetctx)  # type: ignore[attr-defined]  # noqa: SLF001
+    return found is not None
+
+
+def note_warm_up() -> None:
+    """Have `was_warmed_up` say so from now on."""
+    _end_of_warm_up()
+
+
 def _load_numba_without_scipy() -> None:
     """Have numba load its array functions now, without the look for BLAS that they begin with.
 
@@ -72,3 +86,8 @@ def _compile(function: F, **options: bool | str) -> F:
 
 
 _load_numba_without_scipy()
+
+
+@kernel
+def _end_of_warm_up() -> None:
+    """Compiled last of all."""
