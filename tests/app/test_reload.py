@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, suppress
 import numpy as np
 import pytest
 from asyncua import Client, ua
-from support.processes import free_port, running, service_url, wait_for
+from support.processes import free_port, rig_url, running, service_url, wait_for
 
 from service.app.build import build_identification
 from service.app.reload import Reload
@@ -180,9 +180,11 @@ async def test_a_faulty_configuration_is_refused_and_the_old_one_goes_on(served,
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGHUP")
-async def test_a_hang_up_has_the_file_read_again(tmp_path):
+def test_a_hang_up_has_the_file_read_again(tmp_path, start_rig):
     file, log, port = tmp_path / "service.toml", tmp_path / "log", free_port()
-    rig = f"opc.tcp://127.0.0.1:{free_port()}/valvemap/rig/"
+    rig_port, scenario = free_port(), tmp_path / "two.toml"
+    scenario.write_text('valves = [{ name = "Boom" }, { name = "Bucket" }]', encoding="utf-8")
+    rig = rig_url(rig_port)
     text = f"""
         source = {{ url = "{rig}", security = "None" }}
         server = {{ url = "{service_url(port)}" }}
@@ -192,13 +194,15 @@ async def test_a_hang_up_has_the_file_read_again(tmp_path):
     valve = "[[valves]]\nname = '{}'\nestimators = [{{ kind = 'RLS' }}]\n"
     UserStore().save(tmp_path / "users.json")
     file.write_text(text + valve.format("Boom"), encoding="utf-8")
-    async with rig_of(rig, "Boom", "Bucket"):
-        with running("serve", "--config", str(file), log=log) as process:
-            await asyncio.to_thread(wait_for, log, "first results published", process)
-            for written, said in (
-                ("valves = 7", "configuration refused"),
-                (text + valve.format("Boom") + valve.format("Bucket"), "configuration taken over"),
-            ):
-                file.write_text(written, encoding="utf-8")
-                process.send_signal(signal.SIGHUP)
-                await asyncio.to_thread(wait_for, log, said, process)
+    with (
+        start_rig(rig_port, "--scenario", str(scenario)),
+        running("serve", "--config", str(file), log=log) as process,
+    ):
+        wait_for(log, "first results published", process)
+        for written, said in (
+            ("valves = 7", "configuration refused"),
+            (text + valve.format("Boom") + valve.format("Bucket"), "configuration taken over"),
+        ):
+            file.write_text(written, encoding="utf-8")
+            process.send_signal(signal.SIGHUP)
+            wait_for(log, said, process)
