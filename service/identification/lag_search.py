@@ -2,7 +2,8 @@
 
 A map that is linear in its parameters lags as its regressors do, so for any pair of lags the best
 coarse map, and what it leaves, follow by least squares (:func:`kernels.lag.misfit`). A look finds
-the pair that leaves least in the last samples, and how sharply. Looks add up as information does::
+the pair that leaves least in the last samples, and how sharply, after what noise repeats from
+sample to sample is taken off. Looks add up as information does::
 
     J(x) = N·ln(squares) ~ (x - x̂)ᵀ·Λ·(x - x̂),   Σ = ΣΛ,   b = ΣΛ·x̂,   x = Σ⁻¹·b
 
@@ -11,6 +12,7 @@ A lag is claimed if without it J would be larger by CLEAR.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Final
 
@@ -29,7 +31,8 @@ FIRST_ROUNDS, LATER_ROUNDS = 6, 3  # times that the step may be halved
 LEAST_WAY: Final = 1.0  # ranges that U must travel within the rows to tell its lag, and Q its own
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200
-CLEAR: Final = 40.0  # gain in J: a clear lag, noise of correlation .9 included
+CLEAR: Final = 40.0  # gain in J: a clear lag
+COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
 
@@ -42,16 +45,20 @@ def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) 
     The first look searches everywhere, later ones around what is known.
     """
     rows = np.ascontiguousarray(rows, np.float64)
-    squares, counted = kernel.misfit(rows, 0.0, 0.0)
+    squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
     if counted >= LEAST_ROWS and squares > 0.0:
 
-        def score(lags: Pair) -> float:
-            left = kernel.misfit(rows, *lags)[0]
+        def score(lags: Pair, rho: float) -> float:
+            left = kernel.misfit(rows, *lags, rho)[0]
             return float(counted * math.log(max(left, 1e-12 * squares)))
 
         near = _resolved(known) if known[LOOKED] else None
         free = _moved(rows, kernel.LEFT_U) >= LEAST_WAY, _moved(rows, kernel.LEFT_Q) >= LEAST_WAY
-        found = _information(score, _search(score, near, free), free)
+        at = _search(partial(score, rho=0.0), near, free)
+        rho = min(COLOURS, key=lambda rho: score(at, rho))
+        if rho:
+            at = _search(partial(score, rho=rho), near, free)
+        found = _information(partial(score, rho=rho), at, free)
         if found is not None:
             known[UU:] *= KEPT
             known[UU:] += found
