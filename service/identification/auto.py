@@ -393,7 +393,7 @@ class Auto:
         if len(points) > NEW_START * progress[STARTED, 1]:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            varied = variety(_weights(state), points, max(self.lags(state)))
+            varied = variety(_weights(state), points, sum(self.lags(state)))
             challenger, explorer = self._climb(
                 points,
                 challenger,

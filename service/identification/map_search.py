@@ -52,7 +52,7 @@ def noise(points: Floats, shape: Shape, top: float) -> float:
 
 
 def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
-    """What the memory can tell apart, behind a lag known to be ``lag`` s.
+    """What the memory can tell apart, behind lags of ``lag`` s in all.
 
     ``sides`` (N, 2): samples with U falling and rising, cell by cell.
     """

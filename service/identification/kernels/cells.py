@@ -61,7 +61,7 @@ SMOOTH_U, SMOOTH_S = 15.0, 3.0  # %, √bar: over what ways a map says the same 
 KNOWN_MAP = 256  # samples from which on a map says enough to tell the colour of noise
 YOUNG = 1000  # samples for which a map is too young to say what the meter's lag makes of it
 PLAIN_S = 0.7  # √bar: below it the map is too steep in s for a cell to tell a change
-FITTING = 4.0  # σ that a cell may lie off the map and still tell a change
+FITTING = 4.0  # σ that a cell may lie off the map and still tell a change or the noise's colour
 OFFSET_DOUBT = 0.1  # share of what the map says of the meter's lag that may be wrong
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
@@ -346,12 +346,14 @@ def _compare(
             whitened = off * math.sqrt(known[WEIGHT] / (known[WEIGHT] + 1.0))
             most = ALARM_LEVEL if known[WEIGHT] >= SURE else MOST_OF_A_STAY
             _watch(whitened / max(math.hypot(sigma, doubt), 1e-9), off, t, most, scalars, counters)
+    calm = max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL
     if counters[USED] - counters[OPENED] >= KNOWN_MAP and cell[WEIGHT] >= SETTLED_CELL:
-        _know_colour(error, counters[USED] - counters[COMPARED], scalars)
         _know_rate(error + scalars[RATE] * grown, grown, scalars)
-        counters[COMPARED] = counters[USED]
+        if calm and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:  # neither change nor misfit
+            _know_colour(error, counters[USED] - counters[COMPARED], scalars)
+            counters[COMPARED] = counters[USED]
     bound = CLIP * sigma / whitening
-    if max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL:
+    if calm:
         limit = NOISE_CLIP * sigma
         since = counters[USED] - counters[OPENED]
         longest = min(max(0.25 * since, NOISE_KNOWN), NOISE_MEMORY)
