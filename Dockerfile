@@ -8,12 +8,14 @@ ENV PIP_DISABLE_PIP_VERSION_CHECK=1 \
     PIP_PYTHON=/opt/valvemap/venv/bin/python
 WORKDIR /src
 RUN python -m venv --without-pip /opt/valvemap/venv
-COPY requirements.lock ./
-RUN python -m pip install --require-hashes --only-binary=:all: -r requirements.lock
+COPY requirements-image.lock ./
+RUN python -m pip install --no-compile --require-hashes --only-binary=:all: -r requirements-image.lock
+# Tests of others are not run here; warm-up compiles what is imported.
+RUN find /opt/valvemap/venv/lib -depth -type d -name tests -exec rm -r {} +
 COPY pyproject.toml README.md LICENSE ./
 COPY service ./service
 COPY virtual_rig ./virtual_rig
-RUN python -m pip install --no-deps .
+RUN python -m pip install --no-compile --no-deps .
 
 # Warm-up: what the first start would compile is compiled here, for any machine of this
 # architecture; the entry point copies it to where it may be added to.
@@ -42,7 +44,7 @@ ENV PATH=/opt/valvemap/venv/bin:$PATH \
 WORKDIR /data
 VOLUME /data
 USER 10001:10001
-EXPOSE 4840 4841
+EXPOSE 4840 4841 8080
 STOPSIGNAL SIGINT
 HEALTHCHECK --interval=10s --timeout=6s --start-period=60s --retries=3 \
     CMD ["python", "/opt/valvemap/healthcheck.py", "4841"]

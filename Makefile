@@ -6,7 +6,10 @@ RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
-.PHONY: install demo test hardened lint format soak bench report lock clean
+# Markers of the tests that need foreign programs.
+PEERS := node or milo or image or chromium
+
+.PHONY: install demo test peers hardened lint format soak bench report lock clean
 
 install: $(RUNTIME)
 
@@ -14,7 +17,12 @@ demo: $(RUNTIME)
 	@$(BIN)/valvemap demo
 
 test: lint
-	$(BIN)/python -m pytest -m "not soak"
+	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or $(PEERS))"
+	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
+
+peers: $(DEV)
+	$(BIN)/python -m pytest -m "($(PEERS)) and not soak"
 
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.
 hardened: $(DEV)
@@ -49,7 +57,9 @@ report: $(RUNTIME)
 
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
-	    --extra plot --extra parquet pyproject.toml -o requirements.lock
+	    --extra dashboard --extra plot --extra parquet pyproject.toml -o requirements.lock
+	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
+	    --extra dashboard pyproject.toml -c requirements.lock -o requirements-image.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --all-extras --group dev pyproject.toml -c requirements.lock -o requirements-dev.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \

@@ -67,7 +67,7 @@ MAPS = {
 
 def main() -> int:
     """Measure, print, write."""
-    if not measured_data.is_there():
+    if not measured_data.elsewhere_is_there():
         print(measured_data.ABSENT, file=sys.stderr)
         return 1
     there = peers.installed()

@@ -36,7 +36,7 @@ async def ours(url: str, interval_ms: float, seconds: float) -> list[float]:
     names = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd")
     nodes = (f"nsu=urn:valvemap:service;s=Valvistor.RLS.{name}" for name in names)
     settings = SourceSettings(url, publishing_interval_ms=interval_ms)
-    source = OpcUaSource(settings, [ValveNodes("Valvistor", *nodes)])
+    source = OpcUaSource(settings, [ValveNodes("Valvistor", *nodes, insist=True)])
     ages: list[float] = []
     await source.connect()
     try:

@@ -76,7 +76,7 @@ def main(arguments: list[str]) -> int:
     valves, hz, seconds = given + [1000.0, 170.0, 60.0][len(given) :]
     figures = measured(int(valves), hz, seconds, secured="secured" in arguments)
     for name, value in figures.items():
-        print(f"{name:26} {value:14,.1f}")
+        print(f"{name:26} {value:14,.3f}")
     return 0
 
 
@@ -121,8 +121,8 @@ def _rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Itera
 
 
 @contextmanager
-def running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
-    """Run a server in a process of its own, from when it says where it listens."""
+def running(module: list[str], environment: dict[str, str]) -> Iterator[int]:
+    """Run a server in a process of its own, from when it says where it listens; give its id."""
     with subprocess.Popen(
         [sys.executable, "-m", *module],
         stdin=subprocess.PIPE,
@@ -138,9 +138,15 @@ def running(module: list[str], environment: dict[str, str]) -> Iterator[None]:
             while "opc.tcp" not in (line := process.stdout.readline()):
                 if not line:
                     raise RuntimeError(f"{module[0]} did not start")
-            yield
+            yield process.pid
         finally:
             process.kill()
+
+
+def processor_time(pid: int) -> float:
+    """Seconds of a core that another process has used, by Linux' `/proc`."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def init(folder: Path, url: str) -> dict[str, str]:

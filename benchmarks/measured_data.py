@@ -1,6 +1,8 @@
-"""Certified and measured data that nobody here made, read from beside the repository.
+"""Certified and measured data that nobody here made.
 
-None of it is part of the project: where the folder is absent, its users say so and go on.
+What its terms allow lies in ``tests/data``, with its origin and licence; the actuator and the air
+valve are read from beside the repository, and where that folder is absent, their users say so and
+go on.
 """
 
 import csv
@@ -17,14 +19,16 @@ from numpy.typing import NDArray
 from service.identification.samples import Samples
 
 Floats = NDArray[np.float64]
-FOLDER = Path(__file__).resolve().parents[1].parent / "shared" / "data"
-ABSENT = "measured data: ../shared/data is not there"
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "tests" / "data"
+ELSEWHERE = ROOT.parent / "shared" / "data"  # what may not be passed on
+ABSENT = "actuator and air valve: their terms keep them out of here, ../shared/data is not there"
 SECOND = 1_000_000_000  # ns
 
 
-def is_there() -> bool:
-    """Whether the data lie beside the repository."""
-    return FOLDER.is_dir()
+def elsewhere_is_there() -> bool:
+    """Whether the data that may not be passed on lie beside the repository."""
+    return ELSEWHERE.is_dir()
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ class Dynamics:
 
 def actuator() -> Dynamics:
     """Hydraulic actuator: opening u of its valve, oil pressure y, 1024 samples, no units."""
-    arrays = scipy.io.loadmat(FOLDER / "actuator" / "actuator.mat")
+    arrays = scipy.io.loadmat(ELSEWHERE / "actuator" / "actuator.mat")
     return Dynamics(*(np.ascontiguousarray(arrays[key].ravel(), np.float64) for key in "up"))
 
 
@@ -147,7 +151,7 @@ def air_valve() -> Samples:
 
     U is 0 % in the middle (5 V), 100 % at 10 V. Zhu, thesis, Vanderbilt University 2006, table 2-2.
     """
-    path = FOLDER / "proportional_valve_air" / "zhu2006_table2-2_valve_data.csv"
+    path = ELSEWHERE / "proportional_valve_air" / "zhu2006_table2-2_valve_data.csv"
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     volts, Q = table[:, 0], table[:, 5]
     return Samples.of(

@@ -38,17 +38,20 @@ def measured(valves: int = 1_000, hz: float = 70.0, seconds: float = 15.0) -> di
     """Notifications per second at the client, and what was lost."""
     set_up_logs(LogConfig(level="error"))
     url = live_speed.free_url("service")
-    with live_speed.running(["benchmarks.results_speed", "serve", url, str(valves), str(hz)], {}):
-        return {"valves": valves, **asyncio.run(_read(url, valves, seconds))}
+    with live_speed.running(
+        ["benchmarks.results_speed", "serve", url, str(valves), str(hz)], {}
+    ) as pid:
+        return {"valves": valves, **asyncio.run(_read(url, valves, seconds, pid))}
 
 
-async def _read(url: str, valves: int, seconds: float) -> dict[str, float]:
+async def _read(url: str, valves: int, seconds: float, server: int) -> dict[str, float]:
     prefix = f"nsu={APPLICATION_URI};s="
     nodes = [
         ValveNodes(
             name,
             *(f"{prefix}{name}.RLS.{number}" for number in NUMBERS),
             sequence=f"{prefix}{name}.RLS.SampleCount",
+            insist=True,  # they are no signals
         )
         for name in _names(valves)
     ]
@@ -56,14 +59,17 @@ async def _read(url: str, valves: int, seconds: float) -> dict[str, float]:
     await source.connect()
     try:
         await count_changes(source, WARM_S)
-        cpu, began = time.process_time(), time.perf_counter()
+        served, cpu = live_speed.processor_time(server), time.process_time()
+        began = time.perf_counter()
         found = await count_changes(source, seconds)
         took, cpu = time.perf_counter() - began, time.process_time() - cpu
+        served = live_speed.processor_time(server) - served
     finally:
         await source.close()
     return {
         "notifications/s": found["notifications"] / took,
         "lost": found["gaps"] + source.counters.missing_messages + source.counters.overflows,
+        "cores of the service": served / took,
         "cores of the client": cpu / took,
     }
 
@@ -110,7 +116,7 @@ def main(arguments: list[str]) -> int:
     given = [float(x) for x in arguments]
     valves, hz, seconds = given + [1_000.0, 70.0, 15.0][len(given) :]
     for name, value in measured(int(valves), hz, seconds).items():
-        print(f"{name:20} {value:12,.1f}")
+        print(f"{name:20} {value:12,.3f}")
     return 0
 
 

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from benchmarks import (
+    alignment_speed,
     kernel_speed,
     latency,
     live_speed,
@@ -48,6 +49,7 @@ def main() -> int:
         "Live over TCP, no encryption": live_speed.measured(1_000, 170.0),
         "Live over TCP, SignAndEncrypt": live_speed.measured(400, 170.0, secured=True),
         "Plain scripts, notifications/s": live_speed.scripted(),
+        "Alignment, ns per change": alignment_speed.measured(),
         "Results to our client": results_speed.measured(),
         "One valve at 1,000 Hz": latency.measured(),
         "Start, s": start_up.measured(),

@@ -1,18 +1,23 @@
 # ruff: noqa: INP001 - a script on its own
 """Ask the OPC UA server on this machine's port (first argument, else 4841) for a sign of life.
 
-Exit code 0 if it answers Hello with Acknowledge (OPC UA part 6, 7.1.2), else 1 and a line why.
+Exit code 0 if it answers Hello with Acknowledge (OPC UA part 6, 7.1.2), else 1 and a line why. An
+argument that begins with http:// is asked for instead: 0 if the answer is a good one.
 """
 
 import socket
 import struct
 import sys
+import urllib.request
 
 TIMEOUT_S = 5.0
 
 
 def main() -> None:
     """Greet the server once."""
+    if len(sys.argv) > 1 and sys.argv[1].startswith("http://"):
+        ask(sys.argv[1])
+        return
     port = int(sys.argv[1]) if len(sys.argv) > 1 else 4841
     try:
         answer = greet(port)
@@ -20,6 +25,15 @@ def main() -> None:
         sys.exit(f"port {port}: {error}")
     if answer[:3] != b"ACK":
         sys.exit(f"port {port}: answered {answer!r} to Hello")
+
+
+def ask(url: str) -> None:
+    """Ask a web server once."""
+    try:
+        with urllib.request.urlopen(url, timeout=TIMEOUT_S):  # noqa: S310 - http:// it is
+            pass
+    except OSError as error:
+        sys.exit(f"{url}: {error}")
 
 
 def greet(port: int) -> bytes:

@@ -5,7 +5,9 @@
     ValvemapError                 one line for the user, exit code 1
     ├── ConfigurationError        a file, field or argument is wrong, exit code 2
     ├── RecordingError            a recording cannot be read or written
+    │   └── NoRecording           it is not there, or of no known kind, exit code 2
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
+    │   └── NoSuchFile            what was named is not there, exit code 2
     ├── CommandRejected           an operator's command cannot be carried out
     └── SourceError               the source server
         ├── SourceLost            worth another try: connection refused, cut, silent
@@ -29,8 +31,20 @@ class RecordingError(ValvemapError):
     """A recording cannot be read or written."""
 
 
+class NoRecording(RecordingError):  # noqa: N818 - it says what happened
+    """What was named is not there, or its name says that it is no recording."""
+
+    exit_code = 2
+
+
 class StorageError(ValvemapError):
     """A store cannot be read or written."""
+
+
+class NoSuchFile(StorageError):  # noqa: N818
+    """What was named is not there."""
+
+    exit_code = 2
 
 
 class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke

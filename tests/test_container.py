@@ -81,8 +81,20 @@ def test_what_runs_carries_neither_builder_nor_installer():
 
 def test_every_dependency_is_installed_by_its_hash_and_without_a_compiler():
     installs = [argument for argument in BUILD.all("RUN") if "pip install" in argument]
-    assert "--require-hashes --only-binary=:all: -r requirements.lock" in installs[0]
-    assert installs[1:] == ["python -m pip install --no-deps ."]
+    assert "--require-hashes --only-binary=:all: -r requirements-image.lock" in installs[0]
+    assert installs[1:] == ["python -m pip install --no-compile --no-deps ."]
+
+
+def test_what_is_installed_is_what_is_locked_for_everybody_without_pictures_and_parquet():
+    def pinned(name):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        return set(re.findall(r"^[\w.-]+==\S+", text, re.MULTILINE))
+
+    image, everybody = pinned("requirements-image.lock"), pinned("requirements.lock")
+    assert image < everybody
+    left_out = {package.partition("==")[0] for package in everybody - image}
+    assert {"matplotlib", "pyarrow"} <= left_out
+    assert {"numba", "asyncua", "uvicorn"} & left_out == set()
 
 
 def test_nothing_runs_as_root():
@@ -168,7 +180,7 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
 # -- docker-compose.yml
 
 
-@pytest.mark.parametrize("name", ["init", "rig", "service"])
+@pytest.mark.parametrize("name", ["init", "rig", "service", "page"])
 def test_every_container_is_locked_down(name):
     container = SERVICES[name]
     assert container["user"] == FINAL.last("USER")
@@ -182,13 +194,34 @@ def test_every_container_is_locked_down(name):
     assert "data" in COMPOSE["volumes"]
 
 
-def test_there_are_three_containers():
-    assert list(SERVICES) == ["init", "rig", "service"]
+def test_there_are_four_containers_and_two_more_to_watch_them():
+    of_profile = {name: service.get("profiles") for name, service in SERVICES.items()}
+    monitoring = ["monitoring"]
+    assert of_profile == {
+        **dict.fromkeys(["init", "rig", "service", "page"]),
+        **dict.fromkeys(["prometheus", "grafana"], monitoring),
+    }
+
+
+@pytest.mark.parametrize("name", ["prometheus", "grafana"])
+def test_what_watches_is_locked_down_too_and_changes_nothing(name):
+    container = SERVICES[name]
+    assert container["read_only"] is True
+    assert container["cap_drop"] == ["ALL"]
+    assert re.search(r":v?\d+\.\d+\.\d+$", container["image"])
+    for volume in container["volumes"]:
+        source, _, *read_only = volume.split(":")
+        if source.startswith("./"):
+            assert (ROOT / source).is_file()
+            assert read_only == ["ro"]
+        else:
+            assert source in COMPOSE["volumes"]
 
 
 def test_ports_are_published_on_loopback_alone():
     assert "ports" not in SERVICES["init"]
-    for name, port in (("rig", 4840), ("service", 4841)):
+    ports = {"rig": 4840, "service": 4841, "page": 8080, "prometheus": 9090, "grafana": 3000}
+    for name, port in ports.items():
         (published,) = SERVICES[name]["ports"]
         assert re.fullmatch(rf"127\.0\.0\.1:\$\{{\w+:-{port}\}}:{port}", published)
 
@@ -197,7 +230,7 @@ def test_init_runs_once_before_the_others_and_needs_no_network():
     assert SERVICES["init"]["command"] == ["init"]
     assert SERVICES["init"]["restart"] == "no"
     assert SERVICES["init"]["network_mode"] == "none"
-    for name in ("rig", "service"):
+    for name in ("rig", "service", "page"):
         waits = SERVICES[name]["depends_on"]
         assert waits["init"] == {"condition": "service_completed_successfully"}
     assert SERVICES["service"]["depends_on"]["rig"] == {"condition": "service_healthy"}
@@ -236,6 +269,20 @@ def test_the_commands_know_every_variable_that_they_are_given(name, monkeypatch)
     assert str(context.params["data"]) == "/data"
     hosts = context.params["host" if name == "rig" else "rig_host"]
     assert list(hosts) == ["rig", "localhost"]
+
+
+def test_the_page_s_variables_are_options_of_its_command(monkeypatch):
+    command, words = command_line("page")
+    for variable, value in environment("page").items():
+        monkeypatch.setenv(variable, value)
+    known = {option.envvar for option in command.params if option.envvar}
+    assert set(SERVICES["page"]["environment"]) <= known
+    options = command.make_context(words[0], words[1:]).params
+    assert options["url"] == "opc.tcp://service:4841/valvemap/service/"
+    assert options["listen"] == "0.0.0.0:8080"
+    assert list(options["host_name"]) == ["page", "localhost"]
+    _, address, path = SERVICES["page"]["healthcheck"]["test"][-1].rpartition("127.0.0.1:8080")
+    assert (address, path) == ("127.0.0.1:8080", "/livez")
 
 
 def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
@@ -361,6 +408,9 @@ class Build:
                 shutil.copy(ROOT / source, into)
 
 
+_MOST_BYTES = 430 * 1024 * 1024  # of /opt/valvemap
+
+
 @pytest.fixture
 def build(tmp_path):
     yield Build(tmp_path)
@@ -376,6 +426,10 @@ def test_the_image_s_steps_build_something_that_runs(build):
         build.start_stage()
         for instruction, argument in stage.steps:
             build.step(instruction, argument)
+
+    opt = build.root / "opt" / "valvemap"
+    files = [file for file in opt.rglob("*") if file.is_file() and not file.is_symlink()]
+    assert sum(file.stat().st_size for file in files) < _MOST_BYTES
 
     warm = build.root / "opt" / "valvemap" / "cache" / "numba"
     compiled = {file.relative_to(warm) for file in warm.rglob("*.nbc")}

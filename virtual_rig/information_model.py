@@ -377,6 +377,7 @@ async def _add_signals(
             None,
             unit=unit,
             value_range=(-0.05 * high, 1.05 * high),  # noise around zero is no error
+            instrument_range=(-0.05 * high, 1.05 * high),
             description=description,
         )
         for last, unit, high, description in (

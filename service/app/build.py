@@ -1,12 +1,13 @@
 """From the configuration's words to the objects that do the work."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 from service.config.estimators import build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
+from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
 from service.hardened import (
     Limits,
@@ -18,6 +19,7 @@ from service.hardened import (
     ensure_certificate,
 )
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.storage.layout import NUMBERS, Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -26,6 +28,7 @@ from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
+from service.streaming.units import QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -43,13 +46,20 @@ def build_identification(config: Config) -> Identification:
 def build_alignment(config: Config) -> Alignment:
     """How the signals of all valves find together."""
     signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
+    given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
-        tolerance_ns=round(config.alignment.tolerance_ms * 1e6),
-        max_wait_ns=round(config.alignment.max_wait_s * 1e9),
-        max_pending=config.alignment.max_pending,
-        hold_ns={signals[name]: round(s * 1e9) for name, s in config.alignment.hold_s.items()},
+        tolerance_ns=round(given.tolerance_ms * 1e6),
+        max_wait_ns=round(given.max_wait_s * 1e9),
+        max_pending=given.max_pending,
+        reorder_ns=reorder_ns,
+        reorder_by_time_ns=reorder_ns if "reorder_ms" in given.model_fields_set else 0,
+        hold_ns={signals[name]: round(s * 1e9) for name, s in given.hold_s.items()},
     )
-    return Alignment(settings, tuple(valve.nodes.T is not None for valve in config.valves))
+    return Alignment(
+        settings,
+        has_T=tuple(valve.nodes.T is not None for valve in config.valves),
+        has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
+    )
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
@@ -74,8 +84,26 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         queue_size=config.source.queue_size,
         timeout_s=config.source.timeout_s,
     )
-    nodes = [ValveNodes(valve=valve.name, **valve.nodes.model_dump()) for valve in config.valves]
+    nodes = [
+        ValveNodes(
+            valve=valve.name,
+            **valve.nodes.model_dump(),
+            measures=_measures(valve, QUANTITY_OF),
+            insist=valve.insist,
+        )
+        for valve in config.valves
+    ]
     return OpcUaSource(settings, nodes, ready=ready)
+
+
+def build_layout(config: Config) -> Layout:
+    """Where recordings hold the valves' signals."""
+    return Layout(
+        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
+        time=config.recording.time,
+        valve=config.recording.valve,
+        quality=config.recording.quality,
+    )
 
 
 def build_server_settings(config: Config) -> ServerSettings:
@@ -87,7 +115,7 @@ def build_server_settings(config: Config) -> ServerSettings:
         namespace_uri=APPLICATION_URI,
         pki=Pki(config.security.pki),
         require_crl=config.security.require_crl,
-        users=UserStore.load(config.security.users),
+        users=load_users(config.security.users),
         anonymous_observer=config.server.anonymous_observer,
         host_names=config.server.host_names,
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
@@ -95,10 +123,26 @@ def build_server_settings(config: Config) -> ServerSettings:
     )
 
 
+def load_users(file: Path) -> UserStore:
+    """Read who may log in.
+
+    Raises
+    ------
+    ConfigurationError
+        if the file is not there: it says what makes it; or if it is wrong.
+    """
+    if not file.exists():
+        raise ConfigurationError(
+            f"{file}: no such file; `valvemap init` makes users, certificates and a configuration"
+        )
+    return UserStore.load(file)
+
+
 def build_live_settings(config: Config) -> LiveSettings:
     """When results are stale, when states are kept."""
     return LiveSettings(
         stale_after_s=config.alignment.stale_after_s,
+        reorder_s=config.alignment.reorder_ms * 1e-3,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
     )
 
@@ -117,6 +161,10 @@ def own_certificate(config: Config) -> OwnCertificate:
     return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
 
 
+def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
+    return {name: getattr(valve.signals, name).measure(name) for name in names}
+
+
 def _plan(valve: ValveConfig) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
     estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
@@ -132,6 +180,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_Q=_axis(*valve.Q_range_l_min),
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
+        insist=valve.insist,
     )
 
 
@@ -164,18 +213,3 @@ def _password(source: SourceConfig) -> str | None:
     if source.password_file is None:
         return None
     return read_secret(source.password_file)
-
-
-def read_secret(file: Path) -> str:
-    """The first line of a file that holds a password.
-
-    Raises
-    ------
-    ConfigurationError
-        naming the file.
-    """
-    try:
-        return file.read_text(encoding="utf-8").splitlines()[0]
-    except (OSError, IndexError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it holds no password"
-        raise ConfigurationError(f"{file}: {str(reason).lower()}") from None

@@ -56,6 +56,9 @@ class _Recorder:
         self._writer = writer
         self.samples = 0
 
+    async def connected(self, source_started: int) -> None:
+        pass
+
     async def take(self, changes: DataChanges) -> None:
         self._waiting, samples = self._alignment.update(self._waiting, changes)
         for valve, batch in samples.items():

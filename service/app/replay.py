@@ -2,26 +2,28 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
-from service.app.build import build_plans
+from service.app.build import build_layout, build_plans
 from service.config.models import Config, ValveConfig
-from service.errors import ConfigurationError
+from service.errors import ConfigurationError, RecordingError
 from service.identification.forgetting import Exponential
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.recursive_least_squares import Change, RecursiveLeastSquares
 from service.identification.samples import Quality, Samples, Segments, Trace
 from service.identification.survey import Survey
+from service.storage.layout import Layout
 from service.storage.recordings import read_recording
 from service.streaming import pipeline
 from service.streaming.fleet import COUNTER_NAMES, Fleet
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
+from service.streaming.plausibility import Kind, Plausibility
 from service.streaming.ports import EstimatorResults
 from service.streaming.score import Score
 
@@ -40,11 +42,12 @@ class EstimatorReport:
     Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
     ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
     inverse calls feasible, ``infeasible`` the number of the others. ``noise_std`` (l/min) is the
-    spread of measurements about the map of late, ``covered`` the share of the samples tried that
+    recent spread of measurements about the map, ``covered`` the share of the samples tried that
     lay within their 95 % interval, ``survey`` what the map does not know, ``beyond_range`` how many
     samples had a U that some estimator of the valve cannot describe, ``T`` (°C) the oil
-    temperature measured last, ``change`` the last change of the valve that was found, and
-    ``structure`` what `Auto` has chosen.
+    temperature measured last, ``change`` the last change of the valve that was found,
+    ``structure`` what `Auto` has chosen, ``rejected`` why samples were not learnt from, with
+    ``samples`` the number of all, and ``hints`` what looks odd about the valve's signals.
     """
 
     lane: Lane
@@ -61,6 +64,9 @@ class EstimatorReport:
     T: float
     change: Change | None
     structure: str | None
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    samples: int = 0
+    hints: tuple[str, ...] = ()
 
 
 Report = Mapping[str, Mapping[str, EstimatorReport]]
@@ -72,6 +78,8 @@ def replay(
     verify: Path | None = None,
     progress: Progress = lambda _file, _fraction: None,
     tap: Tap = lambda _valve, _samples, _traces: None,
+    *,
+    insist: bool = False,
 ) -> Report:
     """Run recordings through the pipeline, file after file, in constant memory.
 
@@ -82,9 +90,11 @@ def replay(
     config
         Valves and estimators; without it the default estimators run on every valve found.
     progress
-        Told the file and how much of it is done (0 to 1).
+        Called with the file and how much of it is done (0 to 1).
     tap
         Sees every batch with what the estimators said of it.
+    insist
+        Learn from signals that cannot be what they are called, too.
 
     Returns
     -------
@@ -97,14 +107,16 @@ def replay(
     RecordingError, ConfigurationError
     """
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
+    layout = None if config is None else build_layout(config)
     valves: dict[str, _Learnt] = {}
     for file in files:
-        for name, samples in _read(file, progress):
+        for name, samples in _read(file, layout, progress):
             if name not in valves:
                 plan = _default_plan(name) if plans is None else plans.get(name)
                 if plan is None:
                     continue
-                valves[name] = _Learnt(plan)
+                valves[name] = _Learnt(replace(plan, insist=plan.insist or insist))
+            valves[name].look_at(samples, file)
             judged, traces = valves[name].learn(samples)
             tap(name, judged, traces)
     if not valves:
@@ -113,7 +125,7 @@ def replay(
     checks = {name: [_check(valve, valve.last)] for name, valve in valves.items()}
     if verify is not None:
         checks = {name: [] for name in valves}
-        for name, samples in _read(verify, progress):
+        for name, samples in _read(verify, layout, progress):
             if name in valves:
                 checks[name].append(_check(valves[name], samples))
     return {
@@ -159,6 +171,30 @@ class _Learnt:
         self.plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
         self.last = Samples.empty()
         self._fleet = Fleet(self.plan, 1)
+        self._plausibility = Plausibility(1)
+        self.samples = 0
+
+    def look_at(self, samples: Samples, file: Path) -> None:
+        """Refuse to learn from what cannot be what it is called."""
+        if len(samples) == 0:
+            return
+        self.samples += len(samples)
+        self._plausibility.count(samples, Segments.one(len(samples)))
+        for finding in self._plausibility.findings(0):
+            if finding.kind is Kind.REFUSED and not self.plan.insist:
+                raise RecordingError(
+                    f"{file}: valve {self.plan.name}: {finding.sentence}; --insist learns from it "
+                    "all the same"
+                )
+
+    def hints(self) -> tuple[str, ...]:
+        """What looks odd, and what was insisted upon."""
+        return tuple(finding.sentence for finding in self._plausibility.findings(0))
+
+    def rejected(self) -> Mapping[str, int]:
+        """Why samples were not learnt from."""
+        counts = self._fleet.rejections()[0].tolist()
+        return {name: n for name, n in zip(COUNTER_NAMES, counts, strict=True) if n}
 
     def learn(self, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         if len(samples) == 0:
@@ -248,12 +284,15 @@ def _report(
             T=state.T,
             change=result.change[0],
             structure=result.structure[0],
+            rejected=valve.rejected(),
+            samples=valve.samples,
+            hints=valve.hints(),
         )
     return report
 
 
-def _read(file: Path, progress: Progress) -> Iterator[tuple[str, Samples]]:
-    with read_recording(file) as recording:
+def _read(file: Path, layout: Layout | None, progress: Progress) -> Iterator[tuple[str, Samples]]:
+    with read_recording(file, layout=layout) as recording:
         progress(file, 0.0)
         for name, samples in _one_ahead(recording):
             yield name, samples

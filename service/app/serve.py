@@ -1,10 +1,7 @@
 """The live service from start to end."""
 
 import asyncio
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from types import FrameType
+from collections.abc import Callable
 
 import structlog
 
@@ -71,7 +68,7 @@ async def serve(
     source = build_source(config, ready)
     with CheckpointFile(config.state.file) as store:
         if store.set_aside is not None:
-            log.warning("damaged state file set aside", file=str(store.set_aside))
+            log.warning("damaged or old state file set aside", file=str(store.set_aside))
         server = ResultsServer(
             settings,
             identification.descriptions(),
@@ -92,23 +89,4 @@ async def serve(
             try:
                 await supervise(source, live, clock, stop, build_supervisor_settings(config))
             finally:
-                live.keep()
-
-
-@contextmanager
-def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
-    """Set ``stop`` on Ctrl-C or a termination signal, on every platform."""
-    loop = asyncio.get_running_loop()
-
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(stop.set)
-
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    with suppress(AttributeError):
-        numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
-    before = {number: signal.signal(number, on_signal) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+                await live.keep()

@@ -8,6 +8,10 @@ import numpy as np
 
 from service.app.build import build_identification, build_plans
 from service.config.models import Config
+from service.identification import lag_search, map_search
+from service.identification.auto import Auto
+from service.identification.kernels import cells, grid, lag
+from service.identification.map_shapes import Shape
 from service.identification.samples import Samples
 from service.opcua.decoding import decode_data_changes, was_compiled_before
 from service.streaming.data_changes import DataChanges
@@ -53,16 +57,31 @@ def _compile(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
+    identification.waits()
     for valve in identification.one_of_each_kind():
         plan = identification.plans[valve]
         identification.take_samples(valve, _samples())
         for estimator in plan.estimators:
             identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
+            identification.predict_measurement(plan.name, estimator, 50.0, 100.0, 40.0)
             support, one = identification.lane(plan.name, estimator).support, np.full(1, 50.0)
             support.misfit(one, one, one)  # which kernels a map needs, its samples decide
             support.may_hide(one, one)
         identification.result(valve)
     identification.refresh_maps()
+    plans = identification.plans
+    if any(isinstance(one, Auto) for plan in plans for one in plan.estimators.values()):
+        _compile_what_auto_seldom_needs()
+
+
+def _compile_what_auto_seldom_needs() -> None:
+    """... as only some samples lead to it: a look for lags, a rival from elsewhere, a drift."""
+    state = Auto().initial_state()
+    scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
+    rows = state.recent[:1].astype(np.float64)
+    lag_search.look(rows, scalars[cells.LAGS + lag.KNOWN_LAGS :], (None, None))
+    map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
+    cells.colour(scalars)
 
 
 def _samples() -> Samples:

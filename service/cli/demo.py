@@ -17,9 +17,11 @@ from rich.live import Live
 from rich.table import Table
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI, PRODUCT, build_identification
-from service.app.serve import serve, stop_on_signal
+from service.app.serve import serve
+from service.app.signals import stop_on_signal
 from service.app.warm_up import warm_up
 from service.cli import feedforward
+from service.cli.demo_page import page_process
 from service.cli.demo_view import Verdict, status_table, verdict_table
 from service.cli.logs import set_up_logs
 from service.clock import SystemClock
@@ -75,8 +77,9 @@ async def _demo(
             serving = asyncio.ensure_future(
                 serve(config, stop, _settings(config, users), identification, view.count)
             )
-            _say_where(console, config, rig_url, password)
-            await _show(view, console, stop, serving, duration)
+            async with page_process(config.server.url, rig_url) as page:
+                _say_where(console, config, rig_url, password, page)
+                await _show(view, console, stop, serving, duration)
     console.print(verdict_table(view.verdicts()))
 
 
@@ -98,9 +101,10 @@ async def _feed_forward_demo(
             serving = asyncio.ensure_future(
                 serve(config, stop, _settings(config, users), identification, course.take)
             )
-            _say_where(console, config, rig_url, password, armed)
             end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
-            await _show(course, console, stop, serving, end)
+            async with page_process(config.server.url, rig_url) as page:
+                _say_where(console, config, rig_url, password, page, armed)
+                await _show(course, console, stop, serving, end)
     console.print(course.table())
 
 
@@ -116,7 +120,10 @@ def _settings(config: Config, users: UserStore) -> ServerSettings:
     )
 
 
-def _say_where(console: Console, config: Config, rig_url: str, password: str, *more: str) -> None:
+def _say_where(
+    console: Console, config: Config, rig_url: str, password: str, page: str, *more: str
+) -> None:
+    console.print(f"page      {page}", soft_wrap=True)
     console.print(f"rig       {rig_url}")
     console.print(f"service   {config.server.url}")
     console.print("security  None, on this machine only; anonymous may look")

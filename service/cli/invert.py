@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.options import ConfigOption
+from service.cli.options import ConfigOption, check_folder
 from service.config.loading import load_config
 from service.errors import ConfigurationError
 from service.identification.inversion import InverseStatus, Inversion
@@ -57,6 +57,7 @@ def invert(
 
     if (points is None) == (flow is None or drop is None):
         raise typer.BadParameter("give --Q and --dp, or --from a CSV file")
+    check_folder("--to", out)
     loaded = None if config is None else load_config(config)
     if points is not None:
         Q, dp, T = read_points(points)
@@ -101,6 +102,7 @@ def export(
     from service.storage.lookup_tables import check_form, write_table
 
     check_form(out)
+    check_folder("--to", out)
     model = open_model(file, valve, estimator, None if config is None else load_config(config))
     T = temperature if temperature is not None else model.T
     T = 40.0 if np.isnan(T) else T

@@ -1,4 +1,4 @@
-"""What is told while a command runs: one line an event, on the error stream."""
+"""What is logged while a command runs: one line an event, on the error stream."""
 
 import logging
 import sys

@@ -20,3 +20,15 @@ FolderOption = Annotated[
         envvar="VALVEMAP_DATA", metavar="FOLDER", help="Where certificates, users and states live."
     ),
 ]
+
+
+def check_folder(option: str, file: Path | None) -> None:
+    """Refuse a file to write whose folder is not there, before any work is done.
+
+    Raises
+    ------
+    BadParameter
+        naming option, file and folder.
+    """
+    if file is not None and not file.parent.is_dir():
+        raise typer.BadParameter(f"{option} {file}: there is no folder {file.parent}; make it")

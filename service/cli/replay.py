@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from service.cli.options import ConfigOption
+from service.cli.options import ConfigOption, check_folder
 from service.config.loading import load_config
-from service.errors import StorageError
+from service.errors import RecordingError, StorageError
 
 if TYPE_CHECKING:
     from service.app.replay import Report
@@ -37,6 +37,10 @@ def replay(
     plot: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw what was identified (PNG).")
     ] = None,
+    *,
+    insist: Annotated[
+        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+    ] = False,
 ) -> None:
     """Identify from recordings, as live."""
     from service.app.models import save_models
@@ -45,6 +49,8 @@ def replay(
     from service.report.replay_plots import ReplayPlots
     from service.report.verification import verification_table
 
+    check_folder("--json", json_out)
+    check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
     plots = None if plot is None else ReplayPlots(plot)
     with Progress(
@@ -61,7 +67,8 @@ def replay(
                 tasks[file] = bar.add_task(file.name, total=1.0)
             bar.update(tasks[file], completed=fraction)
 
-        report = run(files, loaded, verify, progress, *([] if plots is None else [plots.take]))
+        taps = [] if plots is None else [plots.take]
+        report = run(files, loaded, verify, progress, *taps, insist=insist)
     console = Console()
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
     console.print(verification_table("One step ahead, before each update", one_step))
@@ -69,8 +76,8 @@ def replay(
         verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
         console.print(verification_table(f"Verified on {verify.name}, no adaptation", verified))
     console.print(_trust_table(report))
-    for line in _not_learnt_from(report):
-        console.print(line)
+    for line in (*_not_learnt_from(report), *_hints(report)):
+        console.print(line, soft_wrap=True, highlight=False)
     if json_out is not None:
         write_json(json_out, as_json(report))
     if save is not None:
@@ -80,6 +87,27 @@ def replay(
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         for written in plots.write(lanes):
             console.print(f"written: {written}")
+    _refuse_if_nothing_was_learnt(report)
+
+
+def _hints(report: "Report") -> Iterator[str]:
+    """A line for each thing that looks odd about a valve's signals."""
+    for valve, estimators in report.items():
+        for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
+            yield f"{valve}: hint: {hint}"
+
+
+def _refuse_if_nothing_was_learnt(report: "Report") -> None:
+    """Say of which valves no sample could be used, and why."""
+    empty = []
+    for valve, estimators in report.items():
+        r = next(iter(estimators.values()))
+        if all(r.lane.count == 0 for r in estimators.values()):
+            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
+            why = why or "they are too few"
+            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
+    if empty:
+        raise RecordingError("; ".join(empty))
 
 
 def _not_learnt_from(report: "Report") -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 import asyncio
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from service.app.build import PRODUCT
-from service.app.serve import stop_on_signal
+from service.app.build import PRODUCT, load_users
+from service.app.signals import stop_on_signal, stop_with_parent
 from service.cli.logs import set_up_logs
 from service.cli.options import FolderOption
 from service.config.models import LogConfig
@@ -150,9 +149,9 @@ async def _serve(
     users = UserStore()
     if under_demo:
         users.add("operator", Role.OPERATOR, sys.stdin.readline().strip())
-        _stop_when_the_parent_is_gone(stop)
+        stop_with_parent(stop)
     else:
-        users = UserStore.load(data / "users.json")
+        users = load_users(data / "users.json")
     settings = ServerSettings(
         url=url,
         application_uri=APPLICATION_URI,
@@ -200,14 +199,3 @@ async def _play(server: RigServer | FleetServer, stop: asyncio.Event, *, until_o
         playing.cancel()
         stopped.cancel()
         await asyncio.gather(playing, stopped, return_exceptions=True)
-
-
-def _stop_when_the_parent_is_gone(stop: asyncio.Event) -> None:
-    """Stop at the end of standard input: the parent has closed it, or is dead."""
-    loop = asyncio.get_running_loop()
-
-    def wait() -> None:
-        sys.stdin.read()
-        loop.call_soon_threadsafe(stop.set)
-
-    threading.Thread(target=wait, daemon=True).start()

@@ -10,6 +10,7 @@ import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from service.app.build import APPLICATION_NAME, APPLICATION_URI
+from service.app.identities import PAGE_NAME, PAGE_URI, PAGE_USER
 from service.cli import rig
 from service.cli.options import FolderOption
 from service.config.template import configuration_template
@@ -28,6 +29,7 @@ from service.hardened.security.certificate_rules import Use, name_of
 from service.hardened.security.certificates import trust as trust_certificate
 from service.hardened.security.peer_certificates import PeerTrust
 
+_OWNERS = ("service", "rig")
 _HOSTS = ["localhost", "127.0.0.1"]
 _ROLES = {role.name.lower().replace("_", "-"): role for role in Role}
 
@@ -50,10 +52,13 @@ def init(
     ] = None,
 ) -> None:
     """Make certificates, users and configuration."""
-    _make_users(data, operator_password)
+    if data.exists() and not data.is_dir():
+        raise typer.BadParameter(f"--data {data}: it is a file, a folder is needed")
+    make_users(data, operator_password)
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
     of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
     _trust_each_other(data, service, of_rig)
+    _make_page(data, service, of_rig)
     _make_configuration(data, service_host or [])
     typer.echo(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
 
@@ -63,7 +68,9 @@ def trust(
         str | None, typer.Argument(help="Certificate file, or the thumbprint of a rejected one.")
     ] = None,
     data: FolderOption = Path("data"),
-    of: Annotated[str, typer.Option(help="Who shall trust it: service or rig.")] = "service",
+    of: Annotated[
+        str, typer.Option(help="Who shall trust it: service, rig or dashboard.")
+    ] = "service",
     user: Annotated[
         str | None, typer.Option(metavar="NAME", help="Let this user log in with it.")
     ] = None,
@@ -72,6 +79,8 @@ def trust(
     ] = None,
 ) -> None:
     """Trust a certificate, of an application or of a user, or list the rejected."""
+    if of not in _OWNERS:
+        raise typer.BadParameter(f"--of {of}: allowed is one of {', '.join(_OWNERS)}")
     pki = Pki(data / "pki" / of)
     if user is not None or role is not None:
         if user is None or role is None or certificate is None:
@@ -132,7 +141,24 @@ def _trust_each_other(data: Path, service: OwnCertificate, of_rig: OwnCertificat
         trust_certificate(Pki(data / "pki" / whose), other.certificate)
 
 
-def _make_users(data: Path, operator_password: str | None) -> None:
+def _make_page(data: Path, *servers: OwnCertificate) -> None:
+    """Give the live page a certificate and an account that may look, nothing else."""
+    page = _certificate(data, "dashboard", PAGE_URI, PAGE_NAME, None)
+    trust_certificate(Pki(data / "pki" / "service"), page.certificate)
+    trust_certificate(Pki(data / "pki" / "rig"), page.certificate)
+    for server in servers:
+        trust_certificate(Pki(data / "pki" / "dashboard"), server.certificate)
+    secret_file, users_file = data / "dashboard-password", data / "users.json"
+    if secret_file.exists():
+        return
+    users, password = UserStore.load(users_file), secrets.token_urlsafe(24)
+    users.add(PAGE_USER, Role.OBSERVER, password)
+    _write_secret(secret_file, password)
+    users.save(users_file)
+
+
+def make_users(data: Path, operator_password: str | None) -> None:
+    """Make users and their passwords, where there are none yet; say so."""
     file = data / "users.json"
     if file.exists():
         typer.echo(f"users: {file} is kept")

@@ -7,14 +7,14 @@ from typing import Annotated
 import typer
 
 from service.cli.logs import set_up_logs
-from service.cli.options import ConfigOption
+from service.cli.options import ConfigOption, check_folder
 from service.config.loading import load_config
 
 
 def serve(config: ConfigOption = None) -> None:
     """Subscribe to the source, identify, publish, until Ctrl-C."""
     from service.app.serve import serve as run
-    from service.app.serve import stop_on_signal
+    from service.app.signals import stop_on_signal
 
     loaded = load_config(config)
     set_up_logs(loaded.log)
@@ -36,7 +36,9 @@ def record(
 ) -> None:
     """Record the source's samples to a file."""
     from service.app.record import record as run
-    from service.app.serve import stop_on_signal
+    from service.app.signals import stop_on_signal
+
+    check_folder("FILE", file)
 
     loaded = load_config(config)
     set_up_logs(loaded.log)
@@ -52,9 +54,21 @@ def record(
 
 def check_config(
     config: Annotated[Path, typer.Argument(metavar="FILE", help="Configuration (TOML).")],
+    *,
+    online: Annotated[
+        bool, typer.Option("--online", help="Connect to the source and watch its signals, too.")
+    ] = False,
+    watch: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="With --online: so long.")
+    ] = 10.0,
 ) -> None:
     """Check a configuration file and say what it would do."""
     loaded = load_config(config)
+    if online:
+        from service.app.connect import check_online
+
+        for line in asyncio.run(check_online(loaded, watch)):
+            typer.echo(line)
     typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
     typer.echo(f"results  {loaded.server.url}")
     for valve in loaded.valves:

@@ -16,11 +16,14 @@ from pydantic import (
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.config.estimators import EstimatorConfig, default_estimators
+from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
 from service.streaming.data_changes import Signal
 from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
+RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
+RESERVED_ESTIMATORS = ("Signals", "Alarms", "Diagnostics", "Inverse", "Frame", "FrameNames")
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
@@ -105,6 +108,13 @@ class AlignmentConfig(_Section):
 
     tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
     max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    reorder_ms: float = Field(
+        1_000.0,
+        ge=0.0,
+        le=60_000.0,
+        description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
+        "with every sample, but only if this is given",
+    )
     max_pending: int = Field(4_096, ge=16, le=1_000_000)
     hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
         default_factory=dict, description="signals whose last value serves for this long"
@@ -248,8 +258,12 @@ class ValveConfig(_Section):
 
     name: Name = "Valvistor"
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
+    insist: bool = Field(
+        default=False, description="learn from data that look wrong, such as p1 below p2"
+    )
     estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
     U_range_percent: Range = (0.0, 100.0)
     dp_range_bar: Range = (0.0, 200.0)
@@ -297,18 +311,38 @@ class ValveConfig(_Section):
         return self
 
     @model_validator(mode="after")
+    def _command_has_a_unit(self) -> Self:
+        is_own = self.signals.U.measure("U").scaling("U").is_identity
+        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
+        if self.nodes.required_U is not None and not is_own and not said:
+            raise ValueError(
+                "signals.required_U: unit, or raw and range, must say in what the command is "
+                'written, because U does not come in %; unit = "%" where it does'
+            )
+        return self
+
+    @model_validator(mode="after")
     def _names_fit(self) -> Self:
         names = [estimator.name for estimator in self.estimators]
         if not names:
             raise ValueError("estimators: at least one is needed")
-        _unique("estimator", [*names, "Inverse", "Diagnostics"])
+        _unique("estimator", names)
+        _not_reserved("estimator", names, RESERVED_ESTIMATORS)
         if self.inverse is not None and self.inverse not in names:
             raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
         return self
 
 
+class RecordingConfig(_Section):
+    """Columns of recordings that are no signal of a valve; left out, they are found by name."""
+
+    time: str | None = Field(None, min_length=1, description="column of the times")
+    valve: str | None = Field(None, min_length=1, description="column of the valves' names")
+    quality: str | None = Field(None, min_length=1, description="column of the qualities")
+
+
 class LogConfig(_Section):
-    """What is told while the service runs."""
+    """What is logged while the service runs."""
 
     level: Literal["debug", "info", "warning", "error"] = "info"
     format: Literal["console", "json"] = "console"
@@ -331,6 +365,7 @@ class Config(BaseSettings):
     state: StateConfig = StateConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
+    recording: RecordingConfig = RecordingConfig()
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 
     @field_validator("valves")
@@ -339,6 +374,7 @@ class Config(BaseSettings):
         if not valves:
             raise ValueError("at least one valve is needed")
         _unique("valve", [valve.name for valve in valves])
+        _not_reserved("valve", [valve.name for valve in valves], RESERVED_VALVES)
         return valves
 
     @model_validator(mode="after")
@@ -370,3 +406,9 @@ def _unique(what: str, names: list[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f"{what} name {twice[0]!r} is taken twice")
+
+
+def _not_reserved(what: str, names: list[str], reserved: tuple[str, ...]) -> None:
+    for name in names:
+        if name in reserved:
+            raise ValueError(f"{what} name {name!r} is taken: reserved are {', '.join(reserved)}")

@@ -40,6 +40,7 @@ checkpoint_interval_s = 10
 [alignment] # which signals make one sample
 tolerance_ms = 0 # 0 = the same SourceTimestamp
 # hold_s = {{ T = 10 }} # a signal that reports less often than the others
+# reorder_ms = 1000 # behind a hole in nodes.sequence; without one nothing waits unless given
 
 [[valves]]
 name = "Valvistor"
@@ -55,6 +56,13 @@ T = "nsu=urn:valvemap:rig;s=Valvistor.Temperature" # optional
 sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running number per sample
 # required_U = "nsu=urn:valvemap:rig;s=Valvistor.UCommand" # feed-forward: U for FlowDemand
 # heartbeat = "nsu=urn:valvemap:rig;s=Valvistor.Heartbeat" # UInt32 that counts meanwhile
+
+# [valves.signals] # units and names of a plant's own, live and in recordings: docs/units.md
+# U = {{ raw = [4, 20], range = [0, 100], column = "FCV-101.cmd" }} # mA, or counts: raw -> %
+# p1 = {{ unit = "psi" }}
+# p2 = {{ unit = "psi" }}
+# Q = {{ unit = "gpm" }} # of the United States; "imp gpm"
+# T = {{ unit = "°F" }}
 
 # [valves.feed_forward] # once an operator has called Inverse.Arm
 # range_percent = [0, 100] # never left

@@ -15,6 +15,7 @@ from service.hardened.address_space.nodes import (
     add_variable,
 )
 from service.hardened.address_space.units import Unit
+from service.hardened.caller import caller
 from service.hardened.clock import Clock, ManualClock, SystemClock
 from service.hardened.errors import (
     CertificateError,
@@ -70,6 +71,7 @@ __all__ = [
     "add_method",
     "add_object",
     "add_variable",
+    "caller",
     "ensure_certificate",
     "expiry_warning",
     "load_certificate",

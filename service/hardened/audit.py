@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from asyncua import ua
 
+from service.hardened.allowance import Allowance
 from service.hardened.binary.encoding import encode_variant, instant
 from service.hardened.clock import Clock
 from service.hardened.logs import audit_logger
@@ -98,9 +99,7 @@ class Audit:
         self._application_uri = application_uri
         self._subscriptions = subscriptions
         self._clock = clock
-        self._per_second = per_second
-        self._allowance = per_second * _BURST_S
-        self._refilled = clock.monotonic()
+        self._allowance = Allowance(clock, per_second, per_second * _BURST_S)
         self._left_out = 0
 
     @property
@@ -235,7 +234,7 @@ class Audit:
     ) -> None:
         if not self.is_heard:
             return
-        if not self._has_allowance():
+        if not self._allowance.covers(1.0):
             self._left_out += 1
             self._subscriptions.ledger.lost += 1
             return
@@ -265,16 +264,6 @@ class Audit:
             fields["SessionId"] = ua.Variant(actor.session.id, _Types.NodeId)
         event = Event(_SERVER, ua.NodeId(kind), fields, Role.SECURITY_ADMIN)
         self._subscriptions.trigger_event(event)
-
-    def _has_allowance(self) -> bool:
-        now = self._clock.monotonic()
-        earned = (now - self._refilled) * self._per_second
-        self._allowance = min(self._per_second * _BURST_S, self._allowance + earned)
-        self._refilled = now
-        if self._allowance < 1.0:
-            return False
-        self._allowance -= 1.0
-        return True
 
 
 def shown(text: str | None) -> str:

@@ -79,7 +79,7 @@ def trusted(
 
 
 def U_range_of(estimator: Any) -> tuple[float, float]:  # noqa: ANN401 - any estimator
-    """Which U (%) an estimator can describe: one metering edge, but for a network told otherwise.
+    """Which U (%) an estimator can describe: one metering edge, unless a network has another range.
 
     >>> from service.identification.rbf_network import RbfNetwork
     >>> U_range_of(RbfNetwork(U_range=(-100.0, 100.0)))

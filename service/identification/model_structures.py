@@ -56,7 +56,7 @@ class Polynomial:
     names
         Names of the parameters; the terms themselves where none are given.
     viscosity_40, viscosity_100
-        The oil's viscosity at 40 °C and 100 °C, mm²/s; VG 46 if not told otherwise.
+        The oil's viscosity at 40 °C and 100 °C, mm²/s; VG 46 by default.
 
     Raises
     ------

@@ -16,7 +16,7 @@ EDGES_DP: Final = (kernel.WIDTH_S * np.arange(kernel.CELLS_S + 1)) ** 2
 
 @dataclass(frozen=True)
 class ResidualSpread:
-    """How far measurements lay off the map of late, by region of (U, dp), for any structure.
+    """How far recent measurements lay off the map, by region of (U, dp), for any structure.
 
     The standard deviation of an estimator's Q̂ says how well the *map* is known if its structure
     is right. A new measurement lies off that map by its noise, by what the structure cannot follow
@@ -111,7 +111,7 @@ class ResidualSpread:
         return np.hypot(out, TWO_SIDED_95 * std)
 
     def density(self, U: Floats, dp: Floats) -> Floats:
-        """How many samples of late lie around N points (N,), near ones counting more."""
+        """How many recent samples lie around N points (N,), near ones counting more."""
         middles_U = (EDGES_U[:-1] + EDGES_U[1:]) / 2.0
         middles_s = (np.sqrt(EDGES_DP[:-1]) + np.sqrt(EDGES_DP[1:])) / 2.0
         far_U = (U[:, None] - middles_U) / (2.0 * kernel.WIDTH_U)
@@ -121,7 +121,7 @@ class ResidualSpread:
 
     @property
     def weights(self) -> Floats:
-        """Samples of late in each cell, (10, 12) over U and √dp."""
+        """Recent samples in each cell, (10, 12) over U and √dp."""
         return self.cells[:, kernel.WEIGHT].reshape(kernel.CELLS_U, kernel.CELLS_S)
 
     @property

@@ -41,7 +41,7 @@ class Status(IntEnum):
 _STATUS_SENTENCES = {
     Status.OK: "The sample was used and the parameters are determined.",
     Status.WARMING_UP: "The samples so far do not determine all parameters.",
-    Status.UNEXCITED: "The inputs carry no news in some direction; the parameters there are held.",
+    Status.UNEXCITED: "The inputs do not vary in some direction; the parameters there are held.",
     Status.REJECTED: "The sample is not finite or of bad quality; the state was not touched.",
     Status.FROZEN: "Adaptation is switched off; the sample was predicted only.",
     Status.HELD: "The update would have left the range of numbers; the state was not touched.",
@@ -174,7 +174,7 @@ class Trace:
     residual : float64
         Q - Q̂ before the update (the innovation), l/min; NaN where nothing can be said.
     early : float64
-        Q - Q̂ of the map as it was up to 31 samples before, l/min: the error of what was told
+        Q - Q̂ of the map as it was up to 31 samples before, l/min: the error of what was published
         ahead. NaN where it was not looked at; the residual, if the map stands still.
     status : uint8
         :class:`Status`.

@@ -41,7 +41,7 @@ class Survey:
     age_s : (10, n)
         Time since the region's last sample, s; NaN where there was none.
     share : float
-        Part of the regions with samples of late.
+        Part of the regions with recent samples.
     condition : float
         How much better the best known combination of parameters is known than the worst, each in
         units of its effect on the map; inf while one is open, NaN where there is no such thing.

@@ -12,6 +12,7 @@ from service.opcua.information_model import (
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
+    WAITING,
     counter_name,
 )
 from service.opcua.result_values import (
@@ -62,6 +63,7 @@ class ChangedResults:
             if self._is_new(valves[m], INVERSE, table, codes[m]):
                 yield valves[m], map_value(table, codes[m], t[m])
         yield from self._feed_forward(results, now)
+        yield from self._waiting(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -88,8 +90,13 @@ class ChangedResults:
                 for new in feed_forward_values(armed=is_armed, status=status, t=now):
                     yield valve, new
 
+    def _waiting(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        for valve, reasons in zip(_numbers(results.valves), results.waiting, strict=False):
+            if self._is_new(valve, WAITING, None, reasons):
+                yield valve, Shown(WAITING, list(reasons), int(ua.StatusCodes.Good), now)
+
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
-        """Tell whether it is another thing, or one of the facts is another than last time."""
+        """Whether it is another thing, or one of the facts is another than last time."""
         key = valve, name
         before = self._told.get(key)
         if before is not None and before[0] is thing and before[1:] == facts:

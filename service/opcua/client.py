@@ -1,26 +1,42 @@
 """The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
 
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 
 from asyncua import ua
 
 from service.clock import Clock, SystemClock
 from service.errors import SourceLost, SourceRejected
+from service.identification.estimator import key_of
 from service.opcua.connection import (
     Connection,
     Security,
     SourceSettings,
+    Ticket,
     open_connection,
     status_name,
 )
+from service.opcua.position import left_at, position_to_bytes
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
+    CheckedNodes,
+    SourceClock,
     ValveNodes,
     WritableNode,
     check_nodes,
+    clock_of_source,
 )
-from service.opcua.subscription import Subscription, Tally, subscribe
+from service.opcua.source_units import Scales, check_units
+from service.opcua.subscription import (
+    LIFETIME_S,
+    Left,
+    Mark,
+    Subscription,
+    Tally,
+    subscribe,
+    take_over,
+)
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import SourceCounters
 
@@ -60,17 +76,38 @@ class OpcUaSource:
         self._clock = clock or SystemClock()
         self._ready = ready
         self._tally = Tally()
+        self._started = 0
+        self._clock_offset_s = 0.0
         self._connection: Connection | None = None
+        self._ticket: Ticket | None = None
+        self._left: Left | None = None
+        self._left_at = 0.0
+        self._undelivered: list[DataChanges] = []
+        self._undelivered_mark: Mark | None = None
+        self._mark: Mark | None = None
+        self._holds_back = False
+        self._known_position: bytes | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
+        self._scales = Scales(self._valves)
 
     @property
     def counters(self) -> SourceCounters:
         """What was seen so far, over all connections."""
         return SourceCounters(**vars(self._tally))
 
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
+        return self._started
+
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock was ahead of ours when we connected."""
+        return self._clock_offset_s
+
     async def connect(self) -> None:
-        """Connect, check every node, subscribe.
+        """Connect; go on with what the server holds for us, or check every node and subscribe.
 
         Raises
         ------
@@ -81,30 +118,63 @@ class OpcUaSource:
         CertificateError
             if our own certificate or key cannot be used.
         """
-        await self.close()
-        connection = await open_connection(self._settings)
+        await self.drop()
+        connection = await open_connection(self._settings, self._ticket)
         try:
-            nodes = await check_nodes(connection, self._valves)
-            if self._ready is not None:
-                await self._ready()
-            subscription = await subscribe(connection, nodes.monitored, self._tally, self._clock)
+            source_clock = await self._read_clock(connection)
+            subscription = await self._take_over(connection) or await self._subscribe(connection)
         except BaseException:
-            await connection.close()
+            await (connection.hang_up() if self.is_held else connection.close())
             raise
         self._connection, self._subscription = connection, subscription
-        self._writable = nodes.writable
+        self._started = source_clock.started
 
     async def receive(self) -> DataChanges:
-        """Wait for data changes and return all that have arrived, in order.
+        """Wait for data changes and return all that have arrived, in order and in our units.
 
         Raises
         ------
         SourceLost
             if the connection was cut, or fell silent for longer than its keep-alives allow.
         """
-        if self._subscription is None:
+        if self._undelivered:
+            changes = DataChanges.concatenate(self._undelivered)
+            self._undelivered.clear()
+            self._mark = self._undelivered_mark
+            return self._scales(changes)
+        subscription = self._subscription
+        if subscription is None:
             raise SourceLost(f"{self._settings.url}: not connected")
-        return await self._subscription.receive()
+        changes = await subscription.receive()
+        self._mark = subscription.mark
+        return self._scales(changes)
+
+    @property
+    def mark(self) -> Mark | None:
+        """How far changes have been handed out; None: none were."""
+        return self._mark
+
+    def hold_back(self) -> None:
+        """Let the source keep what is handed out until `commit` says that it is safe."""
+        self._holds_back = True
+        if self._subscription is not None:
+            self._subscription.hold_back()
+
+    def commit(self, mark: Mark) -> None:
+        """What was handed out up to a mark is safe: the source need not keep it any more."""
+        if self._subscription is not None:
+            self._subscription.commit(mark)
+
+    def position(self, mark: Mark) -> bytes:
+        """What `resume_at` goes on from after a restart."""
+        known = self._subscription or self._left
+        if known is None or known.created.SubscriptionId != mark.subscription:
+            return b""
+        return position_to_bytes(self._binding, mark, known.created, known.items)
+
+    def resume_at(self, position: bytes) -> None:
+        """Go on from a position that was kept, if the source still has the subscription."""
+        self._known_position = position
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -116,7 +186,8 @@ class OpcUaSource:
         SourceRejected
             if the valve has no such node, or the server refuses the value.
         """
-        await self._write(valve, REQUIRED_U, float(U))
+        scaling = self._valves[valve].measure(REQUIRED_U).scaling(REQUIRED_U)
+        await self._write(valve, REQUIRED_U, scaling.back(float(U)))
 
     async def write_heartbeat(self, valve: int, count: int) -> None:
         """Write the heartbeat (UInt32) of one valve to its node at the source.
@@ -153,8 +224,85 @@ class OpcUaSource:
                 f"{status_name(status.value)}"
             )
 
+    async def _read_clock(self, connection: Connection) -> SourceClock:
+        asked = self._clock.monotonic()
+        found = await clock_of_source(connection)
+        doubt_s = (self._clock.monotonic() - asked) / 2 + _CLOCKS_AGREE_S
+        ahead_s = (found.now - self._clock.now()) * 1e-9
+        self._clock_offset_s = ahead_s if found.now and abs(ahead_s) > doubt_s else 0.0
+        return found
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the server may still hold for us what we have not heard."""
+        return self._left is not None and self._clock.monotonic() - self._left_at < LIFETIME_S
+
+    async def drop(self) -> None:
+        """Hang up without a word; the server goes on to collect for us. Safe to call twice."""
+        subscription, self._subscription = self._subscription, None
+        connection, self._connection = self._connection, None
+        if subscription is not None:
+            await subscription.stop()
+            self._leave(subscription)
+        if connection is not None:
+            self._ticket = connection.ticket
+            await connection.hang_up()
+
+    def _leave(self, subscription: Subscription) -> None:
+        left = subscription.left()
+        self._left, self._left_at = left, self._clock.monotonic()
+        self._undelivered += left.buffer
+        self._undelivered_mark = subscription.mark
+
+    async def _take_over(self, connection: Connection) -> Subscription | None:
+        """Go on with the subscription of the connection before, if the server still has it."""
+        if self._left is None and self._known_position is not None:
+            nodes = await self._check_nodes(connection)
+            self._left = left_at(self._known_position, self._binding, nodes.monitored)
+            self._left_at = self._clock.monotonic()
+        self._known_position = None
+        if self._left is None:
+            return None
+        found = await take_over(connection, self._left, self._tally, self._clock)
+        if found is not None:
+            subscription, available = found
+            known = False
+            try:
+                known = await subscription.catch_up(available)
+            finally:
+                self._leave(subscription)
+            if known:
+                subscription.start()
+                return subscription
+        self._left = None
+        return None
+
+    async def _check_nodes(self, connection: Connection) -> CheckedNodes:
+        nodes = await check_nodes(connection, self._valves)
+        await check_units(connection, self._valves, nodes)
+        self._writable = nodes.writable
+        if self._ready is not None:
+            await self._ready()
+        return nodes
+
+    @property
+    def _binding(self) -> str:
+        """What a position belongs to: server, user, nodes in their order."""
+        return key_of(_Binding(self._settings.url, self._settings.user, self._valves))
+
+    async def _subscribe(self, connection: Connection) -> Subscription:
+        nodes = await self._check_nodes(connection)
+        return await subscribe(
+            connection,
+            nodes.monitored,
+            self._tally,
+            self._clock,
+            hold_back=self._holds_back,
+        )
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
+        self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
         if subscription is not None:
@@ -163,4 +311,12 @@ class OpcUaSource:
             await connection.close()
 
 
+@dataclass(frozen=True)
+class _Binding:
+    url: str
+    user: str | None
+    valves: tuple[ValveNodes, ...]
+
+
+_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

@@ -111,7 +111,7 @@ class SourceSettings:
     publishing_interval_ms: float = 100.0
     sampling_interval_ms: float = 0.0
     queue_size: int = 1_000
-    keep_alive_s: float = 2.0
+    keep_alive_s: float = 1.0
     timeout_s: float = 5.0
     publish_requests: int = 10
     buffer_limit: int = 1_000_000
@@ -148,7 +148,10 @@ class Connection:
         client: Client,
         session: BatchSession,
         server: "TrustedServer | None",
+        *,
+        resumed: bool,
     ) -> None:
+        self.resumed = resumed
         self.settings = settings
         self.session = session
         self._client = client
@@ -162,6 +165,27 @@ class Connection:
         """Turn whatever goes wrong into SourceLost or SourceRejected."""
         with source_errors(self.settings.url, doing):
             yield
+
+    @property
+    def ticket(self) -> "Ticket":
+        """What the session can be taken up with over another connection."""
+        client = self._client
+        return Ticket(
+            self.session.authentication_token,
+            client._server_nonce,  # noqa: SLF001 - a private seam of asyncua
+            tuple(client._policy_ids),  # noqa: SLF001
+            client.security_policy.peer_certificate,
+        )
+
+    async def hang_up(self) -> None:
+        """End the connection without a word: the session and what it holds stay."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        client = self._client.uaclient
+        client.request_disconnect()
+        client.pre_request_hook = None
+        self._client.disconnect_socket()
 
     async def close(self) -> None:
         """Say good-bye if the server still listens, and hang up."""
@@ -206,6 +230,19 @@ class Connection:
 
 
 @dataclass(frozen=True)
+class Ticket:
+    """What a session is taken up with: its secret token, the last nonce, how users log in.
+
+    ``certificate`` is the server's (DER), by which a password is encrypted.
+    """
+
+    token: ua.NodeId = field(repr=False)
+    nonce: bytes | None = field(repr=False)
+    policies: tuple[ua.UserTokenPolicy, ...]
+    certificate: bytes | None = field(repr=False)
+
+
+@dataclass(frozen=True)
 class TrustedServer:
     """The certificate of the server, and whom we trust."""
 
@@ -232,8 +269,10 @@ class TrustedServer:
         return self.trust.check_again(self.shown, Use.SERVER)
 
 
-async def open_connection(settings: SourceSettings) -> Connection:
+async def open_connection(settings: SourceSettings, ticket: Ticket | None = None) -> Connection:
     """Connect, prove who we are, check who answers.
+
+    With a ``ticket`` its session is taken up, if the server still has it; else there is a new one.
 
     Raises
     ------
@@ -259,13 +298,43 @@ async def open_connection(settings: SourceSettings) -> Connection:
                 await client.send_hello()
                 with source_errors(settings.url, _opening(settings)):
                     await client.open_secure_channel()
-                await client.create_session()
-                _check_password_travels_safely(client, settings)
-                await client.activate_session(settings.user, settings.password)
+                resumed = ticket is not None and await _resume(client, session, settings, ticket)
+                if not resumed:
+                    await client.create_session()
+                    _check_password_travels_safely(client, settings)
+                    await client.activate_session(settings.user, settings.password)
         except BaseException:
             client.disconnect_socket()
             raise
-    return Connection(settings, client, session, server)
+    return Connection(settings, client, session, server, resumed=resumed)
+
+
+async def _resume(
+    client: Client, session: BatchSession, settings: SourceSettings, ticket: Ticket
+) -> bool:
+    """Take up a session; return whether the server had it.
+
+    Private seams of asyncua: ``Client._server_nonce``, ``_policy_ids``.
+    """
+    client._server_nonce = ticket.nonce  # noqa: SLF001
+    client._policy_ids = list(ticket.policies)  # noqa: SLF001
+    shown = client.security_policy.peer_certificate
+    if not shown:
+        client.security_policy.peer_certificate = ticket.certificate
+    await session.resume(ticket.token)
+    _check_password_travels_safely(client, settings)
+    try:
+        await client.activate_session(settings.user, settings.password)
+    except ua.UaStatusCodeError as error:
+        if error.code in {ua.StatusCodes.BadConnectionClosed, ua.StatusCodes.BadTimeout}:
+            raise
+    except (ValueError, TypeError, LookupError, AttributeError):
+        pass  # what the old session said makes no sense to this one
+    else:
+        return True
+    session.reset_authentication_token()
+    client.security_policy.peer_certificate = shown
+    return False
 
 
 @contextlib.contextmanager
@@ -277,7 +346,8 @@ def source_errors(url: str, doing: str) -> Iterator[None]:
         raise SourceLost(f"{url}: no answer while {doing}") from error
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
-        raise SourceLost(f"{url}: {reason} while {doing}") from error
+        advice = "; is the server running, and the url right?" if doing == "connecting" else ""
+        raise SourceLost(f"{url}: {reason} while {doing}{advice}") from error
     except ua.UaStatusCodeError as error:
         name = status_name(error.code)
         if error.code in _FINAL:

@@ -3,9 +3,13 @@
 The identifiers and paths are a contract with every client and never change::
 
     Objects/Identification/<Valve>/<Estimator>/…     s=<Valve>.<Estimator>.<Variable>
+    Objects/Identification/<Valve>/<Estimator>/Parameters/…
+                                                     s=<Valve>.<Estimator>.Parameters.<Name>
+    Objects/Identification/<Valve>/Signals/…         s=<Valve>.Signals.<Signal>
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
+    Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 """
 
 import re
@@ -27,12 +31,19 @@ ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
 LAG_U, LAG_Q = "LagU", "LagQ"
+PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
+SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
+SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
+WAITING = f"{DIAGNOSTICS}.Waiting"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
+LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
 U_RANGE = (0.0, 100.0)
+T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
+_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS}
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 
@@ -68,12 +79,10 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
     ConfigurationError
         naming valve or estimator.
     """
-    _check_unique("valve", [valve.name for valve in valves], {ROOT})
+    _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE})
     for valve in valves:
         names = [estimator.name for estimator in valve.estimators]
-        _check_unique(
-            f"valve {valve.name}: estimator", names, {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES}
-        )
+        _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
 
 
 def estimator_variables(
@@ -123,7 +132,7 @@ def estimator_variables(
         ),
         VariableNode(
             f"{prefix}.NoiseStd",
-            "Standard deviation of a measured flow about the map, of late: noise, and what the "
+            "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
             unit=litres,
             range=(0.0, Q_max),
@@ -139,6 +148,41 @@ def estimator_variables(
             ua.VariantType.Int32,
             statuses=Status,
         ),
+    )
+
+
+def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """The newest sample of one valve, in the order of ``streaming.ports.SIGNALS``."""
+    p_range = 0.0, max(valve.dp_range)
+    meant = (
+        ("U", "Control voltage", Unit.PERCENT, U_RANGE),
+        ("p1", "Pressure before the valve", Unit.BAR, p_range),
+        ("p2", "Pressure behind the valve", Unit.BAR, p_range),
+        ("Q", "Flow", Unit.LITRE_PER_MINUTE, valve.Q_range),
+        ("dp", "Pressure drop p1 - p2", Unit.BAR, valve.dp_range),
+        ("T", "Oil temperature", Unit.DEGREE_CELSIUS, T_RANGE),
+    )
+    return tuple(
+        VariableNode(
+            f"{valve.name}.{SIGNALS}.{name}",
+            f"{words} of the newest sample, as measured.",
+            unit=unit,
+            range=bounds,
+        )
+        for name, words, unit, bounds in meant
+    )
+
+
+def parameter_variables(
+    valve: ValveDescription, estimator: EstimatorDescription
+) -> tuple[VariableNode, ...]:
+    """Each parameter as a variable of its own, for clients that show no arrays."""
+    if not estimator.has_named_parameters:
+        return ()
+    prefix = f"{valve.name}.{estimator.name}.{PARAMETERS}"
+    return tuple(
+        VariableNode(f"{prefix}.{name}", f"The parameter {name} of ParameterVector.")
+        for name in estimator.parameter_names
     )
 
 
@@ -166,7 +210,7 @@ def survey_variables(
         ),
         VariableNode(
             f"{prefix}.CoverageShare",
-            "Part of the regions of Coverage that samples of late lie in.",
+            "Part of the regions of Coverage that recent samples lie in.",
             range=(0.0, 1.0),
         ),
         VariableNode(
@@ -222,6 +266,17 @@ def discovery_variables(
     return (*found, structure) if estimator.chooses_structure else found
 
 
+def waiting_variable(valve: str) -> VariableNode:
+    """Why nothing is learnt from a valve."""
+    return VariableNode(
+        f"{valve}.{WAITING}",
+        "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
+        "each signal that is to blame, with the setting that would help; empty while all is well.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The regions of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"
@@ -261,6 +316,16 @@ def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
             unit=Unit.SECOND,
             range=(0.0, 1.0),
         ),
+    )
+
+
+def last_action(valve: ValveDescription) -> VariableNode:
+    """What was done to a valve last."""
+    return VariableNode(
+        f"{valve.name}.{LAST_ACTION}",
+        "What a user did to this valve last, and who: the name, a colon, the method or the demand. "
+        "Its SourceTimestamp says when.",
+        ua.VariantType.String,
     )
 
 
@@ -350,6 +415,69 @@ def counter_variable(valve: str, counter: str) -> VariableNode:
     )
 
 
+def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
+    """How fresh a valve's data are: age of the newest sample, samples that wait."""
+    return (
+        VariableNode(
+            f"{valve}.{SAMPLE_AGE}",
+            "By how much the newest sample that was learnt is behind the source's clock.",
+            unit=Unit.SECOND,
+            range=(0.0, YEAR_S),
+        ),
+        VariableNode(
+            f"{valve}.{PENDING}",
+            "Samples that wait for signals of theirs, or for earlier samples.",
+            ua.VariantType.UInt64,
+        ),
+    )
+
+
+def service_variables() -> dict[str, tuple[VariableNode, ...]]:
+    """What is shown of the service itself, by part."""
+    counts = ua.VariantType.UInt64
+    return {
+        f"{SERVICE}.Checkpoint": (
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Age",
+                "Time since states were last kept.",
+                unit=Unit.SECOND,
+                range=(0.0, YEAR_S),
+            ),
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Failures",
+                "How often states could not be kept since the service started.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Checkpoint.Refused",
+                "States found at the start that were damaged, or of another configuration.",
+                counts,
+            ),
+            VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
+        ),
+        f"{SERVICE}.Source": (
+            VariableNode(
+                f"{SERVICE}.Source.Notifications", "Changes that the source sent.", counts
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.Overflows",
+                "Changes marked Overflow: the source's queue was full, and dropped some.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.MissingMessages",
+                "Messages that never came and could not be had again.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.Undecodable",
+                "Changes whose value is no number, and messages that cannot be understood.",
+                counts,
+            ),
+        ),
+    }
+
+
 def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     """Describe one axis of the map (Part 8, 5.6.6)."""
     return ua.AxisInformation(
@@ -384,7 +512,9 @@ _COUNTERS = {
     "late": "Signals that came after their sample had been given up.",
     "missing": "Samples given up because a signal did not come.",
     "duplicates": "Signals that came twice for one sample.",
-    "clock_steps": "Jumps of the source's clock.",
+    "clock_steps": "Jumps of the source's clock backwards.",
+    "lost_by_time": "Samples that the usual pace shows as lost where no Sequence tells.",
+    "restarts": "How often the source's Sequence began anew.",
     "gaps": "Samples that the source's Sequence shows as lost.",
     "bad_status": "Samples rejected for their OPC UA status.",
     "not_finite": "Samples rejected for a value that is no finite number.",

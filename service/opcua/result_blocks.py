@@ -17,11 +17,11 @@ class Place:
     """A variable that changes with each result.
 
     ``valve`` is its number, ``name`` the variable's within the valve, ``length`` that of its value
-    if it is an array.
+    if it is an array. One without a name stands beside the one before it, and is written with it.
     """
 
     valve: int
-    name: str
+    name: str | None
     variable: Variable
     length: int | None
 
@@ -38,6 +38,8 @@ class ResultBlocks:
             kinds.setdefault((place.variable.type, place.length), []).append(place)
         for (_, length), own in kinds.items():
             for column, place in enumerate(own):
+                if place.name is None:
+                    continue
                 where = self._where.setdefault(place.name, np.full((valves, 2), -1))
                 where[place.valve] = len(self._blocks), column
             self._blocks.append(server.add_block([place.variable for place in own], length))
@@ -75,7 +77,18 @@ class _Row:
         self.present = np.zeros((1, n), np.bool_)
 
     def put(self, places: NDArray[np.intp] | slice, column: Column) -> None:
+        if self.block.length is None and column.values.ndim == 2:
+            self._put_side_by_side(places, column)
+            return
         self.values[0, places] = column.values
         self.codes[0, places] = column.codes
         self.t[0, places] = column.t
         self.present[0, places] = True
+
+    def _put_side_by_side(self, places: NDArray[np.intp] | slice, column: Column) -> None:
+        first = np.array([places.start]) if isinstance(places, slice) else places
+        each = first[:, None] + np.arange(column.values.shape[1])
+        self.values[0, each] = column.values
+        self.codes[0, each] = column.codes
+        self.t[0, each] = column.t[:, None]
+        self.present[0, each] = True

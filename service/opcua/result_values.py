@@ -3,7 +3,7 @@
 =====================================  ==========================================================
 nothing known yet                      BadWaitingForInitialData
 parameters not determined              UncertainInitialValue
-inputs without news, parameters held   UncertainSubNormal
+inputs without variety, parameters held UncertainSubNormal
 the newest sample is unusable          BadSensorFailure
 no samples any more                    BadNoCommunication
 RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
@@ -17,7 +17,8 @@ Status, SampleCount and the like are the service's own words: they stay readable
 UncertainLastUsableValue, while the rest is Bad.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -37,8 +38,16 @@ from service.opcua.information_model import (
     INVERSE,
     LAG_Q,
     LAG_U,
+    PARAMETERS,
+    SIGNALS,
 )
-from service.streaming.ports import EstimatorResults, InverseResults, Results
+from service.streaming.ports import (
+    EstimatorResults,
+    Health,
+    InverseResults,
+    Results,
+    SignalResults,
+)
 
 _Codes = ua.StatusCodes
 _BAD = 0x8000_0000
@@ -48,7 +57,10 @@ StatusCodes = NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class Column:
-    """One variable of M valves: its name within the valve, values, StatusCodes, source times."""
+    """One variable of M valves: its name within the valve, values, StatusCodes, source times.
+
+    Or k variables that are published side by side: then values and codes are (M, k).
+    """
 
     name: str
     values: NDArray[Any]
@@ -69,14 +81,22 @@ class Shown:
     t: int
 
 
-def columns_of(results: Results, now: int) -> Iterator[Column]:
+def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Iterator[Column]:
     """All numbers that are shown of M valves, but for maps and counters.
 
-    ``now`` (UTC ns) stamps what no sample is behind yet.
+    ``now`` (UTC ns) stamps what no sample is behind yet; ``by_name`` are the estimators whose
+    parameters are variables of their own, too.
     """
     for name, estimator in results.estimators.items():
         yield from _estimator_columns(name, estimator, now)
+        if name in by_name:
+            codes = estimator_codes(estimator)
+            of_none = worse(codes, _Codes.UncertainInitialValue)
+            t = np.where(estimator.t, estimator.t, now)
+            yield _each(f"{name}.{PARAMETERS}", estimator.theta, codes, of_none, t)
     yield from _inverse_columns(results.inverse, now)
+    if results.signals is not None:
+        yield _signal_column(results.signals, now)
 
 
 def survey_values(name: str, survey: Survey | None, code: int, t: int) -> Iterator[Shown]:
@@ -117,6 +137,23 @@ def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
     """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
     yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
     yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
+
+
+def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
+    """Identifier, value and StatusCode of what is shown of the service itself."""
+    never = math.isnan(health.checkpoint_age_s)
+    age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
+    yield "Service.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
+    for name, count in (
+        ("Checkpoint.Failures", health.checkpoint_failures),
+        ("Checkpoint.Refused", health.checkpoints_refused),
+        ("Checkpoint.Size", health.checkpoint_bytes),
+        ("Source.Notifications", health.source.notifications),
+        ("Source.Overflows", health.source.overflows),
+        ("Source.MissingMessages", health.source.missing_messages),
+        ("Source.Undecodable", health.source.undecodable),
+    ):
+        yield f"Service.{name}", count, int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
@@ -165,6 +202,18 @@ def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterat
         )
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
+
+
+def _signal_column(signals: SignalResults, now: int) -> Column:
+    codes = _SIGNAL[_waiting(signals.t), signals.quality]
+    none = worse(codes, _Codes.BadNoData)
+    return _each(SIGNALS, signals.values, codes, none, np.where(signals.t, signals.t, now))
+
+
+def _each(name: str, values: Floats, codes: StatusCodes, of_none: StatusCodes, t: Times) -> Column:
+    """Variables side by side; a number that is none has a StatusCode that says so."""
+    each = np.where(np.isfinite(values), codes[:, None], of_none[:, None])
+    return Column(name, values, each, t)
 
 
 def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
@@ -231,6 +280,15 @@ _ESTIMATOR = np.array(
 )
 _INVERSE = np.array(
     [[_OF_INVERSE[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
+    np.uint32,
+)
+_OF_SIGNAL: dict[Quality, int] = {
+    Quality.GOOD: _Codes.Good,
+    Quality.UNCERTAIN: _Codes.Uncertain,
+    Quality.BAD: _Codes.Bad,
+}
+_SIGNAL = np.array(
+    [[_OF_SIGNAL[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
     np.uint32,
 )
 _ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)

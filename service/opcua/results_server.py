@@ -24,6 +24,7 @@ from service.hardened import (
     add_method,
     add_object,
     add_variable,
+    caller,
     many_nodes,
 )
 from service.hardened import CommandRejected as Refused
@@ -37,8 +38,14 @@ from service.opcua.information_model import (
     FEED_FORWARD_STATUS,
     FRAME,
     INVERSE,
+    LAST_ACTION,
     NAMESPACE,
+    PARAMETERS,
+    PENDING,
     ROOT,
+    SAMPLE_AGE,
+    SERVICE,
+    SIGNALS,
     U_RANGE,
     VariableNode,
     axis,
@@ -47,20 +54,36 @@ from service.opcua.information_model import (
     counter_variable,
     discovery_variables,
     estimator_variables,
+    health_variables,
     inverse_variables,
     lag_variables,
+    last_action,
     map_variable,
+    parameter_variables,
+    service_variables,
+    signal_variables,
     survey_axes,
     survey_variables,
+    waiting_variable,
 )
 from service.opcua.result_blocks import Place, ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.opcua.result_values import columns_of
+from service.opcua.result_values import Column, columns_of, service_values
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.ports import EstimatorDescription, Operator, Results, ValveDescription
+from service.streaming.ports import (
+    EstimatorDescription,
+    Health,
+    Operator,
+    Results,
+    ValveDescription,
+)
 
 __all__ = ["NAMESPACE", "ResultsServer"]
 
+_PARTS = {
+    f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
+    f"{SERVICE}.Source": "What came from the source since the service started.",
+}
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -90,7 +113,7 @@ class ResultsServer(Startable):
         Stamps what no sample is behind.
     scalars_interval_s
         Shortest time between two results of a valve in its single variables; its Frame has them
-        all. Bad news never waits.
+        all. What is Bad never waits.
     """
 
     def __init__(
@@ -139,6 +162,7 @@ class ResultsServer(Startable):
         with many_nodes():
             for number, valve in enumerate(self._valves):
                 await self._add_valve(server, root, number, valve)
+            await self._add_service(server, root)
         self._blocks = ResultBlocks(server, len(self._valves), self._places)
         await server.start()
         self._server = server
@@ -159,7 +183,8 @@ class ResultsServer(Startable):
         whole = frames(described, results, self._sequences[valves], now)
         self._blocks.write(valves, [whole])
         due = self._due(results)
-        columns = columns_of(results, now)
+        by_name = [e.name for e in described.estimators if e.has_named_parameters]
+        columns = columns_of(results, now, by_name)
         if not due.all():
             columns = (column[due] for column in columns)
         self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
@@ -168,8 +193,26 @@ class ResultsServer(Startable):
             if variable is not None:
                 self._server.write([(variable, new.value, new.code, new.t)])
 
+    async def show_health(self, health: Health) -> None:
+        """Show how the service itself stands."""
+        if self._server is None:
+            return
+        now, every = self._clock.now(), np.arange(len(self._valves))
+        t = np.full(len(every), now)
+        good = np.full(len(every), ua.StatusCodes.Good, np.uint32)
+        waits = np.uint32(ua.StatusCodes.BadWaitingForInitialData)
+        known = np.where(np.isnan(health.age_s), waits, good)
+        self._blocks.write(
+            every,
+            [Column(SAMPLE_AGE, health.age_s, known, t), Column(PENDING, health.waiting, good, t)],
+        )
+        self._server.write(
+            (self._variables[name], value, code, now)
+            for name, value, code in service_values(health)
+        )
+
     def _due(self, results: Results) -> NDArray[np.bool_]:
-        """Whose single variables are told of now, (M,)."""
+        """Whose single variables are written now, (M,)."""
         now, valves = self._clock.monotonic(), results.valves
         due = now >= self._scalars_due[valves]
         for estimator in results.estimators.values():
@@ -190,6 +233,9 @@ class ResultsServer(Startable):
         self._places.append(Place(number, FRAME, whole, len(names)))
         for estimator in valve.estimators:
             await self._add_estimator(server, folder, number, estimator)
+        await self._add_side_by_side(
+            server, folder, number, SIGNALS, signal_variables(valve), "The newest sample."
+        )
         await self._add_inverse(server, folder, number)
         diagnostics = await add_object(
             server,
@@ -199,12 +245,29 @@ class ResultsServer(Startable):
         )
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
             await self._add_variable(server, diagnostics, node, middles.tolist())
+        await self._add_variable(server, diagnostics, waiting_variable(valve.name), [])
         for node in lag_variables(valve):
             await self._add_variable(server, diagnostics, node, None)
+        await self._add_variable(server, diagnostics, last_action(valve), "")
         for counter in valve.counters:
             node = counter_variable(valve.name, counter)
             variable = await self._add_variable(server, diagnostics, node, 0)
             self._places.append(Place(number, counter_name(counter), variable, None))
+
+        for shown in health_variables(valve.name):
+            variable = await self._add_variable(server, diagnostics, shown, None)
+            self._places.append(
+                Place(number, shown.id.removeprefix(f"{valve.name}."), variable, None)
+            )
+
+    async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
+        folder = await add_object(
+            server, root, SERVICE, description="How the service itself stands."
+        )
+        for part, variables in service_variables().items():
+            parent = await add_object(server, folder, part, description=_PARTS[part])
+            for node in variables:
+                await self._add_variable(server, parent, node, None)
 
     async def _add_estimator(
         self,
@@ -231,7 +294,11 @@ class ResultsServer(Startable):
             *discovery_variables(valve, estimator),
         ):
             await self._add_variable(server, parent, node, None)
-        command = partial(_add_command, server, parent, prefix)
+        parameters = parameter_variables(valve, estimator)
+        if parameters:
+            name, what = f"{estimator.name}.{PARAMETERS}", "The parameters, each by itself."
+            await self._add_side_by_side(server, parent, number, name, parameters, what)
+        command = partial(self._add_command, server, parent, prefix)
         who = (valve.name, estimator.name)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
         await command(
@@ -276,6 +343,22 @@ class ResultsServer(Startable):
             f"the structure cannot follow included. Status: {_numbered(Status)}.",
         )
 
+    async def _add_side_by_side(
+        self,
+        server: HardenedServer,
+        parent: ua.NodeId,
+        number: int,
+        name: str,
+        nodes: Sequence[VariableNode],
+        description: str,
+    ) -> None:
+        """Add an object whose variables are published together under ``name``."""
+        valve = self._valves[number].name
+        folder = await add_object(server, parent, f"{valve}.{name}", description=description)
+        for k, node in enumerate(nodes):
+            variable = await self._add_variable(server, folder, node, None)
+            self._places.append(Place(number, None if k else name, variable, None))
+
     async def _add_inverse(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
         valve = self._valves[number]
         prefix = f"{valve.name}.{INVERSE}"
@@ -302,7 +385,7 @@ class ResultsServer(Startable):
                 self._places.append(Place(number, name, variable, None))
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
-        command = partial(_add_command, server, parent, prefix)
+        command = partial(self._add_command, server, parent, prefix)
         await command(
             "Arm",
             partial(self._arm, valve.name),
@@ -389,6 +472,7 @@ class ResultsServer(Startable):
     def _demand(self, valve: str, Q: float, dp: float) -> None:
         self._operator.demand(valve, Q, dp)
         self._demands[valve] = (Q, dp)
+        self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 
     def _arm(self, valve: str) -> None:
         self._operator.arm(valve)
@@ -403,6 +487,40 @@ class ResultsServer(Startable):
         if self._server is not None:
             variable = self._variables[f"{valve}.{INVERSE}.{ARMED}"]
             self._server.write([(variable, armed, ua.StatusCodes.Good, self._clock.now())])
+
+    async def _add_command(
+        self,
+        server: HardenedServer,
+        parent: ua.NodeId,
+        prefix: str,
+        name: str,
+        function: Callable[..., None],
+        description: str,
+        *inputs: Argument,
+    ) -> None:
+        valve, _, part = prefix.partition(".")
+
+        def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
+            _refusing(function)(*arguments)
+            given = "".join(f" {argument:g}" for argument in arguments)
+            self._note(valve, f"{part} {name}{given}")
+
+        await add_method(
+            server,
+            parent,
+            f"{prefix}.{name}",
+            command,
+            inputs=inputs,
+            required=Role.OPERATOR,
+            description=description,
+        )
+
+    def _note(self, valve: str, action: str) -> None:
+        """Show what was done to a valve, and by whom."""
+        if self._server is not None:
+            variable = self._variables[f"{valve}.{LAST_ACTION}"]
+            said = f"{caller()}: {action}"
+            self._server.write([(variable, said, ua.StatusCodes.Good, self._clock.now())])
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
         if not 0.0 < lam <= 1.0:
@@ -424,26 +542,6 @@ class ResultsServer(Startable):
     def _invert(self, valve: str, Q: float, dp: float, T: float) -> tuple[float, float, float, int]:
         answer = self._operator.invert(valve, Q, dp, T)
         return _first(answer.U), _first(answer.lower), _first(answer.upper), int(answer.status[0])
-
-
-async def _add_command(
-    server: HardenedServer,
-    parent: ua.NodeId,
-    prefix: str,
-    name: str,
-    function: Callable[..., None],
-    description: str,
-    *inputs: Argument,
-) -> None:
-    await add_method(
-        server,
-        parent,
-        f"{prefix}.{name}",
-        _refusing(function),
-        inputs=inputs,
-        required=Role.OPERATOR,
-        description=description,
-    )
 
 
 def _refusing(function: Callable[..., None]) -> Callable[..., None]:

@@ -70,6 +70,22 @@ class BatchSession(UaSession):
         return (await self._ask(request, ua.WriteResponse)).Results
 
     @override
+    async def browse(self, parameters: ua.BrowseParameters) -> list[ua.BrowseResult]:
+        request = ua.BrowseRequest(Parameters=parameters)
+        return (await self._ask(request, ua.BrowseResponse)).Results
+
+    @override
+    async def browse_next(self, parameters: ua.BrowseNextParameters) -> list[ua.BrowseResult]:
+        request = ua.BrowseNextRequest(Parameters=parameters)
+        return (await self._ask(request, ua.BrowseNextResponse)).Parameters.Results
+
+    @override
+    async def call(self, methodstocall: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        parameters = ua.CallParameters(MethodsToCall=methodstocall)
+        request = ua.CallRequest(Parameters=parameters)
+        return (await self._ask(request, ua.CallResponse)).Results
+
+    @override
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Callable[..., Any] | None = None
     ) -> ua.CreateSubscriptionResult:
@@ -83,6 +99,34 @@ class BatchSession(UaSession):
     ) -> list[ua.MonitoredItemCreateResult]:
         request = ua.CreateMonitoredItemsRequest(Parameters=params)
         return (await self._ask(request, ua.CreateMonitoredItemsResponse)).Results
+
+    @override
+    async def translate_browsepaths_to_nodeids(
+        self, browse_paths: list[ua.BrowsePath]
+    ) -> list[ua.BrowsePathResult]:
+        request = ua.TranslateBrowsePathsToNodeIdsRequest()
+        request.Parameters.BrowsePaths = browse_paths
+        return (await self._ask(request, ua.TranslateBrowsePathsToNodeIdsResponse)).Results
+
+    async def resume(self, token: ua.NodeId) -> None:
+        """Take up a session that was made over another connection; it is to be activated."""
+        self.restore_authentication_token(token)
+        self._set_state(SessionState.CREATED)
+
+    @override
+    async def transfer_subscriptions(
+        self, params: ua.TransferSubscriptionsParameters
+    ) -> list[ua.TransferResult]:
+        request = ua.TransferSubscriptionsRequest(Parameters=params)
+        response = await self._ask(request, ua.TransferSubscriptionsResponse)
+        return response.Parameters.Results
+
+    @override
+    async def modify_monitored_items(
+        self, params: ua.ModifyMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemModifyResult]:
+        request = ua.ModifyMonitoredItemsRequest(Parameters=params)
+        return (await self._ask(request, ua.ModifyMonitoredItemsResponse)).Results
 
     async def _ask(self, request: object, kind: type[_T]) -> _T:
         return decode_response(kind, await self.request(request))

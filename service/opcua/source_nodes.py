@@ -1,8 +1,9 @@
 """The nodes of a source server: their names, whether they exist, whether they hold numbers."""
 
 import re
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import TypeVar
 from uuid import UUID
 
@@ -12,6 +13,7 @@ from service.errors import ConfigurationError, SourceRejected
 from service.opcua.connection import Connection, in_one_line, status_name
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
+from service.streaming.units import Measure
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
 
@@ -24,6 +26,7 @@ _NODE_ID = re.compile(
 _ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
 
 _DEFAULT_OPERATIONS = 1_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ATTRIBUTES = (
     ua.AttributeIds.NodeClass,
     ua.AttributeIds.DataType,
@@ -42,7 +45,8 @@ class ValveNodes:
 
     ``T``, ``sequence`` (a counter that grows by one with each sample), ``required_U`` (where the
     feed-forward voltage is written) and ``heartbeat`` (UInt32, where the source sees that it still
-    is) may be missing.
+    is) may be missing. ``measures`` says by name in what units the signals come and the command
+    goes; with ``insist`` the source may say otherwise.
     """
 
     valve: str
@@ -54,6 +58,8 @@ class ValveNodes:
     sequence: str | None = None
     required_U: str | None = None
     heartbeat: str | None = None
+    measures: Mapping[str, Measure] = field(default_factory=dict)
+    insist: bool = False
 
     def __post_init__(self) -> None:
         """Check the form of the NodeIds.
@@ -65,6 +71,10 @@ class ValveNodes:
         """
         for wanted in _of_valve(0, self):
             parse_node_id(wanted.text, ())
+
+    def measure(self, name: str) -> Measure:
+        """What is known of a signal, or of the command, beforehand."""
+        return self.measures.get(name, Measure())
 
     def signals(self) -> Iterator[tuple[Signal, str, str]]:
         """Signal, name and NodeId of all that is to be read."""
@@ -168,7 +178,7 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
     SourceLost
     """
     url = connection.settings.url
-    namespaces = await _namespaces(connection)
+    namespaces = await namespaces_of(connection)
     wanted = [node for number, valve in enumerate(valves) for node in _of_valve(number, valve)]
     ids = [parse_node_id(node.text, namespaces) for node in wanted]
     with connection.errors("reading the nodes"):
@@ -203,6 +213,36 @@ def _checked(
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
         raise SourceRejected(faults[0] + more)
     return CheckedNodes(tuple(monitored), writable)
+
+
+@dataclass(frozen=True)
+class SourceClock:
+    """When the server was started and what time it has, UTC ns; 0 where it does not say."""
+
+    started: int
+    now: int
+
+
+async def clock_of_source(connection: Connection) -> SourceClock:
+    """Read what the server says of its time.
+
+    Raises
+    ------
+    SourceLost
+    """
+    ids = (
+        ua.ObjectIds.Server_ServerStatus_StartTime,
+        ua.ObjectIds.Server_ServerStatus_CurrentTime,
+    )
+    parameters = ua.ReadParameters(
+        NodesToRead=[
+            ua.ReadValueId(NodeId=ua.NodeId(number), AttributeId=ua.AttributeIds.Value)
+            for number in ids
+        ]
+    )
+    with connection.errors("reading the source's time"):
+        started, now = await connection.session.read(parameters)
+        return SourceClock(_ns_of(started), _ns_of(now))
 
 
 @dataclass(frozen=True)
@@ -253,6 +293,13 @@ async def in_chunks(
     return results
 
 
+def _ns_of(answer: ua.DataValue) -> int:
+    value = None if answer.Value is None else answer.Value.Value
+    if not isinstance(value, datetime):
+        return 0
+    return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
+
+
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
     for signal, name, text in nodes.signals():
         yield _Wanted(number * SIGNALS_PER_VALVE + signal, number, text, name)
@@ -269,7 +316,13 @@ def _uint32(text: str) -> int:
     return number
 
 
-async def _namespaces(connection: Connection) -> list[str]:
+async def namespaces_of(connection: Connection) -> list[str]:
+    """Read the server's NamespaceArray.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
     with connection.errors("reading the NamespaceArray"):
         parameters = ua.ReadParameters(
             NodesToRead=[

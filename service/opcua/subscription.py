@@ -6,13 +6,19 @@ handed on. Every response is acknowledged with the next request.
 """
 
 import asyncio
+import math
+from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, repeat
 
+import numpy as np
 from asyncua import ua
+from numpy.typing import NDArray
 
 from service.clock import Clock
-from service.errors import SourceError, SourceLost, SourceRejected
+from service.errors import SourceError, SourceLost
 from service.hardened.logs import bounded_logger
 from service.opcua.connection import Connection, status_name
 from service.opcua.decoding import (
@@ -22,21 +28,28 @@ from service.opcua.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
+from service.opcua.monitored_items import Item, create_items, enlarge_queues
 from service.opcua.responses import Senseless
-from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
-from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
+from service.opcua.source_nodes import MonitoredNode
+from service.streaming.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
 
 _STALL_S = 1.0  # a wait that lasts so much too long tells of our own standstill
 _LOST_KEEP_ALIVES = 3
+_LONGEST_ANSWER_S = 1.5  # on top of them
 _LIFETIME_KEEP_ALIVES = 10
-_LIFETIME_S = 60.0
+LIFETIME_S = 120.0
+QUEUED_S = 60.0  # of samples that the server shall keep while the line is cut
+_NOTICEABLY = 1.1  # larger must a queue be to be asked for
+_MEASURE_S = 2.0
+_SPARE = 1.2  # of a queue, for a source that is a little faster than it was measured
+_MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then as often as the last
 _MAX_REPUBLISH = 100
+_MOST_KEPT_BACK = 10_000  # messages; no server keeps so many
 _LONGEST_SILENCE_S = 86_400.0  # whoever may be silent for longer cannot be watched
 _NOTIFICATIONS_PER_PUBLISH = 100_000
 _MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers count generously
-_ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
 _GOOD_TRANSFERRED = 0x002D0000
 
 
@@ -51,8 +64,47 @@ class Tally:
     undecodable: int = 0
 
 
+@dataclass(frozen=True)
+class Left:
+    """A subscription that was left alone at the server, as far as it was heard.
+
+    Attributes
+    ----------
+    created
+        What the server said of it.
+    next_message
+        Sequence number of the message to come; None before the first.
+    acknowledgements
+        What was to be acknowledged.
+    buffer
+        Changes that nobody has taken yet.
+    items
+        The monitored items: node, number at the server, queue granted.
+    kept_back
+        Messages that are not to be acknowledged before they are committed; None: all may be.
+    handed_out
+        The last message that was heard.
+    """
+
+    created: ua.CreateSubscriptionResult
+    next_message: int | None
+    acknowledgements: tuple[ua.SubscriptionAcknowledgement, ...]
+    buffer: tuple[DataChanges, ...]
+    items: tuple[Item, ...]
+    kept_back: tuple[int, ...] | None = None
+    handed_out: int | None = None
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How far a subscription has been handed out: its number, and that of the last message."""
+
+    subscription: int
+    message: int
+
+
 class Subscription:
-    """A running subscription; made by :func:`subscribe`."""
+    """A running subscription; made by :func:`subscribe` or :func:`take_over`."""
 
     def __init__(
         self,
@@ -61,6 +113,14 @@ class Subscription:
         tally: Tally,
         clock: Clock,
     ) -> None:
+        self._created = created
+        self._items: tuple[Item, ...] = ()
+        self._asked = 0
+        self._tidies = False
+        self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
+        self._handed_out: int | None = None
+        self._accepted: int | None = None
+        self._counted: NDArray[np.int64] | None = None  # changes by item, while they are measured
         self._connection = connection
         self._session = connection.session
         self._settings = connection.settings
@@ -69,7 +129,7 @@ class Subscription:
         self._tally = tally
         self._clock = clock
         silent_s = _LOST_KEEP_ALIVES * created.RevisedMaxKeepAliveCount * self._interval_s
-        self._silence = silent_s + connection.settings.timeout_s
+        self._silence = silent_s + min(connection.settings.timeout_s, _LONGEST_ANSWER_S)
         self._heard = clock.monotonic()
         self._next: int | None = None
         self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
@@ -82,8 +142,92 @@ class Subscription:
         self._failure: SourceError | None = None
         self._publishers: set[asyncio.Task[None]] = set()
 
+    def left(self) -> Left:
+        """What another connection needs to go on with it; its buffer is empty then."""
+        buffer = tuple(self._buffer)
+        self._buffer.clear()
+        self._buffered = 0
+        return Left(
+            self._created,
+            self._next,
+            tuple(self._acknowledgements),
+            buffer,
+            self._items,
+            None if self._kept_back is None else tuple(self._kept_back),
+            self._accepted,
+        )
+
+    def go_on_from(self, left: Left) -> None:
+        """Begin where another one was left."""
+        self._next = left.next_message
+        self._acknowledgements = list(left.acknowledgements)
+        self._items = left.items
+        self._tidies = True
+        if left.kept_back is not None:
+            self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
+        self._handed_out = self._accepted = left.handed_out
+
+    def hold_back(self) -> None:
+        """Acknowledge from now on only what `commit` says."""
+        self._kept_back = deque(maxlen=_MOST_KEPT_BACK)
+
+    @property
+    def created(self) -> ua.CreateSubscriptionResult:
+        """What the server said of it."""
+        return self._created
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """Its monitored items."""
+        return self._items
+
+    @property
+    def mark(self) -> Mark | None:
+        """How far it has been handed out; None before the first message."""
+        if self._handed_out is None:
+            return None
+        return Mark(self._created.SubscriptionId, self._handed_out)
+
+    def commit(self, mark: Mark) -> None:
+        """What was handed out up to a mark need not be had again."""
+        if self._kept_back is None or mark.subscription != self._id:
+            return
+        while self._kept_back and (mark.message - self._kept_back[0]) % 2**32 < 2**31:
+            number = self._kept_back.popleft()
+            self._acknowledgements.append(_acknowledgement(self._id, number))
+
+    def watch(self, items: Sequence[Item]) -> None:
+        """See to it from now on that the queues of these items hold what they must."""
+        self._items = tuple(items)
+
+    async def catch_up(self, available: Sequence[int] = ()) -> bool:
+        """Ask for all messages again that were sent over the connection before.
+
+        Returns
+        -------
+        bool
+            False if the server does not know the subscription any more.
+
+        Raises
+        ------
+        SourceLost
+        """
+        with self._connection.errors("taking the subscription over"):
+            try:
+                self._skip_to_oldest(available)
+                message = await self._republish(self._next or 1)
+                while message is not None and message.sequence_number == (self._next or 1):
+                    self._accept(message)
+                    message = await self._republish(self._next or 1)
+            except ua.uaerrors.BadSubscriptionIdInvalid:
+                return False
+            except ua.uaerrors.BadServiceUnsupported:
+                return True
+        return True
+
     def start(self) -> None:
         """Send the first publish requests."""
+        self._publishers.add(asyncio.create_task(self._adapt_queues()))
         for _ in range(self._settings.publish_requests):
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
@@ -109,6 +253,7 @@ class Subscription:
                 continue
             self._arrived.clear()
         changes = DataChanges.concatenate(self._buffer)
+        self._handed_out = self._accepted
         self._buffer.clear()
         self._buffered = 0
         if not self._room.is_set():
@@ -164,36 +309,58 @@ class Subscription:
             raise ua.UaStatusCodeError(response.service_result)
         if response.subscription_id != self._id:
             return
+        if self._tidies:
+            self._tidy(response)
         await self._fill_gap(response)
         message = response.message
-        if message.keep_alive:
+        if message.keep_alive or self._came_before(message):
             return
-        self._acknowledge(message.sequence_number)
-        self._keep(message)
+        self._accept(message)
         if message.status_change is not None and (
             message.status_change >> 30 or message.status_change == _GOOD_TRANSFERRED
         ):
             name = status_name(message.status_change)
             self._fail(SourceLost(f"{self._settings.url}: the subscription ended: {name}"))
 
+    def _tidy(self, response: PublishResponse) -> None:
+        """Acknowledge what was to be over the connection before."""
+        self._tidies = False
+        known = {ack.SequenceNumber for ack in self._acknowledgements} | set(self._kept_back or ())
+        for number in response.available:
+            heard = self._next is not None and 0 < (self._next - number) % 2**32 < 2**31
+            if heard and number not in known:
+                self._acknowledge(number)
+
+    def _came_before(self, message: Message) -> bool:
+        return self._next is not None and message.sequence_number != self._next
+
+    def _accept(self, message: Message) -> None:
+        """Take a message in; whatever happens then, it is not asked for again."""
+        self._keep(message)
+        self._accepted = message.sequence_number
+        self._acknowledge(message.sequence_number)
+        self._next = _after(message.sequence_number)
+
     async def _fill_gap(self, response: PublishResponse) -> None:
         """Ask again for what lies between the last message and this one."""
         number = response.message.sequence_number
-        expected = number if self._next is None else self._next
-        self._next = number if response.message.keep_alive else _after(number)
-        gap = (number - expected) % 2**32
+        if self._next is None:
+            self._next = number
+        gap = (number - self._next) % 2**32
         if gap >= 2**31:
             _log.warning("%s: message %d came twice", self._settings.url, number)
+            self._acknowledge(number)
             return
-        missing = [_ahead(expected, i) for i in range(min(gap, _MAX_REPUBLISH))]
-        self._tally.missing_messages += gap - len(missing)
-        for lost in missing:
-            message = await self._republish(lost)
-            if message is None or message.sequence_number != lost:
+        beyond = max(gap - _MAX_REPUBLISH, 0)
+        for _ in range(gap - beyond):
+            message = await self._republish(self._next)
+            if message is None or message.sequence_number != self._next:
                 self._tally.missing_messages += 1
+                self._next = _after(self._next)
             else:
-                self._acknowledge(lost)
-                self._keep(message)
+                self._accept(message)
+        self._tally.missing_messages += beyond
+        self._next = number
 
     async def _republish(self, number: int) -> Message | None:
         request = ua.RepublishRequest()
@@ -206,10 +373,20 @@ class Subscription:
         except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
             return None
 
+    def _skip_to_oldest(self, available: Sequence[int]) -> None:
+        """Go on with the oldest message that the server still has."""
+        begin = self._next or 1
+        ahead = sorted((n - begin) % 2**32 for n in available)
+        ahead = [steps for steps in ahead if steps < 2**31]
+        if ahead and ahead[0]:
+            self._tally.missing_messages += ahead[0]
+            self._next = _ahead(begin, ahead[0])
+
     def _acknowledge(self, number: int) -> None:
-        self._acknowledgements.append(
-            ua.SubscriptionAcknowledgement(SubscriptionId=self._id, SequenceNumber=number)
-        )
+        if self._kept_back is not None:
+            self._kept_back.append(number)
+        else:
+            self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
         changes = message.changes
@@ -222,11 +399,41 @@ class Subscription:
         self._tally.notifications += len(changes)
         self._tally.overflows += message.overflows
         self._tally.undecodable += message.not_numeric
+        if self._counted is not None:
+            self._counted += np.bincount(
+                np.clip(changes.item, 0, len(self._counted) - 1), minlength=len(self._counted)
+            )
+        self._hand_out(changes)
+
+    def _hand_out(self, changes: DataChanges) -> None:
         self._buffer.append(changes)
         self._buffered += len(changes)
         if self._buffered >= self._settings.buffer_limit:
             self._room.clear()
         self._arrived.set()
+
+    async def _adapt_queues(self) -> None:
+        """Measure how fast nodes change, and have queues that hold a minute of it."""
+        for pause_s in chain(_MEASURE_AFTER_S, repeat(_MEASURE_AFTER_S[-1])):
+            await asyncio.sleep(pause_s - _MEASURE_S)
+            if not self._items:
+                continue
+            self._counted = np.zeros(1 + max(item.node.item for item in self._items), np.int64)
+            began = self._clock.monotonic()
+            await asyncio.sleep(_MEASURE_S)
+            passed, counted = self._clock.monotonic() - began, self._counted
+            self._counted = None
+            wanted = math.ceil(_SPARE * QUEUED_S * int(counted.max()) / passed)
+            with suppress(SourceError):  # publishing says so, too
+                await self._have_queues_of(wanted)
+
+    async def _have_queues_of(self, size: int) -> None:
+        if size <= _NOTICEABLY * max(self._settings.queue_size, self._asked):
+            return
+        self._asked = size
+        with self._connection.errors("enlarging queues"):
+            self._items = await enlarge_queues(self._connection, self._id, self._items, size)
+        _log.info("%s: queues of %d values asked for", self._settings.url, size)
 
     def _fail(self, error: SourceError) -> None:
         self._failure = self._failure or error
@@ -234,7 +441,12 @@ class Subscription:
 
 
 async def subscribe(
-    connection: Connection, nodes: Sequence[MonitoredNode], tally: Tally, clock: Clock
+    connection: Connection,
+    nodes: Sequence[MonitoredNode],
+    tally: Tally,
+    clock: Clock,
+    *,
+    hold_back: bool = False,
 ) -> Subscription:
     """Subscribe to every sample of every node.
 
@@ -252,7 +464,7 @@ async def subscribe(
             ua.CreateSubscriptionParameters(
                 RequestedPublishingInterval=interval,
                 RequestedLifetimeCount=max(
-                    _LIFETIME_KEEP_ALIVES * keep_alive, round(_LIFETIME_S * 1e3 / interval)
+                    _LIFETIME_KEEP_ALIVES * keep_alive, round(LIFETIME_S * 1e3 / interval)
                 ),
                 RequestedMaxKeepAliveCount=keep_alive,
                 MaxNotificationsPerPublish=_NOTIFICATIONS_PER_PUBLISH,
@@ -261,20 +473,44 @@ async def subscribe(
         )
         _check_pace(result)
     subscription = Subscription(connection, result, tally, clock)
+    if hold_back:
+        subscription.hold_back()
     subscription.start()
     try:
         with connection.errors("subscribing"):
-            size = (await operation_limits(connection)).items_per_call
-            created = await in_chunks(
-                nodes,
-                min(size, _ITEMS_AT_ONCE),
-                lambda chunk: _create_items(connection, result.SubscriptionId, chunk),
-            )
-        _check(connection, nodes, created)
+            items = await create_items(connection, result.SubscriptionId, nodes)
+        subscription.watch(items)
     except BaseException:
         await subscription.stop()
         raise
     return subscription
+
+
+async def take_over(
+    connection: Connection, left: Left, tally: Tally, clock: Clock
+) -> tuple[Subscription, Sequence[int]] | None:
+    """Take over a subscription that was left at the server; None if it gives it to us no more.
+
+    It is to catch up from what is ``available``, and to be started then.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    number, available = left.created.SubscriptionId, []
+    with connection.errors("taking the subscription over"):
+        if not connection.resumed:
+            parameters = ua.TransferSubscriptionsParameters([number], SendInitialValues=False)
+            try:
+                (result,) = await connection.session.transfer_subscriptions(parameters)
+            except ua.UaStatusCodeError:
+                return None
+            if result.StatusCode.value >> 30:
+                return None
+            available = list(result.AvailableSequenceNumbers or ())
+    subscription = Subscription(connection, left.created, tally, clock)
+    subscription.go_on_from(left)
+    return subscription, available
 
 
 def _check_pace(created: ua.CreateSubscriptionResult) -> None:
@@ -285,71 +521,8 @@ def _check_pace(created: ua.CreateSubscriptionResult) -> None:
         raise ValueError(f"keep-alives every {count} times {interval_ms:g} ms")
 
 
-async def _create_items(
-    connection: Connection, subscription_id: int, nodes: Sequence[MonitoredNode]
-) -> list[ua.MonitoredItemCreateResult]:
-    settings = connection.settings
-    created: list[ua.MonitoredItemCreateResult] = await connection.session.create_monitored_items(
-        ua.CreateMonitoredItemsParameters(
-            SubscriptionId=subscription_id,
-            TimestampsToReturn=ua.TimestampsToReturn.Both,
-            ItemsToCreate=[
-                _request(node, settings.sampling_interval_ms, settings.queue_size) for node in nodes
-            ],
-        )
-    )
-    return created
-
-
-def _request(
-    node: MonitoredNode, sampling_interval_ms: float, queue_size: int
-) -> ua.MonitoredItemCreateRequest:
-    """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
-    return ua.MonitoredItemCreateRequest(
-        ItemToMonitor=ua.ReadValueId(NodeId=node.node, AttributeId=ua.AttributeIds.Value),
-        MonitoringMode=ua.MonitoringMode.Reporting,
-        RequestedParameters=ua.MonitoringParameters(
-            ClientHandle=node.item,
-            SamplingInterval=sampling_interval_ms,
-            Filter=ua.DataChangeFilter(
-                Trigger=ua.DataChangeTrigger.StatusValueTimestamp,
-                DeadbandType=ua.DeadbandType.None_,
-            ),
-            QueueSize=queue_size,
-            DiscardOldest=True,
-        ),
-    )
-
-
-def _check(
-    connection: Connection,
-    nodes: Sequence[MonitoredNode],
-    created: Sequence[ua.MonitoredItemCreateResult],
-) -> None:
-    """Refuse what cannot be watched; warn of what may be lost."""
-    settings = connection.settings
-    for node, item in zip(nodes, created, strict=True):
-        if item.StatusCode.value >> 30:
-            raise SourceRejected(
-                f"{node.label} cannot be subscribed to at {settings.url}: "
-                f"{status_name(item.StatusCode.value)}"
-            )
-    smallest_queue = min(item.RevisedQueueSize for item in created)
-    if smallest_queue < settings.queue_size:
-        _log.warning(
-            "%s: keeps %d values of a node instead of %d between two publishings",
-            settings.url,
-            smallest_queue,
-            settings.queue_size,
-        )
-    slowest_ms = max(item.RevisedSamplingInterval for item in created)
-    if slowest_ms > max(settings.sampling_interval_ms, 0.0):
-        _log.warning(
-            "%s: samples a node every %g ms instead of %g ms",
-            settings.url,
-            slowest_ms,
-            settings.sampling_interval_ms,
-        )
+def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowledgement:
+    return ua.SubscriptionAcknowledgement(SubscriptionId=subscription, SequenceNumber=number)
 
 
 def _after(number: int) -> int:

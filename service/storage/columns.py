@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.samples import Codes, Floats, Quality, Samples, Times
+from service.storage.dates import DateForm, date_nanoseconds, is_ambiguous
+from service.storage.layout import REQUIRED
 
-REQUIRED = ("t", "U", "p1", "p2", "Q")
-NUMBERS = ("U", "p1", "p2", "Q", "T")
 COLUMNS = (*REQUIRED, "T", "valve", "quality")
-DEFAULT_VALVE = "Valvistor"
 
 NANOSECONDS_FROM = 10**15
 ALLOWED_TIME = (
     "an ISO 8601 time, an integer >= 1e15 (UTC ns) or seconds, between the years 1678 and 2261"
 )
+ALLOWED_DATE = "a date in which day and month can be told apart: write 2026-12-31T08:00:00"
 ALLOWED_NUMBER = "a number, nan or an empty cell"
 ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
@@ -55,16 +55,19 @@ def numbers(cells: Sequence[str], column: str) -> Floats:
     return read
 
 
-def times(cells: Sequence[str]) -> Times:
+def times(cells: Sequence[str], form: DateForm | None = None) -> Times:
     """Read times as UTC ns, each cell by its own form and exact to the ns.
 
     An integer of at least 1e15 is UTC ns, any other number is seconds since 1970 (or since the
     recording's own zero), everything else is ISO 8601; without an offset it is UTC. Digits behind
-    the ns are cut off.
+    the ns are cut off. ``form`` says how a spreadsheet's dates are meant, where there are any.
 
     >>> times(["1700000000123456789", "0.01", "1970-01-01T01:00:00.000000001+01:00"])
     array([1700000000123456789,            10000000,                   1])
     """
+    form = form or DateForm()
+    if form.serial:
+        return np.array([_instant(row, cell, form) for row, cell in enumerate(cells)], np.int64)
     try:
         whole = np.fromiter(map(int, cells), np.int64, len(cells))
         if whole.size and whole.min() >= NANOSECONDS_FROM:
@@ -79,7 +82,7 @@ def times(cells: Sequence[str]) -> Times:
             return np.rint(seconds * 1e9).astype(np.int64)
     except ValueError:
         pass
-    return np.array([_instant(row, cell) for row, cell in enumerate(cells)], np.int64)
+    return np.array([_instant(row, cell, form) for row, cell in enumerate(cells)], np.int64)
 
 
 def times_of_integers(values: NDArray[np.int64]) -> Times:
@@ -168,9 +171,12 @@ def _number(row: int, column: str, cell: str) -> float:
     return number
 
 
-def _instant(row: int, cell: str) -> int:
+def _instant(row: int, cell: str, form: DateForm) -> int:
+    t = date_nanoseconds(cell, form)
+    if t is None and is_ambiguous(cell, form):
+        raise CellError(row, "t", cell, ALLOWED_DATE)
     try:
-        t = _nanoseconds(cell.strip())
+        t = _nanoseconds(cell.strip()) if t is None else t
     except (ValueError, InvalidOperation):
         t = None
     if t is None or not _SMALLEST <= t <= _LARGEST:

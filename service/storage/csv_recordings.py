@@ -5,25 +5,33 @@ import gzip
 import io
 import lzma
 import os
+import re
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import RecordingError
-from service.identification.samples import Floats, Samples
+from service.errors import NoRecording, RecordingError, ValvemapError
+from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
+from service.storage.dates import DateForm, date_form
+from service.storage.layout import NUMBERS, Layout, Part, find_columns
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
 _HEADER_LIMIT = 65_536
-_SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
+_SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
+_SAID_FIRST = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # Excel's own first line
+_PEEKED = 64  # lines from which the form of the dates is judged
+_PEEK = 65_536  # bytes
+_NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x81\x8d\x8f\x90\x9d]")
+_WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # by the byte order mark
 _DAMAGE = (EOFError, zlib.error, lzma.LZMAError, gzip.BadGzipFile, csv.Error)
 
 _BLOCK = 2_048  # lines whose cells stay in the processor's cache: nearly twice the speed
@@ -35,26 +43,35 @@ Block = tuple[Samples, NDArray[np.intp]]
 class CsvReader:
     """Reads a recording of one of :data:`PACKINGS` chunk by chunk.
 
-    Separated by comma, semicolon or tab, as the header is; behind a semicolon or tab the decimal
-    comma is understood, too. UTF-8, with or without a byte order mark; any line ends.
+    Separated by comma, semicolon, tab or bar, as the header is; the decimal comma is understood
+    wherever it does not separate. UTF-8 or UTF-16, with or without a byte order mark; what is
+    neither is read as Windows writes it in western Europe. Any line ends.
     """
 
-    def __init__(self, path: Path, packing: str, chunk_rows: int) -> None:
+    def __init__(self, path: Path, packing: str, chunk_rows: int, layout: Layout) -> None:
         self._path = path
         self._rows = chunk_rows
         with _Faults(path, lambda: 0):
             self._raw = path.open("rb")
             self._size = os.fstat(self._raw.fileno()).st_size
-        unpacked = _unpacked(self._raw, packing)
-        self._text = io.TextIOWrapper(unpacked, encoding="utf-8-sig", newline="")
+        unpacked = io.BufferedReader(cast("io.RawIOBase", _unpacked(self._raw, packing)), _PEEK)
         try:
-            self._separator, self._header = self._read_header()
-        except RecordingError:
-            self.close()
+            with _Faults(path, lambda: 0):
+                encoding = _encoding(unpacked.peek(_PEEK))
+            self._text = io.TextIOWrapper(unpacked, encoding=encoding, newline="")
+            self._separator, self._header, skipped = self._read_header()
+            self._columns = find_columns(self._header, layout, f"{path}, line {skipped}")
+        except ValvemapError:
+            self._raw.close()
             raise
-        self.ignored = tuple(name for name in self._header if name not in columns.COLUMNS)
+        self.ignored = self._columns.ignored
         self._valves: dict[str, int] = {}
-        self._lines = csv.reader(self._text, delimiter=self._separator, skipinitialspace=True)
+        with _Faults(path, lambda: 0):
+            peeked = list(islice(self._text, _PEEKED))
+        self._skipped = skipped
+        lines = chain(peeked, self._text)
+        self._lines = csv.reader(lines, delimiter=self._separator, skipinitialspace=True)
+        self._dates = self._date_form(peeked)
 
     @property
     def fraction(self) -> float:
@@ -67,16 +84,28 @@ class CsvReader:
             self._text.close()
         self._raw.close()
 
-    def _read_header(self) -> tuple[str, list[str]]:
+    def _read_header(self) -> tuple[str, list[str], int]:
+        """Separator, headings, and how many lines they end with."""
+        said, number = None, 1
         with _Faults(self._path, lambda: 0):
             line = self._text.readline(_HEADER_LIMIT)
+            match = _SAID_FIRST.fullmatch(line)
+            if match is not None:
+                said, number = match[1], 2
+                line = self._text.readline(_HEADER_LIMIT)
         if not line:
             raise RecordingError(f"{self._path} is empty: a recording begins with t,U,p1,p2,Q")
-        separator = max(_SEPARATORS, key=line.count)
+        separator = said if said in _SEPARATORS else max(_SEPARATORS, key=line.count)
         found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-        header = [name.strip() for name in found]
-        _check(header, self._path)
-        return separator, header
+        return separator, [name.strip() for name in found], number
+
+    def _date_form(self, peeked: Sequence[str]) -> DateForm:
+        """How the times are meant, by the first of them."""
+        place = self._columns.parts[0].t
+        rows = csv.reader(peeked, delimiter=self._separator, skipinitialspace=True)
+        with suppress(csv.Error):
+            return date_form([row[place] for row in rows if place < len(row)])
+        return DateForm()
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
         """Yield (valve, samples), so many lines at a time.
@@ -88,7 +117,7 @@ class CsvReader:
             blocks: list[Block] = []
             left = self._rows
             while more and left:
-                limit, before = min(left, _BLOCK), self._lines.line_num + 1
+                limit, before = min(left, _BLOCK), self._lines.line_num + self._skipped
                 rows, problem = self._read(limit)
                 blocks += self._parsed(rows, before)
                 left -= len(rows)
@@ -104,7 +133,7 @@ class CsvReader:
         """Lines up to ``limit``, and what stopped them before."""
         rows: Rows = []
         try:
-            with _Faults(self._path, lambda: self._lines.line_num + 1):
+            with _Faults(self._path, lambda: self._lines.line_num + self._skipped):
                 rows.extend(islice(self._lines, limit))  # keeps what came before a fault
         except RecordingError as error:
             return rows, error
@@ -117,33 +146,56 @@ class CsvReader:
             lines, rows = self._without_blank_lines(lines, rows)
         if not rows:
             return []
-        cells = dict(zip(self._header, zip(*rows, strict=True), strict=True))
+        cells = list(zip(*rows, strict=True))
         try:
-            samples = self._samples(cells)
-            names, index = columns.names(cells.get("valve", (columns.DEFAULT_VALVE,) * len(rows)))
+            return list(self._blocks(cells))
         except CellError as error:
             raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
-        numbers = [self._valves.setdefault(name, len(self._valves)) for name in names]
-        return [(samples, np.array(numbers)[index])]
 
-    def _samples(self, cells: Mapping[str, Sequence[str]]) -> Samples:
-        def points(name: str) -> Sequence[str]:
-            if self._separator == ",":
-                return cells[name]
-            return [cell.replace(",", ".") for cell in cells[name]]
+    def _blocks(self, cells: Sequence[Sequence[str]]) -> Iterator[Block]:
+        """Samples of every part of the file, and their valves' numbers."""
+        found = self._columns
+        quality = None if found.quality is None else columns.qualities(cells[found.quality])
+        names, index = None, None
+        if found.valve is not None:
+            names, index = columns.names(cells[found.valve])
+        for part in found.parts:
+            samples = self._samples(part, cells, quality)
+            if part.valve is None and names is not None and index is not None:
+                numbers = [self._valves.setdefault(name, len(self._valves)) for name in names]
+                yield samples, np.array(numbers)[index]
+                continue
+            valve = str(part.valve)
+            if part.selects and names is not None and index is not None:
+                if valve not in names:
+                    continue
+                samples = samples[index == names.index(valve)]
+            number = self._valves.setdefault(valve, len(self._valves))
+            yield samples, np.full(len(samples), number, np.intp)
 
-        def number(name: str) -> Floats:
-            return columns.numbers(points(name), name)
+    def _samples(
+        self, part: Part, cells: Sequence[Sequence[str]], quality: Codes | None
+    ) -> Samples:
+        numbers = {
+            name: scaling(self._numbers(cells[place], name))
+            for name, (place, scaling) in part.numbers.items()
+        }
+        return Samples.of(t=self._times(cells[part.t]), quality=quality, **numbers)
 
-        return Samples.of(
-            t=columns.times(points("t")),
-            U=number("U"),
-            p1=number("p1"),
-            p2=number("p2"),
-            Q=number("Q"),
-            T=number("T") if "T" in cells else None,
-            quality=columns.qualities(cells["quality"]) if "quality" in cells else None,
-        )
+    def _numbers(self, cells: Sequence[str], name: str) -> Floats:
+        if self._separator != ",":
+            return columns.numbers(_with_points(cells), name)
+        try:
+            return columns.numbers(cells, name)
+        except CellError:  # a decimal comma within quotes
+            if not any("," in cell for cell in cells):
+                raise
+            return columns.numbers(_with_points(cells), name)
+
+    def _times(self, cells: Sequence[str]) -> Times:
+        if self._separator == "," and not any("," in cell for cell in cells):
+            return columns.times(cells, self._dates)
+        return columns.times(_with_points(cells), self._dates)
 
     def _without_blank_lines(
         self, numbers: Sequence[int], rows: Rows
@@ -178,7 +230,7 @@ class _Faults:
                 f"{self._path} is cut off or damaged behind line {self._line()}: {error}"
             ) from None
         if isinstance(error, FileNotFoundError):
-            raise RecordingError(f"{self._path} does not exist") from None
+            raise NoRecording(f"{self._path} does not exist") from None
         if isinstance(error, OSError):
             raise RecordingError(
                 f"{self._path} cannot be read: {error.strerror or error}"
@@ -195,7 +247,7 @@ def csv_rows(valve: str, samples: Samples) -> bytes:
     csv.writer(text, lineterminator="\n").writerows(
         zip(
             map(columns.time_text, samples.t.tolist()),
-            *(getattr(samples, name).tolist() for name in columns.NUMBERS),
+            *(getattr(samples, name).tolist() for name in NUMBERS),
             (valve,) * len(samples),
             samples.quality.tolist(),
             strict=True,
@@ -230,14 +282,22 @@ def _unpacked(raw: BinaryIO, packing: str) -> IO[bytes]:
             return raw
 
 
-def _check(header: Sequence[str], path: Path) -> None:
-    missing = [name for name in columns.REQUIRED if name not in header]
-    if missing:
-        found = ",".join(header)
-        raise RecordingError(
-            f"{path}, line 1: column {', '.join(missing)} is missing; the header must hold "
-            f"t,U,p1,p2,Q (and may hold T, valve, quality), found {found[:60]!r}"
-        )
-    twice = [name for name in columns.COLUMNS if header.count(name) > 1]
-    if twice:
-        raise RecordingError(f"{path}, line 1: column {twice[0]} stands there twice")
+def _with_points(cells: Sequence[str]) -> list[str]:
+    return [cell.replace(",", ".") for cell in cells]
+
+
+def _encoding(beginning: bytes) -> str:
+    """How the text is written, judged by its first bytes."""
+    if beginning[:2] in _WIDE:
+        return _WIDE[beginning[:2]]
+    if beginning[1:2] == b"\0" and beginning[3:4] == b"\0":
+        return "utf-16-le"
+    if beginning[:1] == b"\0" and beginning[2:3] == b"\0":
+        return "utf-16-be"
+    try:
+        beginning[:_HEADER_LIMIT].decode("utf-8")
+    except UnicodeDecodeError as error:
+        cut_off = error.start >= len(beginning) - 4
+        if not cut_off and not _NO_TEXT.search(beginning):
+            return "cp1252"  # a spreadsheet's °C
+    return "utf-8-sig"

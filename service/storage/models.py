@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from service.errors import ConfigurationError, StorageError
+from service.errors import ConfigurationError, NoSuchFile, StorageError
 from service.identification.estimator import Estimator
 from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Floats
@@ -41,7 +41,7 @@ class Model:
     t
         Source time of the last sample, UTC ns; 0 before the first.
     samples : (10, 12)
-        Samples of late in each cell over U and √dp: the covered region.
+        Recent samples in each cell over U and √dp: the covered region.
     support
         What the map rests on: beyond it `invert` says EXTRAPOLATING.
     """
@@ -113,6 +113,8 @@ def load_model(file: Path) -> Model:
         content = json.loads(file.read_text(encoding="utf-8"))
         document = ModelDocument.model_validate(content)
         estimator, state = map_of(document.map)
+    except FileNotFoundError:
+        raise NoSuchFile(f"{file}: no such file") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except UnicodeDecodeError:

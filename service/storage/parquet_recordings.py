@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.errors import RecordingError
+from service.errors import NoRecording, RecordingError
 from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
+from service.storage.layout import DEFAULT_VALVE, NUMBERS, Columns, Layout, Part, find_columns
 
 try:
     import pyarrow as pa
@@ -24,7 +25,7 @@ except ImportError as _error:
 _SCHEMA = pa.schema(
     [
         pa.field("t", pa.timestamp("ns", tz="UTC")),
-        *(pa.field(name, pa.float64()) for name in columns.NUMBERS),
+        *(pa.field(name, pa.float64()) for name in NUMBERS),
         pa.field("valve", pa.string()),
         pa.field("quality", pa.uint8()),
     ]
@@ -42,9 +43,11 @@ class ArrowReader:
         batches: Iterable[pa.RecordBatch],
         total: int,
         close: Callable[[], None],
+        layout: Layout,
     ) -> None:
-        _check(schema, path)
-        self.ignored = tuple(name for name in schema.names if name not in columns.COLUMNS)
+        self._columns = find_columns(schema.names, layout, str(path))
+        _check_types(schema, self._columns, path)
+        self.ignored = self._columns.ignored
         self._path = path
         self._batches = batches
         self._total = total
@@ -71,29 +74,32 @@ class ArrowReader:
                 yield from self._parsed(batch, before)
 
     def _parsed(self, batch: pa.RecordBatch, before: int) -> Iterator[tuple[str, Samples]]:
-        found = {name: batch.column(name) for name in columns.COLUMNS if name in batch.schema.names}
+        found = self._columns
         try:
-            samples = Samples.of(
-                t=_times(found["t"]),
-                U=_numbers(found["U"]),
-                p1=_numbers(found["p1"]),
-                p2=_numbers(found["p2"]),
-                Q=_numbers(found["Q"]),
-                T=_numbers(found["T"]) if "T" in found else None,
-                quality=_qualities(found["quality"]) if "quality" in found else None,
-            )
-            valves = _valves(found.get("valve"), batch.num_rows)
+            quality = None if found.quality is None else _qualities(batch.column(found.quality))
+            whose = None if found.valve is None else batch.column(found.valve)
+            valves, index = _valves(whose, batch.num_rows)
+            for part in found.parts:
+                samples = _samples(batch, part, quality)
+                if part.valve is None:
+                    yield from columns.by_valve(samples, valves, index)
+                elif not part.selects:
+                    yield part.valve, samples
+                elif part.valve in valves:
+                    own = samples[index == valves.index(part.valve)]
+                    if len(own):
+                        yield part.valve, own
         except CellError as error:
             row = before + error.row + 1
             raise RecordingError(f"{self._path}, row {row}: {error}") from None
-        yield from columns.by_valve(samples, *valves)
 
 
-def open_parquet(path: Path, chunk_rows: int) -> ArrowReader:
+def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
     """Open a Parquet file; memory is bounded by the chunk, however large its row groups are."""
     try:
         metadata = pq.read_metadata(path)
-        names = [name for name in metadata.schema.names if name == "valve"]
+        wanted = (layout.valve or "valve").casefold()
+        names = [name for name in metadata.schema.names if name.casefold() == wanted]
         file = pq.ParquetFile(
             path,
             metadata=metadata,
@@ -103,19 +109,24 @@ def open_parquet(path: Path, chunk_rows: int) -> ArrowReader:
         )
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, error, 0) from error
-    wanted = [name for name in file.schema_arrow.names if name in columns.COLUMNS]
-    batches = file.iter_batches(batch_size=chunk_rows, columns=wanted)
-    return ArrowReader(path, file.schema_arrow, batches, file.metadata.num_rows, file.close)
+    headings = list(file.schema_arrow.names)
+    useless = set(find_columns(headings, layout, str(path)).ignored)
+    kept = [name for name in headings if name not in useless]
+    batches = file.iter_batches(batch_size=chunk_rows, columns=kept)
+    schema = pa.schema([file.schema_arrow.field(name) for name in kept])
+    reader = ArrowReader(path, schema, batches, file.metadata.num_rows, file.close, layout)
+    reader.ignored = tuple(name for name in headings if name in useless)
+    return reader
 
 
-def open_stream(path: Path) -> ArrowReader:
+def open_stream(path: Path, layout: Layout) -> ArrowReader:
     """Open what a killed recorder has left behind: a stream which may end anywhere."""
     try:
         file = pa.OSFile(str(path))
         stream = pa.ipc.open_stream(file)
     except (pa.ArrowException, OSError) as error:
         raise _damaged(path, error, 0) from error
-    return ArrowReader(path, stream.schema, stream, 0, file.close)
+    return ArrowReader(path, stream.schema, stream, 0, file.close, layout)
 
 
 def stream_head() -> bytes:
@@ -128,7 +139,7 @@ def stream_rows(valve: str, samples: Samples) -> bytes:
     batch = pa.record_batch(
         [
             pa.array(samples.t).cast(_SCHEMA.field("t").type),
-            *(pa.array(getattr(samples, name)) for name in columns.NUMBERS),
+            *(pa.array(getattr(samples, name)) for name in NUMBERS),
             pa.repeat(valve, len(samples)),
             pa.array(samples.quality),
         ],
@@ -155,22 +166,29 @@ def parquet_from_stream(stream: Path, path: Path) -> None:
             writer.write_table(pa.Table.from_batches(held, _SCHEMA))
 
 
-def _check(schema: pa.Schema, path: Path) -> None:
-    missing = [name for name in columns.REQUIRED if name not in schema.names]
-    if missing:
-        raise RecordingError(
-            f"{path}: column {', '.join(missing)} is missing; there must be t, U, p1, p2, Q "
-            f"(and may be T, valve, quality), found {', '.join(schema.names)[:60]!r}"
-        )
-    twice = [name for name in columns.COLUMNS if schema.names.count(name) > 1]
-    if twice:
-        raise RecordingError(f"{path}: column {twice[0]} stands there twice")
-    for name in columns.COLUMNS:
-        if name in schema.names:
-            kind = schema.field(name).type
-            allowed, test = _ALLOWED[name]
-            if not test(kind.value_type if pa.types.is_dictionary(kind) else kind):
-                raise RecordingError(f"{path}: column {name} is of type {kind}, not {allowed}")
+def _check_types(schema: pa.Schema, found: Columns, path: Path) -> None:
+    places = [("t", part.t) for part in found.parts]
+    places += [(name, n) for part in found.parts for name, (n, _) in part.numbers.items()]
+    places += [
+        (name, n)
+        for name, n in (("valve", found.valve), ("quality", found.quality))
+        if n is not None
+    ]
+    for name, place in places:
+        kind = schema.field(place).type
+        allowed, test = _ALLOWED[name]
+        if not test(kind.value_type if pa.types.is_dictionary(kind) else kind):
+            raise RecordingError(
+                f"{path}: column {schema.field(place).name} is of type {kind}, not {allowed}"
+            )
+
+
+def _samples(batch: pa.RecordBatch, part: Part, quality: Codes | None) -> Samples:
+    numbers = {
+        name: scaling(_numbers(batch.column(place)))
+        for name, (place, scaling) in part.numbers.items()
+    }
+    return Samples.of(t=_times(batch.column(part.t)), quality=quality, **numbers)
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -192,7 +210,7 @@ def _is_quality(kind: pa.DataType) -> bool:
 
 _ALLOWED: dict[str, tuple[str, Callable[[pa.DataType], bool]]] = {
     "t": ("a timestamp, a number or text", _is_time),
-    **dict.fromkeys(columns.NUMBERS, ("a number", _is_number)),
+    **dict.fromkeys(NUMBERS, ("a number", _is_number)),
     "valve": ("text", _is_text),
     "quality": ("an integer or text", _is_quality),
 }
@@ -241,7 +259,7 @@ def _qualities(column: pa.Array) -> Codes:
 
 def _valves(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np.intp]]:
     if column is None:
-        return [columns.DEFAULT_VALVE], np.zeros(rows, np.intp)
+        return [DEFAULT_VALVE], np.zeros(rows, np.intp)
     column = _complete(column, "valve", columns.ALLOWED_VALVE).dictionary_encode()
     if "" in column.dictionary.to_pylist():
         row = int(np.argmax(_array(pc.equal(_plain(column), ""))))
@@ -251,7 +269,7 @@ def _valves(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np.i
 
 def _damaged(path: Path, error: Exception, row: int) -> RecordingError:
     if isinstance(error, FileNotFoundError):
-        return RecordingError(f"{path} does not exist")
+        return NoRecording(f"{path} does not exist")
     sentence = str(error).splitlines()[0] if str(error) else type(error).__name__
     where = f"damaged behind row {row}" if row else "not a recording"
     return RecordingError(f"{path} is {where}: {sentence}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.errors import StorageError
+from service.errors import NoSuchFile, StorageError
 from service.identification.inversion import InverseStatus, Inversion
 from service.identification.samples import Floats
 
@@ -25,6 +25,8 @@ def read_points(file: Path) -> Points:
     """
     try:
         lines = list(csv.reader(io.StringIO(file.read_text(encoding="utf-8-sig"))))
+    except FileNotFoundError:
+        raise NoSuchFile(f"{file}: no such file; lines of Q,dp or Q,dp,T are wanted") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
     except (UnicodeDecodeError, csv.Error):

@@ -18,9 +18,15 @@ column     holds
            (optional, else Good)
 =========  ========================================================================================
 
+Neither case nor order of the headings counts. A unit may stand beside a name, ``p1 [psi]``,
+``Q (gpm)``, ``T_degF``; without one the numbers are in those above. Other names, units and raw
+ranges are a matter of the configuration: a :class:`~service.storage.layout.Layout`.
+
 An empty cell and ``nan`` are missing numbers: valid data, on which the quality gate decides. CSV
-is UTF-8, separated by comma, semicolon or tab as its header is. Behind a semicolon or a tab a
-comma in a number is the decimal comma (a German spreadsheet); thousands are never grouped.
+is UTF-8, UTF-16 or a spreadsheet's ANSI, separated by comma, semicolon, tab or bar as its header
+is. A comma in a number is the decimal comma (a German spreadsheet); thousands are never grouped.
+Dates may be a spreadsheet's, 31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900,
+where day and month can be told apart.
 """
 
 import os
@@ -32,15 +38,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol, Self
 
-from service.errors import RecordingError, StorageError
+from service.errors import NoRecording, RecordingError, StorageError
 from service.identification.samples import Samples
 from service.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
+from service.storage.layout import Layout
 
 _PART = re.compile(r"(\.\d+)?\.part$", re.IGNORECASE)
 _BLOCK = 1 << 18
 
 
-def read_recording(path: str | Path, chunk_rows: int = 65_536) -> "RecordingReader":
+def read_recording(
+    path: str | Path, chunk_rows: int = 65_536, layout: Layout | None = None
+) -> "RecordingReader":
     """Open a recording.
 
     Parameters
@@ -50,6 +59,8 @@ def read_recording(path: str | Path, chunk_rows: int = 65_536) -> "RecordingRead
         :class:`RecordingWriter` left behind.
     chunk_rows
         Rows held in memory at a time.
+    layout
+        Which column holds what, in which unit, where it is not as above.
 
     Returns
     -------
@@ -62,8 +73,10 @@ def read_recording(path: str | Path, chunk_rows: int = 65_536) -> "RecordingRead
     RecordingError
         here or while iterating: one line that names file, line, column, value and what is
         allowed. What stands before the damage of a truncated file is handed out first.
+    ConfigurationError
+        if the file's headings contradict ``layout``.
     """
-    return RecordingReader(Path(path), chunk_rows)
+    return RecordingReader(Path(path), chunk_rows, layout or Layout())
 
 
 class RecordingReader(Iterator[tuple[str, Samples]]):
@@ -75,9 +88,9 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
         Columns of the file that mean nothing here.
     """
 
-    def __init__(self, path: Path, chunk_rows: int) -> None:
+    def __init__(self, path: Path, chunk_rows: int, layout: Layout) -> None:
         self._path = path
-        self._source = _open(path, chunk_rows)
+        self._source = _open(path, chunk_rows, layout)
         self._chunks = self._source.chunks()
         self._seen = False
         self.ignored = self._source.ignored
@@ -130,13 +143,15 @@ class _Source(Protocol):
     def close(self) -> None: ...
 
 
-def _open(path: Path, chunk_rows: int) -> _Source:
+def _open(path: Path, chunk_rows: int, layout: Layout) -> _Source:
     suffix, is_part = _suffix(path)
     if suffix in PACKINGS:
-        return CsvReader(path, suffix, chunk_rows)
+        return CsvReader(path, suffix, chunk_rows, layout)
     from service.storage import parquet_recordings as parquet  # noqa: PLC0415 - an extra
 
-    return parquet.open_stream(path) if is_part else parquet.open_parquet(path, chunk_rows)
+    if is_part:
+        return parquet.open_stream(path, layout)
+    return parquet.open_parquet(path, chunk_rows, layout)
 
 
 class RecordingWriter:
@@ -286,7 +301,7 @@ def _suffix(path: Path) -> tuple[str, bool]:
     for suffix in (*PACKINGS, ".parquet"):
         if whole.endswith(suffix):
             return suffix, whole != name
-    raise RecordingError(
+    raise NoRecording(
         f"{path} is not a recording: its name must end in {', '.join(PACKINGS)} or .parquet"
     )
 

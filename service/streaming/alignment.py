@@ -8,14 +8,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.samples import Samples, Segments
+from service.identification.samples import Samples, Segments, Times
 from service.streaming.data_changes import DataChanges, Signal
 from service.streaming.kernels import alignment as kernel
-from service.streaming.kernels.alignment import Aligned, Changes, Waiting
+from service.streaming.kernels import waiting as slots
+from service.streaming.kernels.waiting import Aligned, Changes, Rules, Waiting
 
-COUNTER_NAMES = ("late", "missing", "duplicates", "clock_steps", "gaps", "aligned")
+COUNTER_NAMES = (
+    "late",
+    "missing",
+    "duplicates",
+    "clock_steps",
+    "gaps",
+    "aligned",
+    "lost_by_time",
+    "restarts",
+)
 
 _FIRST_CAPACITY = 16
+_LOST_KEPT = 8  # stretches given up, by which what comes late is told from what comes twice
+_TIMES_KEPT = 1024  # samples that are known again by their time alone
 
 
 @dataclass(frozen=True)
@@ -27,8 +39,14 @@ class AlignmentSettings:
     tolerance_ns : int
         Largest difference of source times within one sample; 0 = the same timestamp.
     max_wait_ns : int
-        A sample still incomplete is given up once a complete one is newer by this much; a signal
-        whose source time steps back by more tells of a step of the source's clock.
+        A sample still incomplete is given up once a complete one is newer by this much; a source
+        time that steps back by more tells of a step of the source's clock.
+    reorder_ns : int
+        How long a sample waits behind a hole in the running numbers for what is missing there.
+        Where there is no hole it leaves at once.
+    reorder_by_time_ns : int
+        The same for valves without running number: each sample waits until one so much newer is
+        complete.
     max_pending : int
         Incomplete samples kept per valve; the oldest is given up beyond that.
     hold_ns : mapping of Signal to int
@@ -37,6 +55,8 @@ class AlignmentSettings:
 
     tolerance_ns: int = 0
     max_wait_ns: int = 2_000_000_000
+    reorder_ns: int = 1_000_000_000
+    reorder_by_time_ns: int = 0
     max_pending: int = 4096
     hold_ns: Mapping[Signal, int] = field(default_factory=dict)
 
@@ -66,12 +86,18 @@ class ByValve(Mapping[int, Samples]):
 
 @dataclass(frozen=True)
 class Alignment:
-    """Aligns the changes of V valves; ``has_T`` tells which of them have a temperature sensor.
+    """Aligns the changes of V valves.
 
-    Every change is sorted by its source time into a waiting sample of its valve. A complete sample
-    leaves in the order of time; what it overtakes is given up and counted as ``missing``, what
-    comes after that as ``late``, what comes twice as ``duplicates``. ``gaps`` counts the running
-    numbers that never came, ``clock_steps`` the signals whose source time stepped back.
+    ``has_T`` tells which of them have a temperature sensor, ``has_sequence`` which have a running
+    number; none has, if it is empty.
+
+    Every change is sorted by its source time into a waiting sample of its valve. Complete samples
+    leave each once: by their running number, as :mod:`service.streaming.kernels.by_number` says,
+    or else in the order of time. What a sample overtakes is given up and counted as ``missing``,
+    what comes after that as ``late``, what comes twice as ``duplicates``. ``gaps`` counts the
+    running numbers that never came, ``lost_by_time`` what the usual pace shows as lost where no
+    number tells, ``clock_steps`` the steps back of the source's clock, ``restarts`` how often its
+    running number began anew.
 
     Examples
     --------
@@ -89,76 +115,157 @@ class Alignment:
 
     settings: AlignmentSettings
     has_T: tuple[bool, ...]
+    has_sequence: tuple[bool, ...] = ()
 
     def initial_state(self) -> Waiting:
         """Nothing has arrived yet."""
-        valves, signals = len(self.has_T), kernel.SIGNALS
+        valves, signals = len(self.has_T), slots.SIGNALS
         pending = min(_FIRST_CAPACITY, self.settings.max_pending)
+        order = np.zeros((valves, slots.ORDER_FIELDS), np.int64)
+        order[:, [slots.LAST, slots.BASE]] = slots.NO_NUMBER
+        order[:, list(_TIMES)] = slots.NEVER
+        order[:, slots.SEEN :] = slots.NEVER
         return Waiting(
-            times=np.zeros((valves, pending), np.int64),
+            slots=np.zeros((valves, pending, slots.SLOT_FIELDS), np.int64),
             values=np.zeros((valves, pending, signals)),
             status=np.zeros((valves, pending, signals), np.uint32),
-            filled=np.zeros((valves, pending), np.uint8),
-            size=np.zeros(valves, np.int64),
-            emitted_until=np.full(valves, kernel.NEVER),
-            seen=np.full((valves, signals), kernel.NEVER),
             held_value=np.zeros((valves, signals)),
             held_status=np.zeros((valves, signals), np.uint32),
-            held_time=np.full((valves, signals), kernel.NEVER),
-            sequence=np.full(valves, kernel.NO_SEQUENCE),
-            counters=np.zeros((valves, kernel.COUNTERS), np.int64),
+            held_time=np.full((valves, signals), slots.NEVER),
+            lost=np.zeros((valves, _LOST_KEPT, 2), np.int64),
+            left=np.zeros((valves, 0 if self._numbered.all() else _TIMES_KEPT), np.int64),
+            order=order,
+            counters=np.zeros((valves, slots.COUNTERS), np.int64),
         )
 
     def update(self, state: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
-        """Take changes in; hand out the samples that are complete, by valve, in order of time."""
-        waiting = Waiting._make(array.copy() for array in state)
-        columns = Changes(changes.item, changes.value, changes.status, changes.source_time)
-        parts: list[Aligned] = []
-        done = 0
-        while done < len(changes):
-            pending = waiting.times.shape[1]
-            out = _room(len(changes) - done + int(waiting.size.sum()))
-            done, n = kernel.align_changes(
-                columns,
-                done,
-                self._required,
-                self._hold,
-                self.settings.tolerance_ns,
-                self.settings.max_wait_ns,
-                pending < self.settings.max_pending,
-                waiting,
-                out,
-            )
-            parts.append(Aligned._make(array[:n] for array in out))
-            if done < len(changes):
-                waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
-        return waiting, _by_valve(_joined(parts), len(self.has_T))
+        """Take changes in; hand out the samples that may leave, by valve, in their order."""
+        return self.take(Waiting._make(array.copy() for array in state), changes)
+
+    def take(self, waiting: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
+        """The same; ``waiting`` is written in place, and must not be used any more."""
+        return self._run(waiting, changes, _NO_VALVES, slots.NOTHING)
+
+    def waits(self, waiting: Waiting) -> NDArray[np.bool_]:
+        """Which valves (V,) have samples that are all there and wait for earlier ones."""
+        found = np.zeros(len(self.has_T), np.bool_)
+        kernel.find_waiting(self._rules, waiting, found)
+        return found
+
+    def of(self, waiting: Waiting, valve: int) -> Waiting:
+        """Copies of what waits at one valve, (1, …), no longer than needed."""
+        one = Waiting._make(array[valve : valve + 1].copy() for array in waiting)
+        size = int(one.order[0, slots.SIZE])
+        return one._replace(
+            slots=one.slots[:, :size], values=one.values[:, :size], status=one.status[:, :size]
+        )
+
+    def put(self, waiting: Waiting, valve: int, one: Waiting) -> Waiting:
+        """Have another valve's copies of `of` wait at a valve; ``waiting`` as in `take`.
+
+        Raises
+        ------
+        ValueError
+            if they are of another shape than this alignment's.
+        """
+        size = one.slots.shape[1]
+        if int(one.order[0, slots.SIZE]) != size or size > self.settings.max_pending:
+            raise ValueError(f"{size} samples wait, {self.settings.max_pending} may")
+        while waiting.slots.shape[1] < size:
+            waiting = _grown(waiting, min(2 * waiting.slots.shape[1], self.settings.max_pending))
+        places = []
+        for name in Waiting._fields:
+            array, kept = getattr(waiting, name), getattr(one, name)
+            own = array[valve, :size] if name in _BY_SLOT else array[valve]
+            if own.shape != kept.shape[1:] or own.dtype != kept.dtype:
+                raise ValueError(f"{name} of another shape")
+            places.append((own, kept))
+        for own, kept in places:
+            own[...] = kept[0]
+        return waiting
+
+    def pending(self, waiting: Waiting) -> Times:
+        """How many samples of each valve wait, (V,)."""
+        return waiting.order[:, slots.SIZE].copy()
+
+    def newest(self, waiting: Waiting, valve: int) -> Times:
+        """Source time of each signal's newest value, (5,), UTC ns; ``NEVER`` before the first."""
+        seen = waiting.order[valve, slots.SEEN : slots.SEEN + slots.SIGNALS]
+        newest: Times = np.maximum(seen, waiting.held_time[valve])
+        return newest
+
+    def flush(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
+        """Have what waits for earlier samples leave without them; ``waiting`` as in `take`."""
+        return self._run(waiting, DataChanges.empty(), valves, slots.FLUSH)
+
+    def begin_anew(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
+        """The source of some valves was restarted: any running number may be the next."""
+        return self._run(waiting, DataChanges.empty(), valves, slots.BEGIN_ANEW)
 
     def counters(self, state: Waiting, valve: int) -> Mapping[str, int]:
         """Counts of one valve since the start."""
         return dict(zip(COUNTER_NAMES, state.counters[valve].tolist(), strict=True))
 
-    @cached_property
-    def _hold(self) -> NDArray[np.int64]:
-        one = [self.settings.hold_ns.get(Signal(j), 0) for j in range(kernel.SIGNALS)]
-        hold = np.tile(np.array(one, np.int64), (len(self.has_T), 1))
-        hold[~np.array(self.has_T, bool), Signal.T] = 0
-        return hold
+    def _run(
+        self, waiting: Waiting, changes: DataChanges, valves: Times, command: int
+    ) -> tuple[Waiting, ByValve]:
+        columns = Changes(changes.item, changes.value, changes.status, changes.source_time)
+        parts: list[Aligned] = []
+        done = 0
+        while not parts or done < len(changes):
+            pending = waiting.slots.shape[1]
+            may_grow = pending < self.settings.max_pending
+            out = _room(len(changes) - done + int(waiting.order[:, slots.SIZE].sum()))
+            done, n = kernel.align_changes(
+                columns, done, valves, command, self._rules, may_grow, waiting, out
+            )
+            parts.append(Aligned._make(array[:n] for array in out))
+            valves = _NO_VALVES
+            if done < len(changes):
+                waiting = _grown(waiting, min(2 * pending, self.settings.max_pending))
+        return waiting, _by_valve(_joined(parts), len(self.has_T))
 
     @cached_property
-    def _required(self) -> NDArray[np.uint8]:
-        needed = self._hold == 0
-        needed[~np.array(self.has_T, bool), Signal.T] = False
-        bits = np.uint8(1) << np.arange(kernel.SIGNALS, dtype=np.uint8)
-        required: NDArray[np.uint8] = (needed * bits).sum(axis=1).astype(np.uint8)
-        return required
+    def _numbered(self) -> NDArray[np.bool_]:
+        return np.array(self.has_sequence or (False,) * len(self.has_T), np.bool_)
+
+    @cached_property
+    def _rules(self) -> Rules:
+        settings, has_T = self.settings, np.array(self.has_T, np.bool_)
+        one = [settings.hold_ns.get(Signal(j), 0) for j in range(slots.SIGNALS)]
+        hold = np.tile(np.array(one, np.int64), (len(has_T), 1))
+        hold[~has_T, Signal.T] = 0
+        needed = hold == 0
+        needed[~has_T, Signal.T] = False
+        bits = np.uint8(1) << np.arange(slots.SIGNALS, dtype=np.uint8)
+        by_time = settings.reorder_by_time_ns
+        return Rules(
+            required=(needed * bits).sum(axis=1).astype(np.uint8),
+            hold=hold,
+            numbered=self._numbered,
+            reorder=np.where(self._numbered, settings.reorder_ns, by_time).astype(np.int64),
+            tolerance=settings.tolerance_ns,
+            max_wait=settings.max_wait_ns,
+        )
+
+
+_BY_SLOT = ("slots", "values", "status")
+_NO_VALVES = np.empty(0, np.int64)
+_TIMES = (
+    slots.LAST_TIME,
+    slots.HIGH,
+    slots.FLOOR,
+    slots.NEWEST,
+    slots.FIRST_TIME,
+    slots.BEFORE_FIRST,
+)
 
 
 def _room(n: int) -> Aligned:
     return Aligned(
         valve=np.empty(n, np.int64),
         time=np.empty(n, np.int64),
-        values=np.empty((n, kernel.SIGNALS)),
+        values=np.empty((n, slots.SIGNALS)),
         quality=np.empty(n, np.uint8),
     )
 
@@ -176,16 +283,13 @@ def _grown(waiting: Waiting, pending: int) -> Waiting:
         return wide
 
     return waiting._replace(
-        times=wider(waiting.times),
-        values=wider(waiting.values),
-        status=wider(waiting.status),
-        filled=wider(waiting.filled),
+        slots=wider(waiting.slots), values=wider(waiting.values), status=wider(waiting.status)
     )
 
 
 def _by_valve(out: Aligned, valves: int) -> ByValve:
     n = len(out.time)
-    columns = np.empty((kernel.SIGNALS, n))
+    columns = np.empty((slots.SIGNALS, n))
     t, quality, edges = np.empty(n, np.int64), np.empty(n, np.uint8), np.zeros(valves + 1, np.int64)
     kernel.sort_by_valve(out, t, columns, quality, edges)
     present = np.flatnonzero(np.diff(edges))

@@ -35,6 +35,7 @@ from service.streaming.pipeline import (
 )
 from service.streaming.ports import EstimatorResults
 from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
+from service.streaming.quality_gate import GateState
 from service.streaming.score import Score, recent_rmse
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
@@ -94,6 +95,19 @@ class Fleet:
             demand_Q=float(self._demand[m, 0]),
             demand_dp=float(self._demand[m, 1]),
         )
+
+    def remember(self, m: int, gate: GateState, t: int, T: float) -> None:
+        """Have the gate of one valve, and its last time and temperature, stand so."""
+        self._gate.put(m, gate)
+        self._t[m], self._T[m] = t, T
+
+    def beyond(self, m: int) -> Mapping[str, int]:
+        """Samples of one valve that an estimator could not describe."""
+        return {name: int(lanes.beyond[m]) for name, lanes in self._lanes.items()}
+
+    def count_beyond(self, m: int, name: str, count: int) -> None:
+        """Have it be so many."""
+        self._lanes[name].beyond[m] = count
 
     def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
         """What is published of the estimators of some valves; surveys are made elsewhere."""

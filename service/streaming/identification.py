@@ -5,7 +5,7 @@ time nor network.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,31 +14,59 @@ from service.errors import CommandRejected
 from service.identification.auto import Auto
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.inversion import InverseStatus, Inversion
-from service.identification.samples import Floats, Quality, Samples, Segments, Status, Times, Trace
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Status,
+    Times,
+    Trace,
+)
 from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
-from service.streaming.alignment import Alignment, ByValve
+from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
+from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
+    SIGNALS,
     Checkpoint,
     EstimatorDescription,
     EstimatorResults,
     InverseResults,
     Results,
+    SignalResults,
     ValveDescription,
     ValveResult,
 )
+from service.streaming.quality_gate import QualityGate
+from service.streaming.valve_memory import ValveMemory
+from service.streaming.waiting import waited_for
 
 MAPS_AT_ONCE = 100
+MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
+
+
+@dataclass(frozen=True)
+class _Through:
+    """What a valve's samples go through before they are learnt from."""
+
+    gate: QualityGate
+    alignment: AlignmentSettings
+    has_T: bool
+    has_sequence: bool
 
 
 class Identification:
@@ -61,10 +89,41 @@ class Identification:
             [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
         )
         self._next_survey = self._next_map = 0
+        self._newest = SignalResults(
+            t=np.zeros(len(self.plans), np.int64),
+            quality=np.zeros(len(self.plans), np.uint8),
+            values=np.full((len(self.plans), len(SIGNALS)), np.nan),
+        )
+        self._plausibility = Plausibility(len(self.plans))
+        self._insists = np.array([plan.insist for plan in self.plans], np.bool_)
+        self._implausible = np.zeros(len(self.plans), np.bool_)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
-        self._waiting, arrived = self._alignment.update(self._waiting, changes)
+        self._waiting, arrived = self._alignment.take(self._waiting, changes)
+        return self._learn(arrived)
+
+    def waits(self) -> NDArray[np.bool_]:
+        """Which valves have samples that wait for earlier ones."""
+        return self._alignment.waits(self._waiting)
+
+    def pending(self) -> Times:
+        """How many samples of each valve wait for signals or for earlier samples."""
+        return self._alignment.pending(self._waiting)
+
+    def wait_no_longer(self, valves: Times) -> ByValve:
+        """Take what waits for earlier samples without them; return it as `take` does."""
+        self._waiting, arrived = self._alignment.flush(self._waiting, valves)
+        return self._learn(arrived)
+
+    def begin_source_anew(self, valves: Times) -> ByValve:
+        """The source of some valves was restarted: its running numbers begin anew."""
+        self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
+        return self._learn(arrived)
+
+    def _learn(self, arrived: ByValve) -> ByValve:
+        self._note_newest(arrived)
+        arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):
@@ -73,6 +132,53 @@ class Identification:
             segments = Segments(self._member_of[valves[own]], first, last)
             self._fleets[number].take(arrived.samples[rows], segments)
         return arrived
+
+    def _note_newest(self, arrived: ByValve) -> None:
+        valves, _, stops = arrived.segments
+        last, newest = arrived.samples[stops - 1], self._newest
+        newest.t[valves], newest.quality[valves] = last.t, last.quality
+        columns = (getattr(last, name) for name in SIGNALS)
+        newest.values[valves] = np.stack(list(columns), axis=1)
+
+    def _reasons(self, valve: int) -> tuple[str, ...]:
+        if self._implausible[valve]:
+            return tuple(finding.sentence for finding in self.findings(valve))
+        return self.waited_for(valve)
+
+    def _signals(self, valves: Times, at_best: Codes) -> SignalResults:
+        newest = self._newest
+        quality = np.maximum(newest.quality[valves], at_best)
+        return SignalResults(newest.t[valves], quality, newest.values[valves])
+
+    def _without_implausible(self, arrived: ByValve) -> ByValve:
+        """The same samples; those of valves that cannot be what they are called are BAD."""
+        self._plausibility.count(arrived.samples, arrived.segments)
+        valves, starts, stops = arrived.segments
+        self._implausible[valves] |= self._plausibility.suspicious(valves) & ~self._insists[valves]
+        refused = np.flatnonzero(self._implausible[valves])
+        if not len(refused):
+            return arrived
+        quality = arrived.samples.quality.copy()
+        for k in refused:
+            quality[starts[k] : stops[k]] = Quality.BAD
+        return replace(arrived, samples=replace(arrived.samples, quality=quality))
+
+    def waited_for(self, valve: int) -> tuple[str, ...]:
+        """Which signals keep a valve's samples from being made, and what would help."""
+        newest = self._alignment.newest(self._waiting, valve)
+        has_T = self._alignment.has_T[valve]
+        return waited_for(newest, self._alignment.settings, has_T=has_T)
+
+    def implausible(self) -> NDArray[np.bool_]:
+        """Which valves are not learnt from, because their signals cannot be what they are called.
+
+        Once refused, a valve is learnt from again after a restart, with what is wrong mended.
+        """
+        return self._implausible
+
+    def findings(self, valve: int) -> list[Finding]:
+        """What speaks against a valve's signals being what they are called."""
+        return self._plausibility.findings(valve)
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples of one valve in; return them as judged, and what every estimator said."""
@@ -101,6 +207,9 @@ class Identification:
         for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
             number = self._next_map % len(self.plans)
             self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._implausible[number] |= not self._insists[number] and any(
+                finding.kind is Kind.REFUSED for finding in self.findings(number)
+            )
             self._next_map += 1
         lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
         for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
@@ -110,30 +219,38 @@ class Identification:
             self._next_survey += 1
 
     def results(
-        self, valves: Sequence[int], lost: NDArray[np.bool_] | None = None
+        self,
+        valves: Sequence[int],
+        lost: NDArray[np.bool_] | None = None,
+        old: NDArray[np.bool_] | None = None,
     ) -> Iterator[Results]:
         """What is published of some valves, those treated alike together.
 
-        All of it is BAD where ``lost``, an array over all valves, says that the sensors are.
+        All of it is BAD where ``lost``, an array over all valves, says that the sensors are, and
+        at best UNCERTAIN where ``old`` says that the newest sample is.
         """
         chosen = np.array(valves, np.int64)
         fleets = self._fleet_of[chosen]
         for number in np.unique(fleets):
             own = chosen[fleets == number]
-            gone = np.zeros(len(own), np.bool_) if lost is None else lost[own]
-            yield self._results(self._fleets[number], own, gone)
+            at_best = np.full(len(own), np.uint8(Quality.GOOD))
+            if old is not None:
+                at_best[old[own]] = Quality.UNCERTAIN
+            if lost is not None:
+                at_best[lost[own]] = Quality.BAD
+            yield self._results(self._fleets[number], own, at_best)
 
     def result(self, valve: int) -> ValveResult:
         """The same of one valve."""
         (results,) = self.results([valve])
         return results.one(0)
 
-    def _results(self, fleet: Fleet, valves: Times, lost: NDArray[np.bool_]) -> Results:
+    def _results(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         places = self._member_of[valves]
         estimators = {
             name: replace(
                 found,
-                quality=np.where(lost, np.uint8(Quality.BAD), found.quality),
+                quality=np.maximum(found.quality, at_best),
                 survey=[self._surveys[valve].get(name) for valve in valves],
             )
             for name, found in fleet.results(places).items()
@@ -144,6 +261,13 @@ class Identification:
             inverse=self._inverse_results(fleet, valves, estimators),
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
+            signals=self._signals(valves, at_best),
+            waiting=[
+                self._reasons(int(valve)) if of_use else ()
+                for valve, of_use in zip(
+                    valves, (at_best == Quality.BAD) | self._implausible[valves], strict=True
+                )
+            ],
         )
 
     def _inverse_results(
@@ -192,6 +316,9 @@ class Identification:
                         finds_changes=pipeline.finds_changes(estimator),
                         chooses_structure=isinstance(estimator, Auto),
                         finds_lags=isinstance(estimator, Auto),
+                        has_named_parameters=isinstance(
+                            estimator, RecursiveLeastSquares | MaximumLikelihood
+                        ),
                     )
                     for name, estimator in plan.estimators.items()
                 ),
@@ -305,6 +432,57 @@ class Identification:
             for name, lane in self.state(valve).lanes.items()
         ]
 
+    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that some valves, or all, remember beside their estimators' states."""
+        chosen = range(len(self.plans)) if valves is None else valves
+        kept = []
+        for valve in chosen:
+            fleet, m = self._at(valve)
+            state = fleet.state(m)
+            memory = ValveMemory.of(
+                state, self._alignment.of(self._waiting, valve), dict(fleet.beyond(m))
+            )
+            key = self._memory_key(valve)
+            kept.append(
+                Checkpoint(
+                    valve=self.plans[valve].name,
+                    estimator=MEMORY,
+                    key=key,
+                    t=state.t,
+                    state=memory.to_bytes(key),
+                    lam=None,
+                    frozen=False,
+                )
+            )
+        return kept
+
+    def _memory_key(self, valve: int) -> str:
+        alignment, plan = self._alignment, self.plans[valve]
+        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
+        return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
+
+    def _remember(self, kept: Checkpoint) -> bool:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            return False
+        fleet, m = self._at(number)
+        try:
+            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
+            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+            fleet.remember(m, memory.gate, memory.t, memory.T)
+        except (StateMismatchError, ValueError):
+            return False
+        fleet.demand(m, *memory.demand)
+        for name, notes in memory.notes.items():
+            known = name in self.plans[number].estimators and notes.status in (-1, *Status)
+            if not known or not (lane := fleet.lane(m, name)).t:
+                continue  # it starts afresh
+            status = None if notes.status < 0 else Status(notes.status)
+            said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
+            fleet.put(m, name, said)
+            fleet.count_beyond(m, name, notes.beyond)
+        return True
+
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
         """Take up what was kept, where the configuration still fits.
 
@@ -315,8 +493,8 @@ class Identification:
         """
         restored: list[str] = []
         refused: list[str] = []
-        for kept in checkpoints:
-            taken = self._restore(kept)
+        for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
+            taken = self._remember(kept) if kept.estimator == MEMORY else self._restore(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self.refresh_maps()

@@ -2,16 +2,18 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import structlog
 
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
-from service.identification.samples import Samples
+from service.identification.samples import Floats, Samples
+from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import (
     FeedForwardState,
@@ -22,9 +24,14 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import Identification
-from service.streaming.ports import CheckpointStore, ResultSink, Source
+from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
 
 VALVES_AT_ONCE = 32
+OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
+POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
+KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
+HEALTH_EVERY_S = 0.5  # the service's own condition is shown
+LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -37,9 +44,15 @@ class LiveSettings:
     Attributes
     ----------
     stale_after_s : float
-        Without a sample for this long a valve's sensors count as lost and its results as bad.
+        Without a sample for this long a valve's sensors count as lost and its results as bad. Once
+        the newest sample is older than this by the source's clock, results are uncertain; once it
+        is OLD times as old, bad.
+    reorder_s : float
+        A sample that waits for earlier ones waits no longer than this, should no more samples come
+        that it could be seen by.
     checkpoint_interval_s, map_interval_s : float
-        How often states are kept, and how often the inverse tables are computed anew.
+        How often states are kept at least (few valves: every second), and how often the inverse
+        tables are computed anew.
     publish_budget_s : float
         How long publishing may hold up the next batch. Valves that find no time are first next
         time, with their newest results.
@@ -49,6 +62,7 @@ class LiveSettings:
     """
 
     stale_after_s: float = 2.0
+    reorder_s: float = 1.0
     checkpoint_interval_s: float = 10.0
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
@@ -77,7 +91,20 @@ class LiveService:
         self._on_samples = on_samples
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
+        self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
+        self._held_until = now
+        self._source_started = 0
         self._lost = np.zeros(len(identification.plans), np.bool_)
+        self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
+        self._old = np.zeros(len(identification.plans), np.bool_)
+        self._health_due = now
+        self._kept_at = math.nan
+        self._failures = 0
+        self._refused = 0
+        self._mark: Any = None  # how far the source was heard: now, and when this round began
+        self._mark_of_round: Any = None
+        self._left_in_round: set[int] = set()
+        self._keeping: asyncio.Task[None] | None = None
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
@@ -95,7 +122,18 @@ class LiveService:
 
     async def start(self) -> None:
         """Take up what was kept before, and show that nothing is known of the present yet."""
-        restored, refused = self.identification.restore(self._store.load())
+        kept = []
+        for one in self._store.load():
+            if (one.valve, one.estimator) == POSITION:
+                self._source.resume_at(one.state)
+            else:
+                kept.append(one)
+        self._source.hold_back()
+        restored, refused = self.identification.restore(kept)
+        self._refused = len({*refused, *self._store.damaged})
+        self._lost[:] = True  # nothing is known of the present
+        if self._store.damaged:
+            log.warning("states damaged, those before them taken", estimators=self._store.damaged)
         if restored:
             log.info("states restored", estimators=restored)
         if refused:
@@ -103,19 +141,34 @@ class LiveService:
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
+    async def connected(self, source_started: int) -> None:
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            log.warning("source restarted")
+            every = np.arange(len(self._lost))
+            await self._use(self.identification.begin_source_anew(every))
+
     async def take(self, changes: DataChanges) -> None:
         """Identify, publish, feed forward."""
         self._connected = True
-        samples = self.identification.take(changes)
+        self._mark = self._source.mark
+        await self._use(self.identification.take(changes))
+
+    async def _use(self, samples: ByValve) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
+        self._held_s[members] = 0.0
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
-        self._lost[members] = False
+        ages = self._ages()
+        self._lost[members] = ages[members] > OLD * self._settings.stale_after_s
+        self._old[members] = ages[members] > self._settings.stale_after_s
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
+        self._say_what_is_doubted()
         await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
@@ -125,8 +178,8 @@ class LiveService:
     async def tick(self) -> None:
         """Look after what is due by the clock."""
         now = self._clock.monotonic()
-        stale = ~self._lost & (now - self._last_sample > self._settings.stale_after_s)
-        await self._lose(np.flatnonzero(stale).tolist())
+        await self._wait_no_longer(now)
+        await self._doubt(now)
         if now - self._fed_at >= FEED_AGAIN_S:
             await self._feed_forward()
         await self._publish_in_turn()
@@ -134,6 +187,53 @@ class LiveService:
             self._map_due = now + self._settings.map_interval_s
             self.identification.refresh_maps()
         self._keep_in_turn(now)
+        await self._show_health(now)
+
+    async def _doubt(self, now: float) -> None:
+        """Call old what has become it since the last sample."""
+        ages, limit = self._ages(), self._settings.stale_after_s
+        stale = (now - self._last_sample > limit) | (ages > OLD * limit)
+        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        old = np.flatnonzero((ages > limit) & ~self._old)
+        if len(old):
+            self._old[old] = True
+            self._unpublished.update(dict.fromkeys(old.tolist()))
+
+    def _ages(self) -> Floats:
+        """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
+        now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
+        ages = np.maximum((now - self._newest) * 1e-9, 0.0)
+        return np.where(self._newest > 0, ages, np.nan)
+
+    async def _show_health(self, now: float) -> None:
+        if now < self._health_due:
+            return
+        self._health_due = now + HEALTH_EVERY_S
+        await self._sink.show_health(
+            Health(
+                age_s=self._ages(),
+                waiting=self.identification.pending(),
+                source=self._source.counters,
+                checkpoint_age_s=now - self._kept_at,
+                checkpoint_failures=self._failures,
+                checkpoints_refused=self._refused,
+                checkpoint_bytes=self._store.size,
+            )
+        )
+
+    async def _wait_no_longer(self, now: float) -> None:
+        """Go on without what samples wait for, where nothing has left for too long.
+
+        Time counts only while there is a connection, and our own standstills do not.
+        """
+        passed, self._held_until = now - self._held_until, now
+        if not self._connected:
+            return
+        self._held_s += min(passed, LONGEST_TICK_S)
+        self._held_s[~self.identification.waits()] = 0.0
+        due = self._held_s > self._settings.reorder_s
+        if due.any():
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)))
 
     async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
         """Call every result bad: there is no connection."""
@@ -141,7 +241,7 @@ class LiveService:
         await self._feed_forward()
         await self._lose(np.flatnonzero(~self._lost).tolist())
 
-    def keep(self) -> None:
+    async def keep(self) -> None:
         """Keep all states now.
 
         Raises
@@ -149,25 +249,69 @@ class LiveService:
         StorageError
             naming the file; the states go on in memory.
         """
-        self._store.save(self.identification.checkpoints())
+        await self.settle()
+        every = self._states(range(len(self._lost)))
+        await asyncio.to_thread(self._store.save, [*every, *self._position(self._mark)])
+
+    async def settle(self) -> None:
+        """Wait for what is being kept."""
+        if self._keeping is not None:
+            await self._keeping
+
+    def _states(self, valves: Iterable[int]) -> list[Checkpoint]:
+        some = list(valves)
+        return [*self.identification.checkpoints(some), *self.identification.memories(some)]
+
+    def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
+        if mark is None:
+            return []
+        state = self._source.position(mark)
+        return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]
+
+    async def _keep(self, some: list[Checkpoint], mark: Any) -> None:  # noqa: ANN401
+        """The disk may be slow, or full: nothing waits for it."""
+        try:
+            await asyncio.to_thread(self._store.save, some)
+            self._kept_at = self._clock.monotonic()
+            if mark is not None:
+                self._source.commit(mark)
+        except StorageError as error:
+            self._failures += 1
+            log.warning("checkpoint not kept", reason=str(error))
 
     def _keep_in_turn(self, now: float) -> None:
         """Keep each valve's state once in an interval, a few at a time: no batch waits for all."""
+        if self._keeping is not None and not self._keeping.done():
+            return
         M = len(self._lost)
-        due = int(M * (now - self._began) / self._settings.checkpoint_interval_s)
+        interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
+        due = int(M * (now - self._began) / interval_s)
         some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
         self._turns = due
-        if not some:
-            return
-        try:
-            self._store.save(self.identification.checkpoints(sorted(some)))
-        except StorageError as error:
-            log.warning("checkpoint not kept", reason=str(error))
+        if some:
+            if not self._left_in_round:
+                self._left_in_round, self._mark_of_round = set(range(M)), self._mark
+            self._left_in_round -= some
+            mark = None if self._left_in_round else self._mark_of_round
+            states = [*self._states(sorted(some)), *self._position(mark)]
+            self._keeping = asyncio.create_task(self._keep(states, mark))
+
+    def _say_what_is_doubted(self) -> None:
+        """Name the valves that are not learnt from, each once."""
+        implausible = self.identification.implausible()
+        for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
+            self._doubted[valve] = True
+            name = self.identification.plans[valve].name
+            why = [finding.sentence for finding in self.identification.findings(valve)]
+            remedy = "mend the configuration, or insist = true for this valve"
+            log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
 
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:
             self._lost[valve] = True
-            log.warning("sensors lost", valve=self.identification.plans[valve].name)
+            name = self.identification.plans[valve].name
+            why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
+            log.warning("sensors lost", valve=name, why=why)
         if valves:
             self._unpublished.update(dict.fromkeys(valves))
             await self._publish_all()
@@ -189,7 +333,7 @@ class LiveService:
             some = list(islice(self._unpublished, VALVES_AT_ONCE))
             for valve in some:
                 del self._unpublished[valve]
-            for results in self.identification.results(some, self._lost):
+            for results in self.identification.results(some, self._lost, self._old):
                 await self._sink.publish(results)
             if self._clock.monotonic() >= end:
                 break
@@ -229,7 +373,7 @@ class LiveService:
         if not (armed and self._connected):
             return Situation(armed, self._connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = (self._clock.now() - int(self._newest[valve])) * 1e-9
+        behind = self._ages()[valve]
         answer, status = self.identification.required(valve)
         return Situation(
             armed=armed,

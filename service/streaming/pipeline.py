@@ -1,7 +1,7 @@
 """One valve: what is done with it, how it stands, and what follows from that. Pure."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -64,7 +64,7 @@ class ValvePlan:
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
-    valve, if at all.
+    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called.
     """
 
     name: str
@@ -75,6 +75,7 @@ class ValvePlan:
     map_Q: tuple[float, ...] = tuple(float(q) for q in range(0, 201, 10))
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
     feed_forward: FeedForward | None = None
+    insist: bool = False
 
 
 @dataclass(frozen=True)
@@ -260,10 +261,21 @@ def lane_from_bytes(
     state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
     score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
     support = Support(kept.seen, kept.fit, kept.ranges)
+    if not _is_like(state, configured.initial_state()):
+        raise StateMismatchError("the state is of another shape")
     if not (spread.fits and support.fits):
         raise StateMismatchError("residuals by region are kept in another way today")
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
     return lane if lam is None else with_forgetting(lane, lam)
+
+
+def _is_like(state: State, other: State) -> bool:
+    """Whether all arrays of two states are of the same shapes and types."""
+    pairs = (
+        (np.asarray(getattr(state, f.name)), np.asarray(getattr(other, f.name)))
+        for f in fields(state)
+    )
+    return all(one.shape == two.shape and one.dtype == two.dtype for one, two in pairs)
 
 
 def with_forgetting(lane: Lane, lam: float) -> Lane:

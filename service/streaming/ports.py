@@ -6,7 +6,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,12 +74,43 @@ class Source(Protocol):
         SourceLost, SourceRejected
         """
 
+    @property
+    def mark(self) -> Any:  # noqa: ANN401 - the source's own
+        """How far changes have been handed out; None: none were."""
+
+    def hold_back(self) -> None:
+        """Let the source keep what is handed out until `commit` says that it is safe."""
+
+    def commit(self, mark: Any) -> None:  # noqa: ANN401
+        """What was handed out up to a mark is safe: the source need not keep it any more."""
+
+    def position(self, mark: Any) -> bytes:  # noqa: ANN401
+        """What `resume_at` goes on from after a restart."""
+
+    def resume_at(self, position: bytes) -> None:
+        """Go on from a position that was kept, if the source still can; before `connect`."""
+
+    async def drop(self) -> None:
+        """Leave a connection that is lost: what the source holds for us is there at `connect`."""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the source may still hold for us what we have not heard."""
+
     async def close(self) -> None:
-        """Disconnect; safe to call twice, and after a loss."""
+        """Disconnect for good; safe to call twice, and after a loss."""
 
     @property
     def counters(self) -> SourceCounters:
         """What was seen so far."""
+
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock was ahead of ours at `connect`; 0 if it did not say."""
+
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said at `connect`; 0 if it did not."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +124,7 @@ class EstimatorDescription:
     finds_changes: bool = False
     chooses_structure: bool = False
     finds_lags: bool = False
+    has_named_parameters: bool = False  # few, each with a meaning of its own
 
 
 @dataclass(frozen=True)
@@ -198,11 +230,28 @@ class InverseResults:
     feed_forward: Codes
 
 
+SIGNALS = ("U", "p1", "p2", "Q", "dp", "T")
+
+
+@dataclass(frozen=True)
+class SignalResults:
+    """The newest sample of each of M valves, as it came, in our units.
+
+    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN is what is not there. ``quality`` (M,) is the
+    source's, BAD where the sensors are lost; ``t`` (M,) is 0 before the first sample.
+    """
+
+    t: Times
+    quality: Codes
+    values: Floats
+
+
 @dataclass(frozen=True)
 class Results:
     """All that is published of M valves that are treated alike.
 
-    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
+    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
+    ``waiting`` says of each why nothing is learnt from it.
     """
 
     valves: Times
@@ -210,6 +259,8 @@ class Results:
     inverse: InverseResults
     counters: Times
     counter_names: tuple[str, ...]
+    signals: SignalResults | None = None
+    waiting: Sequence[tuple[str, ...]] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -247,11 +298,42 @@ class Results:
         )
 
 
+@dataclass(frozen=True)
+class Health:
+    """How fresh the data are, and whether what is learnt is safe; arrays over all valves.
+
+    Attributes
+    ----------
+    age_s : float64
+        By how much the newest sample is behind the source's clock, s; NaN before the first.
+    waiting : int64
+        Samples that wait for signals of theirs, or for earlier samples.
+    source
+        What was seen of the source.
+    checkpoint_age_s : float
+        Since the states were last kept; NaN before.
+    checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
+        How often they could not be, how much room they take, and how many were found at the start
+        that could not be used.
+    """
+
+    age_s: Floats
+    waiting: Times
+    source: SourceCounters = SourceCounters()
+    checkpoint_age_s: float = np.nan
+    checkpoint_failures: int = 0
+    checkpoint_bytes: int = 0
+    checkpoints_refused: int = 0
+
+
 class ResultSink(Protocol):
     """Where results go; ``publish`` never waits for a reader."""
 
     async def publish(self, results: Results) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
+
+    async def show_health(self, health: Health) -> None:
+        """Show how the service itself stands."""
 
 
 class Operator(Protocol):
@@ -310,6 +392,14 @@ class CheckpointStore(Protocol):
 
     def load(self) -> Sequence["Checkpoint"]:
         """All that is kept, newest of each (valve, estimator)."""
+
+    @property
+    def size(self) -> int:
+        """Bytes that all of it takes."""
+
+    @property
+    def damaged(self) -> Sequence[str]:
+        """``<Valve>.<Estimator>`` whose newest state could not be believed at `load`."""
 
 
 @dataclass(frozen=True)

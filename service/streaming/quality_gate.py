@@ -59,6 +59,12 @@ class GateState:
         memory = Memory._make(array[valves].copy() for array in self.memory)
         return GateState(memory, self.bad_status[valves].copy())
 
+    def put(self, m: int, other: "GateState") -> None:
+        """Remember of valve ``m`` what is remembered of another's first."""
+        for own, array in zip(self.memory, other.memory, strict=True):
+            own[m] = array[0]
+        self.bad_status[m] = other.bad_status[0]
+
     def counts(self) -> Times:
         """Rejections (M, reasons) since the start; a sample may count under several reasons."""
         return np.column_stack((self.bad_status, self.memory.counters.sum(axis=1)))

@@ -20,6 +20,9 @@ log = structlog.get_logger(__name__)
 class Consumer(Protocol):
     """Who uses the data changes; called by the supervisor, one call at a time."""
 
+    async def connected(self, source_started: int) -> None:
+        """There is a connection, to a source started then (UTC ns; 0: unknown)."""
+
     async def take(self, changes: DataChanges) -> None:
         """Data changes have arrived."""
 
@@ -41,6 +44,7 @@ class SupervisorSettings:
 
     startup_timeout_s: float = 10.0
     tick_s: float = 0.25
+    longest_pause_while_held_s: float = 2.0
     pauses: Callable[[], Iterator[float]] = backoff
 
 
@@ -66,6 +70,7 @@ async def supervise(
             try:
                 await source.connect()
                 log.info("source connected")
+                await consumer.connected(source.started)
                 ever_connected, pauses = True, settings.pauses()
                 await _receive(source, consumer, stop, settings.tick_s)
             except (SourceLost, SourceRejected) as error:
@@ -75,8 +80,10 @@ async def supervise(
                 )
                 if hopeless and not ever_connected:
                     raise
-                await source.close()
+                await source.drop()
                 pause = next(pauses)
+                if source.is_held:
+                    pause = min(pause, settings.longest_pause_while_held_s)
                 if ever_connected:
                     await consumer.lost(error)
                     log.warning("source lost", reason=str(error), next_try_in_s=pause)

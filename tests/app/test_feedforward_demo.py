@@ -10,6 +10,8 @@ RATIOS = re.compile(r"(new, 40 °C|30 s after [^:]+): Valvistor ([\d.]+), FixedM
 
 SLOW_MS = 150
 
+pytestmark = pytest.mark.alone
+
 
 def errors(tmp_path, *options, timeout):
     """What the demo's last line says: phase → (identified, fixed), l/min."""

@@ -31,7 +31,7 @@ from service.app.serve import serve
 from service.identification.inversion import InverseStatus
 from service.streaming.feedforward import FeedForwardStatus
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 
 WITHIN_S = 1.0
 DEADLINE_S = 30.0

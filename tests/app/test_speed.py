@@ -1,6 +1,10 @@
 """Short forms of the benchmarks over TCP: whatever the machine does beside, nothing is lost."""
 
+import pytest
+
 from benchmarks import latency, live_speed, results_speed
+
+pytestmark = pytest.mark.alone
 
 
 def test_a_fleet_is_identified_live_without_a_loss():

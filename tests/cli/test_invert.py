@@ -94,7 +94,7 @@ def test_a_model_is_exported_and_the_error_is_stated(folder, form, tmp_path, cap
     [
         (["invert", "all/V1.RLS.json", "--Q", "50"], 2, "give --Q and --dp, or --from"),
         (["invert", "all/V1.RLS.json", "--Q", "a", "--dp", "1"], 2, "--Q a: numbers"),
-        (["invert", "nowhere.json", "--Q", "1", "--dp", "1"], 1, "nowhere.json: no such file"),
+        (["invert", "nowhere.json", "--Q", "1", "--dp", "1"], 2, "nowhere.json: no such file"),
         (["invert", "plant.csv", "--Q", "1", "--dp", "1", "--valve", "X"], 2, "allowed is V1"),
         (
             ["invert", "all/V1.RLS.json", "--Q", "1", "--dp", "1", "--valve", "X"],

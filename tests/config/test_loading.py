@@ -103,3 +103,18 @@ def test_a_mistake_in_the_environment_names_the_variable(monkeypatch):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"none\.toml: no such file"):
         load_config(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize("name", ["Signals", "Alarms", "Diagnostics", "Inverse"])
+def test_an_estimator_may_not_be_called_as_another_node(tmp_path, name):
+    file = tmp_path / "c.toml"
+    file.write_text(f'[[valves]]\n[[valves.estimators]]\nkind = "RLS"\nname = "{name}"\n')
+    with pytest.raises(ConfigurationError, match=f"'{name}' is taken"):
+        load_config(file)
+
+
+def test_a_valve_may_not_be_called_service(tmp_path):
+    file = tmp_path / "c.toml"
+    file.write_text('[[valves]]\nname = "Service"\n')
+    with pytest.raises(ConfigurationError, match="'Service' is taken"):
+        load_config(file)

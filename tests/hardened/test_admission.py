@@ -24,7 +24,7 @@ from service.hardened import (
 )
 from service.hardened.security.login_queue import LoginQueue
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 
 Codes = ua.StatusCodes
 PASSWORD = "correct horse"

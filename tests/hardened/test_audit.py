@@ -292,6 +292,7 @@ async def test_a_value_too_large_to_keep_is_left_out(plant, listening):
     assert told.NewValue is None
 
 
+@pytest.mark.alone
 async def test_a_flood_of_refusals_is_told_in_part_and_costs_little(plant, listening):
     lost = plant.server.counters.lost_notifications
     async with plant.client() as anybody:

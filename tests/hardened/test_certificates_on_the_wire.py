@@ -262,6 +262,7 @@ async def test_a_line_break_in_a_subject_forges_no_line_in_the_console_log(
     finally:
         logging.getLogger().removeHandler(handler)
     lines = capfd.readouterr().err.splitlines()
-    (line,) = [line for line in lines if forged in line]
-    assert not line.startswith("2026")
-    assert line.isprintable()
+    found = [line for line in lines if forged in line]  # other handlers may show it, too
+    assert found
+    assert not any(line.startswith("2026") for line in found)
+    assert all(line.isprintable() for line in found)

@@ -263,6 +263,7 @@ async def test_guessing_locks_the_user_for_this_peer(plant):
         pass
 
 
+@pytest.mark.alone
 async def test_the_session_goes_on_while_another_guesses(plant, observer):
     async def guess():
         client = await plant.client(user="oskar", password="wrong")

@@ -1,4 +1,4 @@
-"""Recordings of real machines that nobody here made, read from beside the repository."""
+"""Recordings of real machines that nobody here made."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Samples, Status
 
-pytestmark = pytest.mark.skipif(not measured_data.is_there(), reason=measured_data.ABSENT)
+elsewhere = pytest.mark.skipif(not measured_data.elsewhere_is_there(), reason=measured_data.ABSENT)
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +98,7 @@ def test_frozen_parameters_age_and_so_does_the_last_flow(circuit):
     assert figures[0].persistence > figures[1].persistence > figures[2].persistence
 
 
+@elsewhere
 def test_arx_of_the_actuator_is_batch_least_squares_and_carries_over_to_the_second_half(actuator):
     model = arx(actuator, na=3, nb=2)
     y, u = actuator.y[:TRAINING], actuator.u[:TRAINING]
@@ -107,6 +108,7 @@ def test_arx_of_the_actuator_is_batch_least_squares_and_carries_over_to_the_seco
     assert model.simulated < 0.65 * actuator.y[TRAINING:].std()
 
 
+@elsewhere
 @pytest.mark.parametrize("p0", [10.0, 100.0, 1e4])
 def test_armax_of_the_actuator_predicts_the_second_half_no_worse_than_arx(actuator, p0):
     armax_1, plain = armax(actuator, 2, 1, 1, p0), arx(actuator, 2, 1)
@@ -114,6 +116,7 @@ def test_armax_of_the_actuator_predicts_the_second_half_no_worse_than_arx(actuat
     assert armax_1.simulated < 1.01 * plain.simulated
 
 
+@elsewhere
 @pytest.mark.parametrize("p0", [1.0, 10.0, 100.0, 1e4])
 @pytest.mark.parametrize("orders", [(2, 1, 1), (2, 2, 1), (2, 2, 2), (3, 2, 1)])
 def test_armax_of_the_actuator_is_never_far_from_arx_though_it_begins_quiet(actuator, orders, p0):
@@ -123,6 +126,7 @@ def test_armax_of_the_actuator_is_never_far_from_arx_though_it_begins_quiet(actu
     assert noisy.simulated < 1.1 * plain.simulated
 
 
+@elsewhere
 def test_the_air_valve_bends_where_eq_7_is_straight(air_valve):
     # dp is constant: eq. (7) is a straight line in U, and the prior keeps the spline sane in dp.
     straight = air_valve_error(air_valve, RecursiveLeastSquares(structure=FiveTerms()))
@@ -132,6 +136,7 @@ def test_the_air_valve_bends_where_eq_7_is_straight(air_valve):
     assert air_valve_error(air_valve, RecursiveLeastSquares(structure=spline)).rmse < 0.75
 
 
+@elsewhere
 def test_auto_finds_the_air_valves_bends_by_itself(air_valve):
     assert air_valve_error(air_valve, Auto()).rmse < 1.0
 

@@ -27,7 +27,7 @@ from service.opcua.decoding import decode_data_changes
 from service.opcua.session import BatchSession
 from service.opcua.transport import BoundedClient
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 
 SECONDS = 1.0  # from a lie to the error
 BYTES = 64 * 1024 * 1024  # at most 8 MiB of a message, and what is made of it
@@ -359,8 +359,8 @@ async def test_after_a_lie_the_next_try_finds_an_honest_server(liar, settings, c
 
 async def test_a_service_whose_response_would_be_read_unbounded_is_not_asked_for():
     session = BatchSession(BoundedClient(1.0))
-    with pytest.raises(NotImplementedError, match="BrowseRequest"):
-        await session.browse(ua.BrowseParameters())
+    with pytest.raises(NotImplementedError, match="AddNodesRequest"):
+        await session.add_nodes([])
 
 
 async def test_what_a_server_words_is_one_line():

@@ -63,6 +63,7 @@ def test_a_number_that_never_came_is_lost():
     assert hostile.row_of(row()["quiet"], loaded, 100, 120, 0.0)["lost"] == 2
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("load", ["triggering", "delete_subscriptions"])
 async def test_the_others_hardly_notice_who_asks_for_all_that_the_limits_allow(load):
     row = await hostile.measured("ours", load, 2.0)

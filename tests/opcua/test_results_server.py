@@ -19,7 +19,10 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResult,
+    Health,
     InverseResult,
+    SignalResults,
+    SourceCounters,
     ValveDescription,
 )
 
@@ -32,7 +35,11 @@ VALVES = (
         name="Valvistor",
         estimators=(
             EstimatorDescription(
-                "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True
+                "RLS",
+                "Recursive least squares.",
+                ("a1", "a2"),
+                has_forgetting_factor=True,
+                has_named_parameters=True,
             ),
             EstimatorDescription(
                 "RBF", "Radial basis functions.", ("w1",), has_forgetting_factor=False
@@ -185,12 +192,51 @@ async def called(client, owner, name, *arguments):
     return await (await node(client, owner)).call_method(f"{index}:{name}", *arguments)
 
 
+async def test_signals_and_parameters_are_scalars_beside_the_results(server, observer):
+    measured = np.array([[50.0, 200.0, 80.0, 60.0, 120.0, np.nan]])
+    newest = SignalResults(np.array([T]), np.array([Quality.GOOD], np.uint8), measured)
+    await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, newest))
+    for name, number in zip(("U", "p1", "p2", "Q", "dp"), measured[0, :5], strict=True):
+        assert await value(observer, f"Valvistor.Signals.{name}") == (number, Codes.Good, T)
+    assert (await value(observer, "Valvistor.Signals.T"))[1] == Codes.BadNoData
+    assert await value(observer, "Valvistor.RLS.Parameters.a1") == (1.0, Codes.Good, T)
+    assert await value(observer, "Valvistor.RLS.Parameters.a2") == (-2.5, Codes.Good, T)
+    unit = await (await node(observer, "Valvistor.Signals.dp")).get_child("0:EngineeringUnits")
+    assert (await unit.read_value()).UnitId == 4342098
+    for path in ("Valvistor/Signals/Q", "Valvistor/RLS/Parameters/a2"):
+        index = await observer.get_namespace_index(NAMESPACE)
+        steps = [f"{index}:{step}" for step in f"Identification/{path}".split("/")]
+        await observer.nodes.objects.get_child(steps)
+    index = await observer.get_namespace_index(NAMESPACE)
+    with pytest.raises(ua.uaerrors.BadNoMatch):
+        await (await node(observer, "Valvistor.RBF")).get_child(f"{index}:Parameters")
+
+
+async def test_what_is_waited_for_is_told_and_taken_back(server, observer):
+    assert (await value(observer, "V2.Diagnostics.Waiting"))[:2] == ([], Codes.Good)
+    for reasons in (("Q has sent no value", "p2 is stamped 3 ms before"), ()):
+        await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, waiting=[reasons]))
+        assert (await value(observer, "Valvistor.Diagnostics.Waiting"))[0] == list(reasons)
+
+
+@pytest.mark.parametrize(
+    ("quality", "code"),
+    [(Quality.UNCERTAIN, Codes.Uncertain), (Quality.BAD, Codes.Bad)],
+)
+async def test_a_signal_is_as_good_as_its_source_says(server, observer, quality, code):
+    one = np.ones((1, 6))
+    newest = SignalResults(np.array([T]), np.array([quality], np.uint8), one)
+    await server.publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, newest))
+    assert (await value(observer, "Valvistor.Signals.Q"))[1] == code
+
+
 async def test_before_any_result_everything_waits(observer):
     for name in ("PredictedFlow", "ParameterVector", "SampleCount", "Status"):
         assert (await value(observer, f"V2.RLS.{name}"))[:2] == (
             None,
             Codes.BadWaitingForInitialData,
         )
+    assert (await value(observer, "V2.Signals.Q"))[1] == Codes.BadWaitingForInitialData
     assert (await value(observer, "V2.RLS.ParameterNames"))[:2] == (["a1"], Codes.Good)
 
 
@@ -208,6 +254,8 @@ async def test_before_any_result_everything_waits(observer):
         "Identification/Valvistor/Inverse/Arm",
         "Identification/Valvistor/Inverse/Disarm",
         "Identification/V2/Inverse/RequiredU",
+        "Identification/V2/Diagnostics/SampleAge",
+        "Identification/Service/Checkpoint/Age",
     ],
 )
 async def test_paths_lead_to_the_ids_of_the_contract(observer, path):
@@ -283,6 +331,33 @@ async def test_counters_are_told_as_they_grow(server, observer):
     assert (await value(observer, "Valvistor.Diagnostics.BadStatus"))[0] == 1
     await server.publish(result(late=5, bad_status=1))
     assert (await value(observer, "Valvistor.Diagnostics.Late"))[0] == 5
+
+
+async def test_the_service_s_own_condition_is_shown(server, observer):
+    health = Health(
+        age_s=np.array([0.25, np.nan, 2.0]),
+        waiting=np.array([3, 0, 0]),
+        source=SourceCounters(100, 10, missing_messages=2, overflows=4, undecodable=1),
+        checkpoint_age_s=1.5,
+        checkpoint_failures=7,
+        checkpoint_bytes=4096,
+    )
+    await server.show_health(health)
+    assert (await value(observer, "Valvistor.Diagnostics.SampleAge"))[:2] == (0.25, Codes.Good)
+    unknown = Codes.BadWaitingForInitialData
+    assert (await value(observer, "V2.Diagnostics.SampleAge"))[1] == unknown
+    assert (await value(observer, "Valvistor.Diagnostics.Pending"))[0] == 3
+    shown = {
+        "Checkpoint.Age": 1.5,
+        "Checkpoint.Failures": 7,
+        "Checkpoint.Size": 4096,
+        "Source.Notifications": 100,
+        "Source.Overflows": 4,
+        "Source.MissingMessages": 2,
+        "Source.Undecodable": 1,
+    }
+    for name, expected in shown.items():
+        assert (await value(observer, f"Service.{name}"))[:2] == (expected, Codes.Good)
 
 
 async def test_units_ranges_and_names_of_values_are_there(observer):
@@ -410,6 +485,21 @@ async def test_flow_and_pressure_make_a_demand_together(client, operator):
     assert np.isnan(dp)
     assert last == ("demand", "V2", 80.0, 120.0)
     assert (await value(client, "V2.Inverse.FlowDemand"))[:2] == (80.0, Codes.Good)
+
+
+async def test_what_was_done_last_is_shown_with_who_did_it(client, observer, operator):
+    last = "V3.Diagnostics.LastAction"
+    assert (await value(observer, last))[0] == ""
+    await called(client, "V3.RLS", "SetForgettingFactor", 0.995)
+    done = "operator: RLS SetForgettingFactor 0.995"
+    assert await value(observer, last) == (done, Codes.Good, T)
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await called(observer, "V3.RLS", "Freeze")
+    with pytest.raises(ua.uaerrors.BadInvalidState):
+        await called(client, "V3.Inverse", "Arm")
+    assert (await value(observer, last))[0] == done
+    await (await node(client, "V3.Inverse.FlowDemand")).write_value(80.0)
+    assert (await value(observer, last))[0] == "operator: Inverse demand 80 l/min at nan bar"
 
 
 async def test_a_demand_beyond_the_range_is_refused(client, operator):

@@ -183,7 +183,7 @@ HEADER = "t,U,p1,p2,Q\n"
             "r.csv, line 2: quality is '192', allowed is 0, 1, 2, Good",
         ),
         ("t,U,p1,p2,Q,valve\n0,1,2,3,4,\n", "r.csv, line 2: valve is '', allowed is a name"),
-        (b"\xff\xfet\x00,\x00U\x00", "r.csv is not a recording: no UTF-8 text behind line 0"),
+        (b"\xff\xfet\x00,\x00U\x00", "r.csv, line 1: column p1, p2, Q is missing"),
         (b"\x89PNG\r\n\x1a\n\x00\x00", "r.csv is not a recording: no UTF-8 text behind line 0"),
         ("x" * 1_000_000, "r.csv, line 1: column t, U, p1, p2, Q is missing"),
         (HEADER + "0,1,2,3," + "4" * 200_000, "r.csv is cut off or damaged behind line"),
@@ -288,7 +288,7 @@ def test_parquet_columns_may_be_of_any_type_that_fits(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "sentence"),
     [
-        ({"p2": None}, "column p2 is missing; there must be t, U, p1, p2, Q"),
+        ({"p2": None}, "column p2 is missing; the header must hold t,U,p1,p2,Q"),
         ({"U": ["1", "2"]}, "column U is of type string, not a number"),
         ({"t": [True, False]}, "column t is of type bool, not a timestamp, a number or text"),
         ({"valve": [1, 2]}, "column valve is of type int64, not text"),

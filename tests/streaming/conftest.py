@@ -14,7 +14,7 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.feedforward import FeedForward
 from service.streaming.identification import Identification
 from service.streaming.pipeline import ValvePlan
-from service.streaming.ports import SourceCounters
+from service.streaming.ports import Health, SourceCounters
 from service.streaming.quality_gate import QualityGate
 
 
@@ -53,7 +53,11 @@ class FakeSource:
     heartbeats: list = field(default_factory=list)
     refuses: bool = False
     closed: int = 0
+    dropped: int = 0
+    is_held: bool = False
     counters: SourceCounters = field(default_factory=SourceCounters)
+    started: int = 0
+    clock_offset_s: float = 0.0
 
     async def connect(self):
         if self.connects:
@@ -77,6 +81,20 @@ class FakeSource:
     async def write_heartbeat(self, valve, count):
         self.heartbeats.append((valve, count))
 
+    mark = None
+
+    def hold_back(self):
+        pass
+
+    def commit(self, mark):
+        pass
+
+    def resume_at(self, position):
+        pass
+
+    async def drop(self):
+        self.dropped += 1
+
     async def close(self):
         self.closed += 1
 
@@ -84,14 +102,20 @@ class FakeSource:
 @dataclass
 class FakeSink:
     published: list = field(default_factory=list)
+    health: Health | None = None
 
     async def publish(self, results):
         self.published += [results.one(m) for m in range(len(results.valves))]
+
+    async def show_health(self, health):
+        self.health = health
 
 
 @dataclass
 class FakeStore:
     kept: list = field(default_factory=list)
+    size: int = 0
+    damaged: tuple = ()
 
     def save(self, checkpoints):
         self.kept = list(checkpoints)

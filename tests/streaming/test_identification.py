@@ -9,7 +9,9 @@ from service.identification.inversion import InverseStatus
 from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Quality, Status
 from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import DataChanges
 from service.streaming.identification import SURVEYS_AT_ONCE, Identification
+from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
 
 
 def thetas(identification):
@@ -230,3 +232,86 @@ def test_where_nothing_was_measured_predict_invert_and_the_demand_say_extrapolat
     assert identification.result(0).inverse.status == InverseStatus.EXTRAPOLATING
     identification.reset("Valvistor", "RLS")
     assert len(identification.lane("Valvistor", "RLS").support.boxes) == 0
+
+
+def test_swapped_pressures_teach_nothing_until_somebody_insists(fresh):
+    samples = plant(300)
+    swapped = replace(samples, p1=samples.p2, p2=samples.p1)
+    doubting = fresh()
+    for part in (swapped[:30], swapped[30:]):
+        doubting.take(as_changes(part))
+    assert doubting.implausible().tolist() == [True]
+    assert "p1 is below p2" in doubting.findings(0)[0].sentence
+    result = doubting.result(0).estimators["RLS"]
+    assert (result.sample_count, result.status) == (0, Status.REJECTED)
+    insisting = Identification(
+        [replace(plan, insist=True) for plan in doubting.plans],
+        Alignment(AlignmentSettings(), (True,)),
+    )
+    insisting.take(as_changes(swapped))
+    assert insisting.result(0).estimators["RLS"].sample_count == 300
+
+
+def test_the_newest_sample_is_published_as_the_source_sent_it(identification):
+    samples = plant(20)
+    identification.take(as_changes(samples))
+    (results,) = identification.results([0])
+    last = samples[19:]
+    assert results.signals.t.tolist() == last.t.tolist()
+    expected = [x[0] for x in (last.U, last.p1, last.p2, last.Q, last.dp, last.T)]
+    assert results.signals.values.tolist() == [expected]
+    assert results.signals.quality.tolist() == [Quality.GOOD]
+    (results,) = identification.results([0], lost=np.array([True]))
+    assert results.signals.quality.tolist() == [Quality.BAD]
+
+
+GATED = {
+    signal: SignalLimits(*PLAUSIBLE[signal], frozen_s=5.0, max_rate_per_s=1e5, spike=80.0)
+    for signal in SENSORS
+}
+
+
+def test_after_a_restart_at_any_change_all_goes_on_to_the_bit(plan):
+    gated = replace(plan, gate=QualityGate(limits=GATED))
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    changes = as_changes(plant(400))
+    lost = np.r_[0 : 6 * 120, 6 * 122 : len(changes)]  # a hole, behind which samples wait
+    changes = DataChanges(*(column[lost] for column in vars(changes).values()))
+    changes.value[6 * 200 + 3] += 500.0  # a spike
+    changes.value[6 * 300 + 1] = np.nan
+
+    def fresh():
+        return Identification([gated], align)
+
+    whole = fresh()
+    whole.demand("Valvistor", 50.0, 100.0)
+    whole.freeze("Valvistor", "RML")
+    whole.take(changes)
+    rng = np.random.default_rng(3)
+    part, at = fresh(), 0
+    part.demand("Valvistor", 50.0, 100.0)
+    part.freeze("Valvistor", "RML")
+    for until in [*np.sort(rng.integers(0, len(changes), 12)).tolist(), len(changes)]:
+        part.take(changes[at:until])
+        kept, at = [*part.checkpoints(), *part.memories()], until
+        part = fresh()
+        restored, refused = part.restore(kept)
+        assert (len(restored), refused) == (4, [])
+    assert part.checkpoints() == whole.checkpoints()
+    assert part.memories() == whole.memories()
+    assert part.counters(0) == whole.counters(0)
+    assert whole.counters(0)["spike"] > 0
+    ours, theirs = part.result(0), whole.result(0)
+    assert (ours.inverse.required_U, ours.inverse.armed) == (theirs.inverse.required_U, False)
+    for name, result in theirs.estimators.items():
+        assert ours.estimators[name].status is result.status
+        assert ours.estimators[name].residual == pytest.approx(result.residual, nan_ok=True, rel=0)
+
+
+def test_the_memory_of_a_valve_with_another_gate_is_left_aside(plan, identification):
+    identification.take(as_changes(plant(50)))
+    kept = [*identification.checkpoints(), *identification.memories()]
+    other = replace(plan, gate=QualityGate(limits=GATED))
+    restarted = Identification([other], Alignment(AlignmentSettings(), has_T=(True,)))
+    restored, refused = restarted.restore(kept)
+    assert (len(restored), refused) == (3, ["Valvistor.Diagnostics"])

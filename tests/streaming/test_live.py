@@ -1,9 +1,12 @@
 import asyncio
+import threading
+import time
 from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
 import pytest
+import structlog
 from support.plant import as_changes, plant
 
 from service.errors import CommandRejected, SourceLost, SourceRejected, StorageError
@@ -11,7 +14,7 @@ from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.identification import Identification
+from service.streaming.identification import MEMORY, Identification
 from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
 
@@ -90,6 +93,62 @@ async def test_silence_makes_results_bad_once(live, sink, clock):
     await live.tick()
     await live.tick()
     assert [r.estimators["RLS"].quality for r in sink.published] == [Quality.GOOD, Quality.BAD]
+
+
+@pytest.fixture
+def numbered(plan, source, sink, store, clock):
+    """A service whose valve has a running number."""
+    align = Alignment(AlignmentSettings(), has_T=(True,), has_sequence=(True,))
+    return LiveService(Identification([plan], align), source, sink, store, clock, LiveSettings())
+
+
+def count(live):
+    return live.identification.result(0).estimators["RLS"].sample_count
+
+
+async def test_what_waits_for_a_lost_sample_waits_no_longer_than_a_second(numbered, clock):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    for _ in range(4):
+        clock.advance(0.25)
+        await numbered.tick()
+    assert count(numbered) == 200
+    clock.advance(0.25)
+    await numbered.tick()
+    assert count(numbered) == 209
+    assert numbered.identification.counters(0)["gaps"] == 1
+
+
+async def test_while_there_is_no_connection_or_we_stood_still_waiting_does_not_count(
+    numbered, clock
+):
+    changes = as_changes(plant(300))
+    await numbered.take(changes[: 6 * 200])
+    await numbered.take(changes[6 * 201 : 6 * 210])
+    clock.advance(60.0)  # we stood still
+    await numbered.tick()
+    await numbered.lost(SourceLost("cut"))
+    for _ in range(100):
+        clock.advance(0.25)
+        await numbered.tick()
+    await numbered.take(changes[6 * 200 : 6 * 201])
+    assert count(numbered) == 210
+    assert numbered.identification.counters(0)["gaps"] == 0
+
+
+async def test_a_source_that_was_restarted_is_gone_on_with_whatever_its_numbers(numbered):
+    await numbered.connected(1)
+    await numbered.take(as_changes(plant(300)))
+    await numbered.connected(1)
+    assert numbered.identification.counters(0)["restarts"] == 0
+    await numbered.connected(2)
+    again = as_changes(plant(300, first=360))
+    again.value[5::6] += 900
+    await numbered.take(again)
+    counters = numbered.identification.counters(0)
+    assert (counters["gaps"], counters["restarts"], counters["lost_by_time"]) == (0, 1, 60)
+    assert count(numbered) == 600
 
 
 async def leading(live, source, clock):
@@ -180,7 +239,7 @@ async def test_a_lost_source_is_not_written_to_and_the_valve_stays_armed(live, s
 
 async def test_a_restart_disarms(live, store, fresh):
     live.identification.arm("Valvistor")
-    live.keep()
+    await live.keep()
     again = fresh()
     again.restore(store.load())
     assert not again.is_armed(0)
@@ -201,7 +260,8 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     assert store.kept == []
     clock.advance(10.0)
     await live.tick()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF"]
+    await live.settle()
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY]
 
 
 async def test_a_full_disk_stops_nothing(live, store, clock, sink):
@@ -214,7 +274,7 @@ async def test_a_full_disk_stops_nothing(live, store, clock, sink):
     await live.take(as_changes(plant(100)))
     assert sink.published[-1].estimators["RLS"].sample_count == 100
     with pytest.raises(StorageError, match="disk full"):
-        live.keep()
+        await live.keep()
 
 
 async def test_at_start_old_states_are_taken_up_and_nothing_is_good_yet(live, store, sink, fresh):
@@ -266,7 +326,7 @@ async def test_publishing_leaves_most_of_the_time_to_what_comes_in(live, sink, c
 
 
 async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink, store, clock):
-    n = 20
+    n = 200
     plans = [replace(plan, name=f"V{k}") for k in range(n)]
     many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * n))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
@@ -275,5 +335,86 @@ async def test_states_of_many_valves_are_kept_a_few_at_a_time(plan, source, sink
     for _ in range(40):
         clock.advance(0.25)
         await live.tick()
+        await live.settle()
     assert sorted(v for some in saved for v in set(some)) == sorted(p.name for p in plans)
-    assert max(len(set(some)) for some in saved) == 1
+    assert max(len(set(some)) for some in saved) == 5
+
+
+async def test_a_valve_that_cannot_be_what_it_is_called_is_named_once_with_the_remedy(
+    live, source, clock
+):
+    samples = plant(200)
+    psi = replace(samples, p1=samples.p1 * 14.5, p2=samples.p2 * 14.5)
+    source.script = [as_changes(psi[:100]), as_changes(psi[100:])]
+    with structlog.testing.capture_logs() as logs:
+        await run_until_the_script_ends(source, live, clock)
+    (said,) = [entry for entry in logs if entry["event"] == "not learnt from"]
+    assert said["valve"] == "Valvistor"
+    assert "is it psi? signals.p1.unit" in said["why"]
+    assert "insist = true" in said["remedy"]
+
+
+async def test_data_that_come_late_are_uncertain_and_then_bad_though_they_keep_coming(
+    live, sink, clock
+):
+    first, qualities = 0, []
+    for behind_s in (0.0, 1.5, 2.5, 4.5, 28.0, 0.0):
+        samples = plant(300, first=first)
+        clock.advance((int(samples.t[-1]) - clock.now()) * 1e-9 + behind_s)
+        await live.take(as_changes(samples))
+        await live.tick()
+        clock.advance(0.1)
+        qualities.append(sink.published[-1].estimators["RLS"].quality)
+        assert sink.health.age_s[0] == pytest.approx(behind_s, abs=1e-6)
+        first += 10_000
+    good, uncertain, bad = Quality.GOOD, Quality.UNCERTAIN, Quality.BAD
+    assert qualities == [good, good, uncertain, bad, bad, good]
+
+
+async def test_the_age_is_told_by_the_source_s_clock(live, source, sink, clock):
+    source.clock_offset_s = -3600.0
+    await live.take(as_changes(plant(300)))
+    clock.advance(3603.0)
+    await live.take(as_changes(plant(1, first=300)))
+    await live.tick()
+    assert sink.health.age_s[0] == pytest.approx(0.0, abs=1e-6)
+    assert sink.published[-1].estimators["RLS"].quality is Quality.GOOD
+
+
+async def test_what_became_of_keeping_the_states_is_shown(live, store, sink, clock):
+    clock.advance(0.5)
+    await live.tick()
+    assert np.isnan(sink.health.checkpoint_age_s)
+    clock.advance(10.0)
+    await live.tick()
+    await live.settle()
+    clock.advance(0.5)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (0.5, 0)
+    store.save = full_disk
+    clock.advance(10.0)
+    await live.tick()
+    await live.settle()
+    clock.advance(0.5)
+    await live.tick()
+    assert (sink.health.checkpoint_age_s, sink.health.checkpoint_failures) == (11.0, 1)
+
+
+def full_disk(_):
+    raise StorageError("state.sqlite: disk full")
+
+
+async def test_a_slow_disk_holds_nothing_up(live, store, clock):
+    may_go_on = threading.Event()
+    store.save = lambda _: may_go_on.wait(10.0)
+    await live.take(as_changes(plant(300)))
+    clock.advance(2.0)
+    began = time.monotonic()
+    for first in range(300, 320):
+        clock.advance(0.25)
+        await live.tick()
+        await live.take(as_changes(plant(1, first=first)))
+    assert time.monotonic() - began < 5.0  # far less than the disk takes
+    assert count(live) == 320
+    may_go_on.set()
+    await live.settle()

@@ -1,4 +1,4 @@
-"""node-opcua, installed once as its lock file says."""
+"""Packages of npm, installed once as their lock files say: node-opcua, axe-core."""
 
 import hashlib
 import shutil
@@ -13,22 +13,28 @@ _PACKAGE = ("package.json", "package-lock.json")
 
 def program(cache: Path, script: str) -> tuple[str, Path]:
     """Return the command of a script; skip the test where node-opcua cannot be had."""
-    npm, node = shutil.which("npm"), shutil.which("node")
-    if npm is None or node is None:
+    target = installed(FOLDER, cache)
+    shutil.copy(FOLDER / script, target)
+    return shutil.which("node"), target / script
+
+
+def installed(folder: Path, cache: Path) -> Path:
+    """Install what a folder's lock file says; skip the test where that cannot be had."""
+    npm = shutil.which("npm")
+    if npm is None or shutil.which("node") is None:
         pytest.skip("node and npm are not installed")
-    content = b"".join((FOLDER / name).read_bytes() for name in _PACKAGE)
+    content = b"".join((folder / name).read_bytes() for name in _PACKAGE)
     target = cache / hashlib.sha256(content).hexdigest()[:16]
     if not (target / "ready").exists():
-        _install(npm, target)
-    shutil.copy(FOLDER / script, target)
-    return node, target / script
+        _install(npm, folder, target)
+    return target
 
 
-def _install(npm: str, target: Path) -> None:
+def _install(npm: str, folder: Path, target: Path) -> None:
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     for name in _PACKAGE:
-        shutil.copy(FOLDER / name, target)
+        shutil.copy(folder / name, target)
     command = [npm, "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--loglevel=error"]
     try:
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""A TCP proxy that cuts and stalls connections at a test's word."""
+"""A TCP proxy that cuts, refuses and stalls connections at a test's word."""
 
 import asyncio
 from contextlib import suppress
@@ -15,6 +15,7 @@ class Proxy:
         self._open = asyncio.Event()
         self._open.set()
         self.port = 0
+        self.refuses = False
 
     async def __aenter__(self) -> Self:
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
@@ -27,6 +28,13 @@ class Proxy:
         self.cut()
         await self._server.wait_closed()
         await asyncio.sleep(0.01)
+
+    async def cut_for(self, seconds: float) -> None:
+        """Cut every connection and take no new one for so long."""
+        self.refuses = True
+        self.cut()
+        await asyncio.sleep(seconds)
+        self.refuses = False
 
     def cut(self) -> None:
         """Cut every connection; new ones are accepted."""
@@ -42,6 +50,9 @@ class Proxy:
         self._open.set()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self.refuses:
+            writer.transport.abort()
+            return
         there = await asyncio.open_connection("127.0.0.1", self._target_port)
         self._writers |= {writer, there[1]}
         await asyncio.gather(self._pass(reader, there[1]), self._pass(there[0], writer))

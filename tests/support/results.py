@@ -9,7 +9,7 @@ from service.opcua.results_server import NAMESPACE
 from service.streaming.ports import EstimatorResults, InverseResults, Results
 
 
-def results_of(valve, estimators, inverse, **counters):
+def results_of(valve, estimators, inverse, signals=None, waiting=(), **counters):
     """Results of valve number ``valve`` from what there is of each of its estimators."""
     return Results(
         valves=np.array([valve]),
@@ -17,6 +17,8 @@ def results_of(valve, estimators, inverse, **counters):
         inverse=_arrays(InverseResults, inverse),
         counters=np.array([list(counters.values())], np.int64).reshape(1, -1),
         counter_names=tuple(counters),
+        signals=signals,
+        waiting=waiting,
     )
 
 

@@ -94,6 +94,7 @@ async def add_variable(
     type: ua.VariantType = ua.VariantType.Double,  # noqa: A002
     unit: Unit | None = None,
     value_range: Range | None = None,
+    instrument_range: Range | None = None,
     dimensions: Sequence[int] | None = None,
     enum_strings: Sequence[str] | None = None,
     writable_by: Role | None = None,
@@ -115,9 +116,11 @@ async def add_variable(
     type
         Data type.
     unit
-        Makes it an AnalogUnitRangeType with EngineeringUnits, EURange and InstrumentRange.
+        Makes it an AnalogUnitRangeType with EngineeringUnits and EURange.
     value_range
         Lowest and highest value; peers cannot write beyond it. Needed with a unit.
+    instrument_range
+        What the instrument behind it can show, as property InstrumentRange; with a unit only.
     dimensions
         None: a scalar. Otherwise the length of each dimension, 0 = any.
     enum_strings
@@ -163,11 +166,10 @@ async def add_variable(
         or_nan=or_nan,
     )
     if unit is not None and value_range is not None:
-        low, high = value_range
-        span = ua.Range(Low=low, High=high)
         await _add_property(server, variable.id, "EngineeringUnits", unit.information)
-        await _add_property(server, variable.id, "EURange", span)
-        await _add_property(server, variable.id, "InstrumentRange", span)
+        await _add_property(server, variable.id, "EURange", _span(value_range))
+        if instrument_range is not None:
+            await _add_property(server, variable.id, "InstrumentRange", _span(instrument_range))
     if enum_strings is not None:
         texts = [ua.LocalizedText(text) for text in enum_strings]
         await _add_property(server, variable.id, "EnumStrings", texts)
@@ -240,6 +242,11 @@ async def _add(server: NodeOwner, item: ua.AddNodesItem) -> ua.NodeId:
 async def _add_property(server: NodeOwner, parent: ua.NodeId, name: str, value: Value) -> None:
     nodeid = ua.NodeId(f"{parent.Identifier}.{name}", server.namespace_index)
     insert(server.address_space, property_item(parent, nodeid, name, value), server.utc())
+
+
+def _span(bounds: Range) -> ua.Range:
+    low, high = bounds
+    return ua.Range(Low=low, High=high)
 
 
 def _variable_type(unit: Unit | None, value_range: Range | None) -> ua.NodeId:

@@ -23,7 +23,7 @@ _Pair = tuple[NDArray[Any], NDArray[Any]]
 
 
 def serves(block: Block, monitoring: Monitoring) -> bool:
-    """Tell whether arrays can serve an item with these parameters."""
+    """Whether arrays can serve an item with these parameters."""
     exact = monitoring.rule.deadband == 0.0 or block.dtype == np.float64
     simple = monitoring.interval_s == 0.0 and monitoring.discard_oldest
     return simple and exact and len(block) >= _FEWEST
@@ -75,7 +75,7 @@ class BlockItem:
             self.start()
 
     def set_mode(self, mode: ua.MonitoringMode) -> bool:
-        """Change the mode; tell whether a first sample is due."""
+        """Change the mode; return whether a first sample is due."""
         return self.of.set_mode(self.slot, mode)
 
     def modify(self, monitoring: Monitoring) -> None:
@@ -151,7 +151,7 @@ class BlockItems:
         self._see(self.block.newest(column), np.array([slot]), np.array([column]), moment)
 
     def set_mode(self, slot: int, mode: ua.MonitoringMode) -> bool:
-        """Change the mode of an item; tell whether a first sample is due."""
+        """Change the mode of an item; return whether a first sample is due."""
         was_disabled = bool(self.modes[slot] == _Mode.Disabled)
         self.modes[slot] = mode
         self._order = None
@@ -239,7 +239,7 @@ class BlockItems:
         self._subscription.hurry()
 
     def _changes(self, batch: Batch, slots: Slots) -> Bools:
-        """Tell what is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""
+        """What is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""
         if batch.present is None and not self._deadband[slots].any():
             return self._changes_of_all(batch, slots)
         changed = np.zeros(batch.codes.shape, np.bool_)

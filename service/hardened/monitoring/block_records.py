@@ -18,7 +18,7 @@ _OF_STAMPS[ua.TimestampsToReturn.Both] = SOURCE | SERVER
 
 
 def encode_records(
-    told: Notifications, handles: NDArray[np.uint32], stamps: NDArray[np.int8], block: Block
+    reported: Notifications, handles: NDArray[np.uint32], stamps: NDArray[np.int8], block: Block
 ) -> tuple[bytes, Counts]:
     """Encode notifications, N of them, each with its client handle and the times it is to show.
 
@@ -29,28 +29,30 @@ def encode_records(
     ends
         Where each ends, after a 0: shape (N + 1,).
     """
-    masks = _OF_STAMPS[stamps] | told.has.view(np.uint8) | (told.codes != 0) * np.uint8(STATUS)
+    masks = (
+        _OF_STAMPS[stamps] | reported.has.view(np.uint8) | (reported.codes != 0) * np.uint8(STATUS)
+    )
     first = int(masks[0]) if len(masks) else 0
     uniform = bool((masks == first).all())
     layout = _layout(first if uniform else VALUE | STATUS | SOURCE | SERVER, block)
-    records = np.empty(len(told), layout)
+    records = np.empty(len(reported), layout)
     parts = {
         "handle": handles,
         "mask": masks,
         "type": block.type if block.length is None else block.type | ARRAY,
         "length": block.width,
-        "value": told.values,
-        "status": told.codes,
-        "source": told.source,
-        "server": told.server,
+        "value": reported.values,
+        "status": reported.codes,
+        "source": reported.source,
+        "server": reported.server,
     }
     for name in layout.names or ():
         records[name] = parts[name]
     if uniform:
-        return records.tobytes(), np.arange(len(told) + 1) * layout.itemsize
+        return records.tobytes(), np.arange(len(reported) + 1) * layout.itemsize
     there = _bytes_there(block)
-    data = records.view(np.uint8).reshape(len(told), -1)[there[masks]]
-    ends = np.zeros(len(told) + 1, np.int64)
+    data = records.view(np.uint8).reshape(len(reported), -1)[there[masks]]
+    ends = np.zeros(len(reported) + 1, np.int64)
     np.cumsum(there.sum(axis=1)[masks], out=ends[1:])
     return data.tobytes(), ends
 

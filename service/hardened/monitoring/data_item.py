@@ -100,7 +100,7 @@ class DataItem:
             self.start(value)
 
     def sample_pending(self, now: float) -> bool:
-        """Take the value that waited for its sampling time; tell whether it still waits."""
+        """Take the value that waited for its sampling time; return whether it still waits."""
         if self._pending is None:
             return False
         if now < self._due:
@@ -110,7 +110,7 @@ class DataItem:
         return False
 
     def set_mode(self, mode: ua.MonitoringMode) -> bool:
-        """Change the mode; tell whether a first sample is due."""
+        """Change the mode; return whether a first sample is due."""
         was_disabled = self.mode == ua.MonitoringMode.Disabled
         self.mode = mode
         if mode == ua.MonitoringMode.Disabled:

@@ -123,7 +123,7 @@ class EventFilter:
         _check_where(aspace, self._where)
 
     def passes(self, event: Event) -> bool:
-        """Tell whether the client wants an event."""
+        """Whether the client wants an event."""
         return not self._where or self._judge(0, event) is True
 
     def select(self, event: Event) -> list[ua.Variant]:
@@ -202,7 +202,7 @@ def _select_result(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> i
 
 
 def _is_field(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> bool:
-    """Tell whether an event may have it: a value, or the ConditionId (Part 9, 5.5.2)."""
+    """Whether an event may have it: a value, or the ConditionId (Part 9, 5.5.2)."""
     if clause.BrowsePath:
         return bool(clause.AttributeId == ua.AttributeIds.Value)
     kind = clause.TypeDefinitionId

@@ -9,7 +9,7 @@ Test = Callable[[str], bool]
 
 
 def like(text: str, pattern: str) -> bool:
-    r"""Tell whether a text matches a pattern of ``%``, ``_``, ``[a-c]``, ``[^x]`` and ``\``.
+    r"""Whether a text matches a pattern of ``%``, ``_``, ``[a-c]``, ``[^x]`` and ``\``.
 
     >>> like("valve 7", "valve [0-9]"), like("valve x", "valve [^0-9]"), like("100 %", r"%\%")
     (True, True, True)

@@ -86,7 +86,7 @@ def check_path(
     lists
         Issuers and revocation lists.
     is_trusted
-        Tells whether a certificate makes the path trusted that it is part of.
+        Says whether a certificate makes the path trusted that it is part of.
     use
         What it was shown for.
     now

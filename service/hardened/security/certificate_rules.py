@@ -196,12 +196,12 @@ def check_strength(certificate: x509.Certificate, name: str) -> None:
 
 
 def is_strong(algorithm: hashes.HashAlgorithm | None) -> bool:
-    """Tell whether a signature with this hash still proves anything (MD5 and SHA-1 do not)."""
+    """Whether a signature with this hash still proves anything (MD5 and SHA-1 do not)."""
     return isinstance(algorithm, _STRONG_HASHES)
 
 
 def allows(certificate: x509.Certificate, use: Use) -> bool:
-    """Tell whether the ExtendedKeyUsage, where there is one, allows a use."""
+    """Whether the ExtendedKeyUsage, where there is one, allows a use."""
     usages = extension(certificate, x509.ExtendedKeyUsage)
     wanted = {_EXTENDED_USES[use], ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE}
     return usages is None or not wanted.isdisjoint(usages)

@@ -101,7 +101,7 @@ async def identify(
 def still_accepted(
     principal: Principal, users: UserStore, trust: PeerTrust, refused: Refused
 ) -> bool:
-    """Tell whether somebody who is logged in could do so again; asked once in a while.
+    """Whether somebody who is logged in could do so again; asked once in a while.
 
     The folders of ``trust`` count as they were last read.
     """

@@ -93,7 +93,7 @@ class PeerTrust:
         return certificate
 
     def check_authority(self, authority: x509.Certificate, use: Use) -> None:
-        """Check what must hold of an authority by itself, before somebody is told to trust it.
+        """Check what must hold of an authority by itself, before somebody is asked to trust it.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class PeerTrust:
         check_issuer_rules(authority, use)
 
     def look_again(self) -> bool:
-        """Look whether the folders have changed; tell whether they may be believed now.
+        """Look whether the folders have changed; return whether they may be believed now.
 
         They may not while they are being changed: half a file is not yet a reason to part.
         """

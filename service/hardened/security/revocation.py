@@ -38,7 +38,7 @@ class RevocationList:
     _signers: dict[x509.Certificate, bool] = field(default_factory=dict, compare=False)
 
     def is_signed_by(self, issuer: x509.Certificate) -> bool:
-        """Tell whether an authority signed it; asked once for each, a list may be large."""
+        """Whether an authority signed it; asked once for each, a list may be large."""
         known = self._signers.get(issuer)
         if known is None:
             try:

@@ -276,7 +276,7 @@ class UserStore:
         return store
 
     def refresh(self) -> bool:
-        """Read the file again if it has changed; tell whether the users are others now.
+        """Read the file again if it has changed; return whether the users are others now.
 
         What cannot be read changes nothing, and is said.
         """

@@ -20,6 +20,7 @@ from service.hardened.binary.encoding import (
     encode_structure,
     ticks_of_ns,
 )
+from service.hardened.caller import acting_for
 from service.hardened.clock import Clock
 from service.hardened.sessions.session import Session
 from service.hardened.settings import Limits
@@ -204,7 +205,8 @@ class Services:
         codes = []
         for item in params.NodesToWrite:
             before = self._attributes.held(item)
-            code = await self._attributes.write(item, role, request.turn.outside)
+            with acting_for(_name(request.session)):
+                code = await self._attributes.write(item, role, request.turn.outside)
             self._audit.written(actor, item, before, code)
             codes.append(ua.StatusCode(code))
             await request.turn.breathe()
@@ -226,7 +228,8 @@ class Services:
         session = request.session
         if wanted.MethodId in (_GET_MONITORED_ITEMS, _RESEND_DATA):
             return await self._call_for_session(request, wanted)
-        return await self._attributes.call(wanted, session.role, request.turn.outside)
+        with acting_for(_name(session)):
+            return await self._attributes.call(wanted, session.role, request.turn.outside)
 
     async def _call_for_session(
         self, request: Request, wanted: ua.CallMethodRequest
@@ -469,3 +472,7 @@ class Services:
 
 def _statuses(codes: Sequence[int]) -> list[ua.StatusCode]:
     return [ua.StatusCode(code) for code in codes]
+
+
+def _name(session: Session) -> str:
+    return "" if session.principal is None else session.principal.name

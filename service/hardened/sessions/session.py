@@ -39,7 +39,7 @@ class Line(Protocol):
 
     @property
     def writable(self) -> bool:
-        """Tell whether the peer reads what it is sent."""
+        """Whether the peer reads what it is sent."""
 
     def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
         """Send a publish response."""
@@ -94,7 +94,7 @@ class Session:
 
     @property
     def active(self) -> bool:
-        """Tell whether somebody is logged in."""
+        """Whether somebody is logged in."""
         return self.principal is not None and not self.closed
 
     @property
@@ -105,7 +105,7 @@ class Session:
         return self.principal.role
 
     def hears(self, audience: Role) -> bool:
-        """Tell whether the user may hear of an event that is for that role and above."""
+        """Whether the user may hear of an event that is for that role and above."""
         return self.principal is not None and self.principal.role >= audience
 
     def charge(self, cost: float) -> None:
@@ -148,7 +148,7 @@ class Session:
             self.touch()
 
     def is_same_client(self, other: object) -> bool:
-        """Tell whether another session acts for the same user of the same application.
+        """Whether another session acts for the same user of the same application.
 
         Anonymous users of a channel without security cannot prove to be the same.
         """
@@ -164,7 +164,7 @@ class Session:
 
     @property
     def is_proven(self) -> bool:
-        """Tell whether the client has proven who it is, by password or certificate."""
+        """Whether the client has proven who it is, by password or certificate."""
         return self.principal is not None and (
             self.peer_certificate is not None or self.principal.name != ANONYMOUS
         )
@@ -184,7 +184,7 @@ class Session:
         self._queue.publish(subscription)
 
     def has_publish_requests(self) -> bool:
-        """Tell whether a publish request waits."""
+        """Whether a publish request waits."""
         return len(self._queue) > 0
 
     def serve_late(self) -> None:

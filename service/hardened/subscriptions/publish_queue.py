@@ -36,7 +36,7 @@ class PublishQueue:
     answer, refuse
         Send a message, or a fault, in answer to a request.
     ready
-        Tell whether the connection takes more now.
+        Return whether the connection takes more now.
     clock
         For deadlines and the times of messages.
     pace

@@ -272,7 +272,7 @@ class Subscriptions:
                 item.notify(wish.select(event))
 
     def has_audience(self, emitter: ua.NodeId, role: Role) -> bool:
-        """Tell whether anybody of that role monitors the events of an object."""
+        """Whether anybody of that role monitors the events of an object."""
         watched = self._event_items.get(emitter)
         return watched is not None and any(
             subscription.owner.hears(role) for subscription, _, _ in watched.values()
@@ -369,7 +369,7 @@ class Subscriptions:
         return result
 
     def _is_crowded(self, subscription: Subscription, wanted: ua.ReadValueId) -> bool:
-        """Tell whether so many items watch this attribute that each change of it costs too much."""
+        """Whether so many items watch this attribute that each change of it costs too much."""
         watchers = self._watchers.get((wanted.NodeId, wanted.AttributeId), {})
         limits = self._limits
         own = watchers.get(id(subscription.owner), 0)

@@ -38,10 +38,10 @@ class Owner(Protocol):
         """Send the subscription's next message if a publish request waits, else remember it."""
 
     def has_publish_requests(self) -> bool:
-        """Tell whether a publish request waits."""
+        """Whether a publish request waits."""
 
     def lose(self, subscription: "Subscription", code: int | None = None) -> None:
-        """Lose a subscription; tell the client why if there is a code."""
+        """Lose a subscription; the client hears why if there is a code."""
 
     def hears(self, audience: Role) -> bool:
         """Whether the user may hear of an event that is for that role and above."""
@@ -197,7 +197,7 @@ class Subscription:
         return True
 
     def has_message(self) -> bool:
-        """Tell whether something is to be sent now."""
+        """Whether something is to be sent now."""
         if self._triggered:
             self._report_linked()
         if self.publishing and self._reports:

@@ -12,6 +12,7 @@ from asyncua.common.utils import Buffer, ServiceError
 from asyncua.crypto.uacrypto import InvalidSignature
 from asyncua.ua import ua_binary
 
+from service.hardened.allowance import Allowance
 from service.hardened.binary.bounded_decoding import Budget, Reader, decode, decode_slowly
 from service.hardened.binary.encoding import encode_publish_response, ticks_of_ns
 from service.hardened.logs import bound_asyncua, bounded_logger
@@ -76,8 +77,9 @@ class Connection(asyncio.BufferedProtocol):
         self._errors = 0
         self._before_session = 0
         self._requests_before_session = 0
-        self._allowance = self._limits.request_burst
-        self._refilled = self.idle_since
+        self._allowance = Allowance(
+            shared.clock, self._limits.allowed_requests_per_second, self._limits.request_burst
+        )
         self._peer_message_bytes = 0
         self._peer_chunks = 0
         self._task: asyncio.Task[None] | None = None
@@ -231,7 +233,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._too_large(response):
             self.refuse(request_id, handle, _Codes.BadResponseTooLarge)
         else:
-            self._allowance -= len(response) / _BYTES_PER_REQUEST
+            self._allowance.spend(len(response) / _BYTES_PER_REQUEST)
             self._send(request_id, response)
 
     async def breathe(self) -> None:
@@ -272,7 +274,7 @@ class Connection(asyncio.BufferedProtocol):
                 await self._arrived.wait()
             while not self.writable:
                 await self._writable_again.wait()
-            if not self._has_allowance(len(self._frames[0])):
+            if not self._allowance.covers(1.0 + len(self._frames[0]) / _BYTES_PER_REQUEST):
                 await self._shared.clock.sleep(1.0 / self._limits.allowed_requests_per_second)
                 continue
             await self._shared.turns.take(self.cost)
@@ -325,7 +327,7 @@ class Connection(asyncio.BufferedProtocol):
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
         smallest = min(hello.ReceiveBufferSize, hello.SendBufferSize)
         if smallest < _SMALLEST_BUFFER or len(hello.EndpointUrl or "") > 4_096:
-            self._greeted = True  # so that the peer is told why
+            self._greeted = True  # so that the peer hears why
             raise ServiceError(_Codes.BadConnectionRejected)
         self._greeted = True
         limits = self.channel.limits
@@ -343,7 +345,7 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, acknowledge))
 
     async def _serve(self, message: ua.Message) -> bool:
-        """Answer a request; tell whether the connection goes on."""
+        """Answer a request; return whether the connection goes on."""
         request_id = message.SequenceHeader().RequestId
         body = Reader(bytes(message.body()), self._budget())
         self._shared.traffic.requests += 1
@@ -426,17 +428,6 @@ class Connection(asyncio.BufferedProtocol):
         }.get(kind[:3], 0)
         whole = kind[:3] == _MESSAGE or kind[3:] == b"F"
         return 8 < size <= most and kind[3] in _CHUNK_KINDS and whole
-
-    def _has_allowance(self, size: int) -> bool:
-        cost = 1.0 + size / _BYTES_PER_REQUEST
-        limits, now = self._limits, self._shared.clock.monotonic()
-        earned = (now - self._refilled) * limits.allowed_requests_per_second
-        self._allowance = min(limits.request_burst, self._allowance + earned)
-        self._refilled = now
-        if self._allowance < cost:
-            return False
-        self._allowance -= cost
-        return True
 
     def _resume_reading(self) -> None:
         if self._paused and not self._transport.is_closing():

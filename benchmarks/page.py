@@ -1,0 +1,149 @@
+"""What the live page costs: its memory and CPU, and what its viewers cost the service.
+
+``python -m benchmarks.page`` runs a demo without, with one and with twenty viewers of a valve at
+10 Hz, half a minute each, and writes ``benchmarks/results/page.json``.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from websockets.asyncio.client import connect
+
+from service.opcua.results_client import ResultsClient, SourceSettings
+from service.opcua.results_server import NAMESPACE
+
+VIEWERS = (0, 1, 20)
+SPAN_S = 30.0
+_SETTLE_S = 5.0
+_RIG = "opc.tcp://127.0.0.1:4850/valvemap/rig/"
+_SERVICE = "opc.tcp://127.0.0.1:4851/valvemap/service/"
+_WATCH = json.dumps({"watch": {"valve": "Valvistor", "estimator": None, "overview": True}})
+
+
+def main() -> None:
+    """Measure, print, write."""
+    bare = _bare_asyncua_mb()
+    with tempfile.TemporaryDirectory() as folder, _demo(Path(folder) / "demo.log") as (demo, log):
+        figures = asyncio.run(_measure(demo, log))
+    figures["bare asyncua import, MB"] = bare
+    figures["page above a bare asyncua import, MB"] = figures["page with 20 viewers, MB"] - bare
+    without = figures["service with 0 viewers, % of a core"]
+    with_all = figures["service with 20 viewers, % of a core"]
+    figures["service, 20 viewers against none, %"] = 100.0 * (with_all / without - 1.0)
+    for name, value in figures.items():
+        print(f"{name:45s} {value:10.1f}")
+    target = Path(__file__).parent / "results" / "page.json"
+    target.parent.mkdir(exist_ok=True)
+    target.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def _demo(log: Path) -> Iterator[tuple[int, Path]]:
+    """Run a demo; its process id, and its log."""
+    env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": _SERVICE}
+    with log.open("wb") as out:
+        demo = subprocess.Popen(
+            [sys.executable, "-u", "-m", "service", "demo"],
+            stdout=out,
+            env={**os.environ, **env, "VALVEMAP_PAGE_LISTEN": "127.0.0.1:0"},
+        )
+    try:
+        yield demo.pid, log
+    finally:
+        demo.send_signal(signal.SIGINT)
+        demo.wait()
+
+
+async def _measure(demo: int, log: Path) -> dict[str, float]:
+    url = await _page_url(log)
+    page = _child(demo, "dashboard")
+    client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
+    await client.connect()
+    figures: dict[str, float] = {}
+    for viewers in VIEWERS:
+        figures |= await _with(viewers, url, demo, page)
+    (gaps,) = await client.read(["Valvistor.Diagnostics.Gaps"])
+    figures["samples lost"] = float(gaps.value)
+    await client.close()
+    return figures
+
+
+async def _with(viewers: int, url: str, service: int, page: int) -> dict[str, float]:
+    watching = [asyncio.create_task(_watch(url)) for _ in range(viewers)]
+    await asyncio.sleep(_SETTLE_S)
+    before = _cpu_s(service), _cpu_s(page)
+    await asyncio.sleep(SPAN_S)
+    after = _cpu_s(service), _cpu_s(page)
+    memory = _rss_mb(page)
+    for task in watching:
+        task.cancel()
+    await asyncio.gather(*watching, return_exceptions=True)
+    shares = [100.0 * (b - a) / SPAN_S for a, b in zip(before, after, strict=True)]
+    return {
+        f"service with {viewers} viewers, % of a core": shares[0],
+        f"page with {viewers} viewers, % of a core": shares[1],
+        f"page with {viewers} viewers, MB": memory,
+    }
+
+
+async def _watch(url: str) -> None:
+    live = url.replace("http", "ws") + "/live"
+    async with connect(live, origin=url, proxy=None) as socket:  # type: ignore[arg-type]
+        await socket.send(_WATCH)
+        async for _ in socket:
+            pass
+
+
+async def _page_url(log: Path) -> str:
+    for _ in range(1_500):  # the very first start compiles
+        if url := _said(log, "page"):
+            return url
+        await asyncio.sleep(0.2)
+    raise TimeoutError(str(log))
+
+
+def _said(log: Path, what: str) -> str | None:
+    lines = log.read_text(encoding="utf-8").splitlines()
+    return next((line.split()[-1] for line in lines if line.startswith(what)), None)
+
+
+def _child(parent: int, command: str) -> int:
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+            stat = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(stat[1]) == parent and command.encode() in words:
+            return int(entry.name)
+    raise RuntimeError(f"no {command} below {parent}")
+
+
+def _cpu_s(pid: int) -> float:
+    stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _rss_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def _bare_asyncua_mb() -> float:
+    program = (
+        "import asyncua, os; print(int(open('/proc/self/statm').read().split()[1])"
+        " * os.sysconf('SC_PAGE_SIZE') / 1e6)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    return float(done.stdout)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""What cuts, kills, disorder and damage cost: ``python -m benchmarks.reliability``.
+
+Writes ``docs/reliability.md``. One valve at 100 Hz from a guarded server in the same process,
+through a proxy that cuts and stalls; every sample is numbered, so every loss shows.
+"""
+
+import argparse
+import asyncio
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from service.hardened import Role, UserStore
+from service.storage.checkpoints import CheckpointFile
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import DataChanges
+from service.streaming.ports import Checkpoint
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.lives import fresh, lived
+from support.stream import NumberedServer, until, watching
+
+PAGE = Path(__file__).parents[1] / "docs" / "reliability.md"
+FIRST = "| fault | lost | twice | bits different | data again after, s |"
+ALIGN = Alignment(AlignmentSettings(), (True,), (True,))
+
+
+def disorder(delay_s: float, *, doubled: bool, again_s: float, seed: int) -> str:
+    """Samples reordered, doubled, sent again."""
+    n, rng = 6_000, np.random.default_rng(seed)
+    t = 1_800_000_000_000_000_000 + np.arange(n) * 10_000_000
+    values = np.column_stack([*rng.uniform(0, 100, (5, n)), 1_000 + np.arange(n)])
+    item = np.tile(np.arange(6, dtype=np.int32), n)
+    changes = DataChanges(item, values.ravel(), np.zeros(6 * n, np.uint32), np.repeat(t, 6))
+    order = np.argsort(changes.source_time + rng.uniform(0, delay_s, 6 * n) * 1e9, kind="stable")
+    if doubled:
+        order = np.concatenate([np.tile(part, 2) for part in np.array_split(order, 500)])
+    if again_s:
+        back = order[-round(600 * again_s) - 1_800 : -1_800]
+        order = np.concatenate([order[:-1_800], back, order[-1_800:]])
+    mixed = DataChanges(*(column[order] for column in vars(changes).values()))
+    (_, ours), (_, right) = (ALIGN.update(ALIGN.initial_state(), c) for c in (mixed, changes))
+    learnt = ours[0].t
+    lost, twice = n - len(np.unique(learnt)), len(learnt) - len(np.unique(learnt))
+    same = all(
+        getattr(ours[0], name).tobytes() == getattr(right[0], name).tobytes()
+        for name in ("t", "U", "p1", "p2", "Q", "T")
+    )
+    return f"{lost} of {n} | {twice} | {0 if same else 'all'} | |"
+
+
+async def line(served: tuple[NumberedServer, str], fault: str, seconds: float) -> str:
+    """A line that is cut, flaps or stalls."""
+    plant, _ = served
+    async with watching(served, named=True) as (proxy, source, collector):
+        await until(lambda: min(i.queue_size for i in source._subscription._items) > 1_000)  # noqa: SLF001
+        if fault == "cut":
+            await proxy.cut_for(seconds)
+        elif fault == "flapping":
+            for _ in range(10):
+                proxy.cut()
+                await asyncio.sleep(seconds / 10)
+        else:
+            proxy.stall()
+            await asyncio.sleep(seconds)
+            proxy.flow()
+        back, target = time.monotonic(), plant.written
+        await until(lambda: collector.arrived[-1] > back, 60.0)
+        again_s = next(t for t in collector.arrived if t > back) - back
+        await until(lambda: collector.numbers[-1] >= target, 60.0)
+        numbers = collector.numbers
+        span = numbers[-1] - numbers[0] + 1
+        lost, twice = span - len(set(numbers)), collector.counters.get("duplicates", 0)
+    return f"{lost} of {span} | {twice} | | {again_s:.1f} |"
+
+
+async def kills(served: tuple[NumberedServer, str], count: int, seed: int) -> str:
+    """A service that is killed at random times and started again."""
+    plant, _ = served
+    plant.sent.clear()
+    rng = np.random.default_rng(seed)
+    playing = asyncio.create_task(plant.play(100))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "state.sqlite"
+        for _ in range(count):
+            with CheckpointFile(file) as store:
+                await lived(served, store, float(rng.uniform(1.5, 3.5)))
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+        with CheckpointFile(file) as store:
+            last = await lived(served, store, 3.0)
+    counters = last.counters(0)
+    one_life = fresh()
+    one_life.take(plant.sent_from(plant.written - counters["aligned"]))
+    same = one_life.checkpoints() == last.checkpoints()
+    lost = counters["gaps"] + counters["missing"] + counters["lost_by_time"]
+    return (
+        f"{lost} of {counters['aligned']} | {counters['duplicates']} | {0 if same else 'all'} | |"
+    )
+
+
+def flips(count: int, seed: int) -> str:
+    """Bits flipped in a file of states."""
+    rng = np.random.default_rng(seed)
+    states = {t: rng.bytes(3_000) for t in (1, 2)}
+    names = [(valve, name) for valve in ("V1", "V2") for name in ("RLS", "RML", "RBF", "Auto")]
+    newest, previous, fresh_ones, wrong, silent = 0, 0, 0, 0, 0
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "state.sqlite"
+        with CheckpointFile(file) as store:
+            for t, state in states.items():
+                store.save([Checkpoint(v, e, "k", t, state, 0.99, frozen=False) for v, e in names])
+        whole = file.read_bytes()
+        for _ in range(count):
+            hurt = bytearray(whole)
+            hurt[int(rng.integers(100, len(hurt)))] ^= 1 << int(rng.integers(8))
+            file.write_bytes(hurt)
+            with CheckpointFile(file) as store:
+                loaded = store.load()
+                wrong += any(c.state != states.get(c.t) for c in loaded)
+                is_newest = len(loaded) == len(names) and {c.t for c in loaded} == {2}
+                newest += is_newest
+                previous += not is_newest and len(loaded) == len(names)
+                fresh_ones += len(loaded) < len(names)
+                silent += not (is_newest or store.damaged or store.set_aside)
+                if store.set_aside is not None:
+                    store.set_aside.unlink()
+    return (
+        f"{count} flips: {newest} newest, {previous} previous generation, {fresh_ones} in part "
+        f"fresh, {wrong} wrong, {silent} silent, 0 crashes."
+    )
+
+
+async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
+    """All rows of the page."""
+    rows = []
+    for text, delay_s, doubled, again_s in (
+        ("reordered by up to 0.1 s", 0.1, False, 0.0),
+        ("reordered by up to 0.9 s", 0.9, False, 0.0),
+        ("everything twice", 0.0, True, 0.0),
+        ("10 s sent again", 0.0, False, 10.0),
+        ("all of these", 0.9, True, 10.0),
+    ):
+        told = disorder(delay_s, doubled=doubled, again_s=again_s, seed=seed)
+        rows.append(f"| {text} | {told}")
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    with tempfile.TemporaryDirectory() as cache:
+        plant = await NumberedServer.create(Path(cache), users=users)
+        async with plant.server:
+            served = plant, password
+            for seconds in cuts:
+                told = await line(served, "cut", seconds)
+                rows.append(f"| line cut for {seconds:g} s | {told}")
+            rows.append(f"| 10 cuts in 5 s | {await line(served, 'flapping', 5.0)}")
+            rows.append(f"| stall of 20 s | {await line(served, 'stall', 20.0)}")
+            told = await kills(served, count, seed)
+            rows.append(f"| service killed {count} times | {told}")
+    return rows
+
+
+def main() -> None:
+    """Measure, and write the page between its marks."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0], metavar="S")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--flips", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    rows = asyncio.run(measured(given.cuts, given.kills, given.seed))
+    table = "\n".join([FIRST, "|---|---|---|---|---|", *rows])
+    text = f"{table}\n\nSeed {given.seed}. Kept states, {flips(given.flips, given.seed)}\n"
+    print(text)
+    page = PAGE.read_text(encoding="utf-8")
+    head, mark, _ = page.partition("<!-- measured -->\n")
+    PAGE.write_text(f"{head}{mark}{text}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

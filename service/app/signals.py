@@ -1,0 +1,48 @@
+"""What ends a command that runs until it is asked to end."""
+
+import asyncio
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+import structlog
+
+log = structlog.get_logger(__name__)
+
+
+@contextmanager
+def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
+    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up."""
+    loop = asyncio.get_running_loop()
+
+    def on_hang_up(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(log.info, "hang-up: goes on")
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    with suppress(AttributeError):
+        numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
+    before = {number: signal.signal(number, on_signal) for number in numbers}
+    with suppress(AttributeError):
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, on_hang_up)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def stop_with_parent(stop: asyncio.Event) -> None:
+    """Set ``stop`` at the end of standard input: the parent has closed it, or is dead."""
+    loop = asyncio.get_running_loop()
+
+    def wait() -> None:
+        sys.stdin.read()
+        loop.call_soon_threadsafe(stop.set)
+
+    threading.Thread(target=wait, daemon=True).start()

@@ -1,0 +1,112 @@
+"""``valvemap dashboard``: the live page beside any service."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.options import FolderOption
+from service.config.secret_files import read_secret
+from service.errors import ConfigurationError
+
+URL = "opc.tcp://127.0.0.1:4841/valvemap/service/"
+LISTEN = "127.0.0.1:8080"
+
+
+def dashboard(
+    url: Annotated[
+        str,
+        typer.Option(envvar="VALVEMAP_SERVICE_URL", help="The service: opc.tcp://HOST:PORT/PATH"),
+    ] = URL,
+    listen: Annotated[
+        str,
+        typer.Option(envvar="VALVEMAP_PAGE_LISTEN", metavar="ADDRESS:PORT", help="Of the page."),
+    ] = LISTEN,
+    host_name: Annotated[
+        list[str] | None,
+        typer.Option(
+            envvar="VALVEMAP_PAGE_HOSTS",
+            help="Name under which browsers reach it, if not this host.",
+        ),
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE.pem", help="For https; with --key.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option(metavar="FILE.pem")] = None,
+    data: FolderOption = Path("data"),
+    security: Annotated[
+        str, typer.Option(help="Basic256Sha256, Aes256Sha256RsaPss, or None.")
+    ] = "Basic256Sha256",
+    user: Annotated[str | None, typer.Option(help="Else the one that `init` made.")] = None,
+    password_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Its first line is the user's password.")
+    ] = None,
+    rig_url: Annotated[str | None, typer.Option(help="Of a virtual rig, to play with.")] = None,
+    *,
+    check_host_name: Annotated[
+        bool, typer.Option(help="The service's certificate must name the host of its url.")
+    ] = True,
+    require_crl: Annotated[
+        bool,
+        typer.Option(
+            envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
+            help="Certificates of an authority need its revocation list.",
+        ),
+    ] = True,
+    under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
+) -> None:
+    """Serve the live page, until Ctrl-C."""
+    try:
+        from service.app.dashboard import Watched, run_dashboard
+        from service.dashboard.settings import PageSettings
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"the page needs {error.name}: pip install 'valvemap[dashboard]'"
+        ) from None
+    from service.app.identities import PAGE_USER
+    from service.app.signals import stop_on_signal, stop_with_parent
+    from service.opcua.connection import Security
+
+    if security not in set(Security):
+        raise typer.BadParameter(f"security {security!r}: allowed is one of {', '.join(Security)}")
+    address, port = _address(listen)
+    own_password = password_file or data / "dashboard-password"
+    if user is None and security != Security.NONE:
+        user = PAGE_USER
+    watched = Watched(
+        url=url,
+        security=Security(security),
+        pki=data / "pki" / "dashboard",
+        user=user,
+        password=None if user is None else read_secret(own_password),
+        rig_url=rig_url,
+        check_host_name=check_host_name,
+        require_crl=require_crl,
+    )
+    page = PageSettings(address, port, tuple(host_name or ()), certificate, key)
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        if under_demo:
+            stop_with_parent(stop)
+        with stop_on_signal(stop):
+            await run_dashboard(watched, page, stop, _say, any_port=under_demo)
+
+    asyncio.run(until_stopped())
+
+
+def _say(url: str) -> None:
+    print(url, flush=True)  # noqa: T201 - tells who waits for it
+
+
+def _address(listen: str) -> tuple[str, int]:
+    """Split ADDRESS:PORT.
+
+    >>> _address("[::1]:8080")
+    ('::1', 8080)
+    """
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdigit() or int(port) > 65_535:
+        raise typer.BadParameter(f"{listen!r}: ADDRESS:PORT is expected, e.g. 127.0.0.1:8080")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,386 @@
+"""The page's eye: looks at the service over OPC UA, as often as somebody looks at the page."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+
+from service.clock import Clock
+from service.dashboard.judgement import Reason, Severity, Standing, judge
+from service.dashboard.layout import (
+    NO_ESTIMATORS,
+    ROOT,
+    Valve,
+    Variables,
+    sort_variables,
+)
+from service.dashboard.points import Points
+from service.dashboard.ports import Client, Reading, Wanted
+from service.dashboard.store import Store
+from service.dashboard.surface import draw_surface
+from service.dashboard.timeline import TimeLine
+from service.errors import CommandRejected, SourceLost, ValvemapError
+
+TICK_S = 0.1  # of what is watched live
+_TICKS_PER_ROUND = 10  # all valves are looked at once a second
+_ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
+_SURFACE_EVERY_S = 5.0  # a map costs the service some 20 ms
+_RETRY_S = (0.5, 1.0, 2.0)  # a service that starts again is back on the page within seconds
+_REFUSED_RETRY_S = 10.0  # whoever is refused need not ask often
+_NODES_AT_ONCE = 200  # of one read: answers stay well within what is decoded of one
+_COUNTERS_EVERY_S = 1.0  # however often somebody asks for metrics
+_BAD_NODE_ID_UNKNOWN = 0x8034_0000
+_BAD = 0x8000_0000
+
+
+class Link(StrEnum):
+    """How the connection to the service stands."""
+
+    CONNECTING = "connecting"
+    UP = "up"
+    LOST = "lost"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One valve in the overview; times are UTC ns, the rest l/min, counts and seconds."""
+
+    reason: Reason
+    since: int
+    rmse: float
+    noise: float
+    samples: float
+    silent_s: float
+    predicted: float
+
+
+class Observer:
+    """Keeps what the service shows.
+
+    Parameters
+    ----------
+    client
+        Of the service.
+    clock
+        Stamps what was seen when.
+    wanted
+        What viewers look at now.
+    on_news
+        Called after each look.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        clock: Clock,
+        wanted: Callable[[], Wanted],
+        on_news: Callable[[], None],
+    ) -> None:
+        self.client = client
+        self.store = Store()
+        self.time_line = TimeLine()
+        self.valves: tuple[Valve, ...] = ()
+        self.rows: dict[int, Row] = {}
+        self.link, self.link_text, self.link_since = Link.CONNECTING, "", clock.now()
+        self.generation = 0
+        self._clock = clock
+        self._wanted = wanted
+        self._on_news = on_news
+        self._variables: dict[int, Variables] = {}
+        self._seldom_read: set[int] = set()
+        self._points: dict[int, Points] = {}
+        self._heard: dict[int, tuple[int, float]] = {}
+        self._changed: dict[int, int] = {}
+        self.counters: dict[tuple[int, str], float] = {}
+        self._counters_due = 0.0
+
+    async def run(self) -> None:
+        """Look until cancelled; whatever happens to the service."""
+        failures = 0
+        while True:
+            try:
+                await self.client.connect()
+                await self._discover()
+                failures = 0
+                self._say(Link.UP, "")
+                await self._look_for_ever()
+            except SourceLost as error:
+                self._say(Link.LOST, str(error))
+                pause = _RETRY_S[min(failures, len(_RETRY_S) - 1)]
+            except ValvemapError as error:
+                self._say(Link.REFUSED, str(error))
+                pause = _REFUSED_RETRY_S
+            finally:
+                await self.client.close()
+            failures += 1
+            await asyncio.sleep(pause)
+
+    def points(self, valve: int) -> Points:
+        """Where a valve was measured."""
+        return self._points.setdefault(valve, Points())
+
+    def silent_s(self, valve: int) -> float:
+        """Time since a valve's newest sample was first seen."""
+        _, when = self._heard.get(valve, (0, self._clock.monotonic()))
+        return self._clock.monotonic() - when
+
+    async def look_at_counters(self) -> None:
+        """Read what became of all valves' data, at most once a second."""
+        now = self._clock.monotonic()
+        if self.link is not Link.UP or now < self._counters_due:
+            return
+        self._counters_due = now + _COUNTERS_EVERY_S
+        try:
+            asked = []
+            for number, valve in enumerate(self.valves):
+                variables = await self._variables_of(number)
+                asked += [
+                    (number, valve.name, name)
+                    for name in variables.slow
+                    if name.startswith("Diagnostics.")
+                ]
+            readings = await self._read([f"{valve}.{name}" for _, valve, name in asked])
+        except ValvemapError:
+            return  # the next look says why
+        for (number, _, name), reading in zip(asked, readings, strict=True):
+            if isinstance(reading.value, int):
+                self.counters[number, name.partition(".")[2]] = float(reading.value)
+
+    async def _look_for_ever(self) -> None:
+        tasks = {asyncio.create_task(self._look()), asyncio.create_task(self._draw_maps())}
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _look(self) -> None:
+        tick = 0
+        while True:
+            begun = self._clock.monotonic()
+            wanted = self._wanted()
+            round_, within = divmod(tick, _TICKS_PER_ROUND)
+            if within == 0:
+                await self._look_at_all(thoroughly=round_ % _ROUNDS_PER_DISCOVERY == 0)
+                for valve in wanted.live:
+                    await self._look_closer(valve, wanted)
+            await self._look_live(sorted(wanted.live))
+            self._on_news()
+            step = 1 if wanted.live else _TICKS_PER_ROUND - within
+            tick += step
+            await asyncio.sleep(max(begun + step * TICK_S - self._clock.monotonic(), 0.01))
+
+    async def _draw_maps(self) -> None:
+        while True:
+            for valve, estimator in sorted(self._wanted().maps):
+                try:
+                    surface = await draw_surface(self.client, self.valves[valve].name, estimator)
+                except CommandRejected:
+                    continue  # this estimator cannot say yet
+                now = self._clock.now()
+                for name, matrix in surface.items():
+                    self.store.put(valve, f"{estimator}.Surface{name}", matrix, 0, now)
+                self._on_news()
+            await asyncio.sleep(_SURFACE_EVERY_S if self._wanted().maps else TICK_S)
+
+    async def _discover(self) -> None:
+        """Find all valves; another set of them is another layout."""
+        folders = [child.id for child in await self.client.browse(ROOT) if not child.is_variable]
+        frame_names = await self._read([f"{name}.FrameNames" for name in folders])
+        found = []
+        for name, columns in zip(folders, frame_names, strict=True):
+            below = await self.client.browse(name)
+            objects = [c.id.rpartition(".")[2] for c in below if not (c.is_variable or c.is_method)]
+            estimators = tuple(e for e in objects if e not in NO_ESTIMATORS)
+            if estimators and columns.value:
+                found.append(Valve(name, estimators, tuple(columns.value)))
+        if tuple(found) != self.valves or not self.generation:
+            self.generation += 1
+            self.valves = tuple(found)
+            self.store.clear()
+            self.rows.clear()
+            self.counters.clear()
+            self._points.clear()
+        self._variables.clear()
+        self._seldom_read.clear()
+        self._heard.clear()
+
+    async def _look_at_all(self, *, thoroughly: bool) -> None:
+        """Look at how every valve stands."""
+        if thoroughly:
+            await self._look_for_changes()
+        ids = []
+        for valve in self.valves:
+            ids += [f"{valve.name}.Frame", f"{valve.name}.{valve.primary}.PredictedFlow"]
+        readings = await self._read(ids)
+        for number, valve in enumerate(self.valves):
+            self._take_standing(number, valve, readings[2 * number], readings[2 * number + 1])
+
+    def _take_standing(self, number: int, valve: Valve, frame: Reading, flow: Reading) -> None:
+        columns = dict(zip(valve.frame_names, frame.value or (), strict=False))
+        of = {name: columns.get(f"{valve.primary}.{name}", float("nan")) for name in _SHOWN}
+        self._hear(number, frame.t)
+        adaptation = self.store.get(number, f"{valve.primary}.Adaptation")
+        now = self._clock.now()
+        reason = judge(
+            Standing(
+                code=flow.code,
+                status=int(of["Status"]) if of["Status"] == of["Status"] else 0,
+                silent_s=self.silent_s(number),
+                changed_s=(now - self._changed.get(number, 0)) * 1e-9,
+                adaptation=int(adaptation.value or 0) if adaptation else 0,
+            )
+        )
+        reason, since = self.time_line.stands(valve.name, reason, now)
+        self.rows[number] = Row(
+            reason=reason,
+            since=since,
+            rmse=of["ResidualRmse"],
+            noise=of["NoiseStd"],
+            samples=of["SampleCount"],
+            silent_s=self.silent_s(number),
+            predicted=of["PredictedFlow"],
+        )
+
+    async def _look_for_changes(self) -> None:
+        """Look what valves found, and what was done to them."""
+        asked = [
+            (number, valve, estimator)
+            for number, valve in enumerate(self.valves)
+            for estimator in valve.estimators
+        ]
+        ids = [
+            f"{valve.name}.{estimator}.{name}"
+            for _, valve, estimator in asked
+            for name in ("ChangeCount", "ChangeTime", "ChangeSize")
+        ]
+        changes = await self._read(ids)
+        for k, (number, valve, estimator) in enumerate(asked):
+            count, time, size = changes[3 * k : 3 * k + 3]
+            if isinstance(count.value, int) and count.value:
+                t = in_ns(time.value)
+                self._changed[number] = max(self._changed.get(number, 0), t)
+                size_ = float(size.value or 0.0)
+                self.time_line.changed(valve.name, estimator, count.value, t, size_)
+            elif count.value == 0:
+                self.time_line.changed(valve.name, estimator, 0, 0, 0.0)
+        actions = await self._read(
+            [f"{valve.name}.Diagnostics.LastAction" for valve in self.valves]
+        )
+        for valve, action in zip(self.valves, actions, strict=True):
+            if isinstance(action.value, str):
+                self.time_line.acted(valve.name, action.value, action.t)
+
+    async def _look_live(self, valves: Sequence[int]) -> None:
+        """Look at what moves, of the valves that somebody watches."""
+        watched = [(number, await self._variables_of(number)) for number in valves]
+        ids = []
+        for number, variables in watched:
+            name = self.valves[number].name
+            ids += [f"{name}.Frame", *(f"{name}.{live}" for live in variables.live)]
+        readings = iter(await self._read(ids) if ids else ())
+        for number, variables in watched:
+            frame = next(readings)
+            self._hear(number, frame.t)
+            if frame.value:
+                for column, value in zip(
+                    self.valves[number].frame_names, frame.value, strict=False
+                ):
+                    self.store.put(number, column, value, frame.code, frame.t)
+            self._take(number, variables.live, [next(readings) for _ in variables.live])
+            self._take_point(number)
+
+    async def _look_closer(self, number: int, wanted: Wanted) -> None:
+        """Look at what moves slowly, of a valve that somebody watches."""
+        valve, variables = self.valves[number], await self._variables_of(number)
+        names = list(variables.slow)
+        if number not in self._seldom_read:
+            names += variables.seldom
+            self._seldom_read.add(number)
+        estimators = {estimator for of, estimator in wanted.maps if of == number}
+        names += [name for name in variables.maps if name.partition(".")[0] in estimators]
+        self._take(number, names, await self._read([f"{valve.name}.{name}" for name in names]))
+        flows = [f"{valve.name}.{estimator}.PredictedFlow" for estimator in valve.estimators]
+        for estimator, flow in zip(valve.estimators, await self._read(flows), strict=True):
+            self.store.put(number, f"{estimator}.Code", float(flow.code), flow.code, flow.t)
+        if estimators:
+            rows = self.points(number).rows
+            self.store.put(number, "Points", rows, 0, self._clock.now())
+
+    async def _variables_of(self, number: int) -> Variables:
+        known = self._variables.get(number)
+        if known is None:
+            valve = self.valves[number]
+            names = []
+            for child in await self.client.browse(valve.name):
+                if child.is_variable:
+                    names.append(child.id)
+                elif not child.is_method:
+                    names += [c.id for c in await self.client.browse(child.id) if c.is_variable]
+            own = [name.removeprefix(f"{valve.name}.") for name in names]
+            known = self._variables[number] = sort_variables(valve, own)
+        return known
+
+    async def _read(self, ids: Sequence[str]) -> list[Reading]:
+        readings: list[Reading] = []
+        for start in range(0, len(ids), _NODES_AT_ONCE):
+            readings += await self.client.read(ids[start : start + _NODES_AT_ONCE])
+        return readings
+
+    def _take(self, number: int, names: Sequence[str], readings: Sequence[Reading]) -> None:
+        for name, reading in zip(names, readings, strict=True):
+            if reading.code != _BAD_NODE_ID_UNKNOWN:
+                value = in_ns(reading.value) * 1e-6 if is_time(reading.value) else reading.value
+                self.store.put(number, name, value, reading.code, reading.t)
+
+    def _take_point(self, number: int) -> None:
+        U, dp, Q = (self.store.get(number, f"Signals.{name}") for name in ("U", "dp", "Q"))
+        if U is None or dp is None or Q is None or max(U.code, dp.code, Q.code) >= _BAD:
+            return
+        values = (U.value, dp.value, Q.value)
+        if all(isinstance(value, float) for value in values):
+            self.points(number).add(*values)
+
+    def _hear(self, number: int, t: int) -> None:
+        """Note when a newer sample is first seen; both clocks may differ."""
+        if t and self._heard.get(number, (0, 0.0))[0] != t:
+            self._heard[number] = (t, self._clock.monotonic())
+        self._heard.setdefault(number, (t, self._clock.monotonic()))
+
+    def _say(self, link: Link, text: str) -> None:
+        if (link, text) == (self.link, self.link_text):
+            return
+        now = self._clock.now()
+        if link != self.link:
+            self.link_since = now
+            severity = Severity.GOOD if link is Link.UP else Severity.ALARM
+            self.time_line.add(now, "", "link", severity, _SAID[link])
+        self.link, self.link_text = link, text
+        self._on_news()
+
+
+def is_time(value: object) -> bool:
+    """Whether a value is a DateTime."""
+    return isinstance(value, datetime)
+
+
+def in_ns(time: object) -> int:
+    """UTC ns of a DateTime; 0 if it is none."""
+    if not isinstance(time, datetime):
+        return 0
+    known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+    return round(known.timestamp() * 1e6) * 1_000
+
+
+_SHOWN = ("Status", "ResidualRmse", "NoiseStd", "SampleCount", "PredictedFlow")
+_SAID = {
+    Link.CONNECTING: "Connecting to the service.",
+    Link.UP: "Connected to the service.",
+    Link.LOST: "The service does not answer.",
+    Link.REFUSED: "The service refuses this page.",
+}

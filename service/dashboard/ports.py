@@ -1,0 +1,76 @@
+"""What the page asks of the service; `service.opcua.results_client.ResultsClient` fulfils it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+
+class Reading(Protocol):
+    """One value, its StatusCode, its source time (UTC ns)."""
+
+    @property
+    def value(self) -> Any:  # noqa: ANN401 - as the variable's type says
+        """None where there is none."""
+
+    @property
+    def code(self) -> int:
+        """StatusCode."""
+
+    @property
+    def t(self) -> int:
+        """Source time, UTC ns."""
+
+
+class Child(Protocol):
+    """A node below another."""
+
+    @property
+    def id(self) -> str:
+        """String identifier."""
+
+    @property
+    def is_variable(self) -> bool:
+        """Whether it is a variable."""
+
+    @property
+    def is_method(self) -> bool:
+        """Whether it is a method."""
+
+
+class Client(Protocol):
+    """A server whose nodes are named by their string identifiers.
+
+    All but ``close`` raise `service.errors.SourceLost` or `SourceRejected`.
+    """
+
+    @property
+    def url(self) -> str:
+        """Where it is."""
+
+    async def connect(self) -> None:
+        """Connect and log in."""
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice."""
+
+    async def browse(self, id: str | None) -> Sequence[Child]:  # noqa: A002 - OPC UA's word
+        """Nodes below a node; None is the Objects folder."""
+
+    async def read(self, ids: Sequence[str]) -> Sequence[Reading]:
+        """Values of variables."""
+
+    async def call(
+        self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
+    ) -> Sequence[tuple[Any, ...]]:
+        """Call a method once for each of the inputs."""
+
+    async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
+        """Write a Double."""
+
+
+@dataclass
+class Wanted:
+    """What viewers look at now: valves by number."""
+
+    live: set[int] = field(default_factory=set)
+    maps: set[tuple[int, str]] = field(default_factory=set)

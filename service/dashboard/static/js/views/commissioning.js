@@ -1,0 +1,144 @@
+// What a new valve still lacks: rates, losses, what is not measured yet, the next test point.
+
+import { css, h, mark, pen, say } from "../dom.js";
+import { count, fixed, span } from "../format.js";
+
+const REFRESH_MS = 1000;
+const COUNTERS = {
+  Aligned: "samples whose signals found together", Late: "signals that came too late", Missing: "samples given up: a signal did not come",
+  Duplicates: "signals that came twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
+  BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: beyond what a sensor can say",
+  Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range",
+};
+const FRESH_S = 600; // an older region wants another visit
+
+export function commissioningView(root, { live, valve, estimator, choose }) {
+  let selected = estimator, before = null;
+  const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
+    valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
+  const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
+  const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted");
+
+  root.append(
+    h("div.head", {}, h("h1", {}, `${valve.name}: commissioning`), h("label", {}, "Estimator ", which)),
+    h("div.grid.valve-grid", {},
+      h("div.grid", {},
+        h("section.card", {}, h("header", {}, h("h2", {}, "Where the map is known"), h("span.fill"), h("div.legend", {},
+          h("span", {}, h("i", { style: { "--c": "#2c7a4b", height: "9px" } }), "sure"), h("span", {}, h("i", { style: { "--c": "#e0b84c", height: "9px" } }), "less"),
+          h("span", {}, h("i", { style: { "--c": "#b3261e", height: "9px" } }), "unsure"), h("span", {}, h("i.dot", { style: { "--c": "var(--ink)" } }), "next test point"))),
+          heat, heatWords),
+        h("section.card", {}, h("header", {}, h("h2", {}, "The next test point")), next),
+      ),
+      h("div.grid", {},
+        h("section.card", {}, h("header", {}, h("h2", {}, "What is missing for a map")), checks),
+        h("section.card", {}, h("header", {}, h("h2", {}, "What becomes of the data"), h("span.fill"), rate, rateWords),
+          h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters)),
+      ),
+    ),
+  );
+
+  function update() {
+    const of = (name) => live.number(`${selected}.${name}`);
+    const now = performance.now() / 1000, names = Object.keys(COUNTERS).filter((name) => live.has(`Diagnostics.${name}`));
+    const counts = Object.fromEntries([...names.map((name) => [name, live.number(`Diagnostics.${name}`)]), ["SampleCount", of("SampleCount")]]);
+    const per = (name) => (before && before.selected === selected ? (counts[name] - before.counts[name]) / (now - before.now) : NaN);
+    while (counters.rows.length < names.length) counters.append(h("tr", {}, h("td"), h("td.number"), h("td.number")));
+    names.forEach((name, k) => {
+      const { cells } = counters.rows[k];
+      say(cells[0], COUNTERS[name]);
+      say(cells[1], count(counts[name]));
+      say(cells[2], fixed(per(name), 1));
+    });
+    const perSecond = per("Aligned");
+    say(rate, Number.isFinite(perSecond) ? fixed(perSecond, 1) : "–");
+    say(rateWords, " samples/s");
+    showChecks(of, counts, per);
+    drawHeat(of);
+    if (!before || now - before.now > 4) before = { now, counts, selected };
+  }
+
+  function showChecks(of, counts, per) {
+    const lost = ["Missing", "Late", "Gaps"].reduce((sum, name) => sum + (counts[name] || 0), 0), share = of("CoverageShare");
+    const rejected = ["BadStatus", "NotFinite", "OutOfRange", "Frozen", "TooFast", "Spike", "BeyondRange"].reduce((sum, name) => sum + (counts[name] || 0), 0);
+    const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
+    const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
+    const lines = [
+      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or the signals of one sample carry different times (alignment.tolerance_ms)."}`],
+      [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
+      [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
+      [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
+      [share >= 0.6, `${fixed(100 * share, 0)} % of the range measured recently; 60 % make a map worth its name.`],
+      [of("Status") === 0, of("Status") === 0 ? "All parameters are determined." : "Not all parameters are determined, or the signals hold still."],
+    ];
+    if (Number.isFinite(condition)) lines.push([condition < 1e4, condition < 1e4 ? "U and Δp vary enough, and apart from each other." : "U and Δp vary too little, or only together: vary one while the other rests."]);
+    while (checks.children.length < lines.length) checks.append(h("li", {}, h("span")));
+    while (checks.children.length > lines.length) checks.lastChild.remove();
+    lines.forEach(([done, text], k) => {
+      mark(checks.children[k], "done", done);
+      say(checks.children[k].firstChild, text);
+    });
+  }
+
+  function drawHeat(of) {
+    const std = live.get(`${selected}.Coverage`)?.value, age = live.get(`${selected}.CoverageAge`)?.value;
+    const U = live.get("Diagnostics.CoverageU")?.value, dp = live.get("Diagnostics.CoverageDp")?.value;
+    const [u, p] = [of("SuggestedU"), of("SuggestedDp")];
+    say(next, Number.isFinite(u) ? `U ${fixed(u, 0)} % at Δp ${fixed(p, 0)} bar would make the map surer than any other point.` : "No point stands out yet.");
+    if (!Array.isArray(std) || !U || !dp) { say(heatWords, "The service has not surveyed this map yet."); return; }
+    const { context, width, height } = pen(heat), left = 42, bottom = 34;
+    const w = (width - left - 8) / dp.length, hgt = (height - bottom - 4) / U.length;
+    const known = std.flatMap((row) => [...row]).filter(Number.isFinite).sort((a, b) => a - b);
+    const noise = of("NoiseStd"), most = noise > 0 ? noise : known[Math.floor(0.9 * known.length)] || 1;
+    std.forEach((row, i) => row.forEach((s, j) => {
+      const x = left + j * w, y = height - bottom - (i + 1) * hgt;
+      const seen = Array.isArray(age) ? age[i]?.[j] : NaN;
+      context.globalAlpha = Number.isFinite(seen) ? (seen < FRESH_S ? 1 : 0.6) : 0.28;
+      context.fillStyle = Number.isFinite(s) ? mix(s / most) : css("--line");
+      context.fillRect(x + 1, y + 1, w - 2, hgt - 2);
+    }));
+    context.globalAlpha = 1;
+    context.fillStyle = css("--soft");
+    context.font = "12px system-ui, sans-serif";
+    context.textAlign = "center";
+    dp.forEach((value, j) => { if (j % 2 === 0) context.fillText(fixed(value, 0), left + (j + 0.5) * w, height - bottom + 14); });
+    context.fillText("Δp in bar", left + (width - left) / 2, height - 3);
+    context.textAlign = "right";
+    U.forEach((value, i) => { if (i % 2 === 0) context.fillText(fixed(value, 0), left - 6, height - bottom - (i + 0.5) * hgt + 4); });
+    context.save();
+    context.translate(11, (height - bottom) / 2);
+    context.rotate(-Math.PI / 2);
+    context.textAlign = "center";
+    context.fillText("U in %", 0, 0);
+    context.restore();
+    if (Number.isFinite(u)) {
+      const x = left + (cell(dp, p) + 0.5) * w, y = Math.max(height - bottom - (cell(U, u) + 0.5) * hgt, 8);
+      context.beginPath();
+      context.arc(x, y, 6, 0, 2 * Math.PI);
+      context.fillStyle = css("--ink");
+      context.fill();
+      context.lineWidth = 2;
+      context.strokeStyle = css("--card");
+      context.stroke();
+    }
+    const never = Array.isArray(age) ? age.flatMap((row) => [...row]).filter((seconds) => !Number.isFinite(seconds)).length : 0;
+    say(heatWords, `${never} of ${U.length * dp.length} regions were never measured (palest); the pale ones not for ${span(FRESH_S)}. Red: the map is as unsure as one measurement, ± ${fixed(2 * most, 2)} l/min.`);
+  }
+
+  const timer = setInterval(update, REFRESH_MS);
+  update();
+  return () => clearInterval(timer);
+}
+
+/** Where a value lies between the middles of cells: 0 is the middle of the first. */
+function cell(middles, value) {
+  let k = 1;
+  while (k < middles.length - 1 && middles[k] < value) k++;
+  const at = k - 1 + (value - middles[k - 1]) / (middles[k] - middles[k - 1]);
+  return Math.min(Math.max(at, -0.5), middles.length - 0.5);
+}
+
+/** green → yellow → red */
+function mix(share) {
+  const stops = [[44, 122, 75], [224, 184, 76], [179, 38, 30]], x = Math.min(Math.max(share, 0), 1) * 2, k = Math.min(Math.floor(x), 1);
+  return `rgb(${stops[k].map((from, c) => Math.round(from + (x - k) * (stops[k + 1][c] - from))).join(" ")})`;
+}

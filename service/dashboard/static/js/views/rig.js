@@ -1,0 +1,60 @@
+// The virtual rig of a demo: scenarios to run, things to break.
+
+import { h, say } from "../dom.js";
+
+const SCENARIOS = [
+  ["demo", "what the demo begins with"], ["scattered", "U and Δp jump over the whole range"], ["structured", "U in steps, Δp swept at each"],
+  ["cycle", "the working cycle of a machine"], ["ageing_valve", "a valve that wears, and is damaged"], ["verification", "points between the others"],
+];
+const FAULTS = [
+  ["damage", "Damage: the main edge passes more or less, at once", "%", -10], ["wear", "Wear: drifts there over the duration", "%", 10],
+  ["temperature_ramp", "Oil temperature drifts", "K", 10], ["spikes", "Spikes on Q", "l/min", 30], ["offset", "Offset of Q", "l/min", 5],
+  ["offset.p1", "Offset of p1", "bar", 5], ["frozen.p2", "p2 stands still", "", 1], ["bad_quality", "Samples of Bad quality", "share", 1],
+  ["drop_out", "Samples are not sent", "share", 0.5], ["clock_step", "The source's clock jumps", "s", 5],
+];
+
+export function rigView(root, { valve, user }) {
+  const scenario = h("select", { name: "scenario" }, SCENARIOS.map(([name, text]) => h("option", { value: name }, `${name}: ${text}`)));
+  const kind = h("select", { name: "kind" }, FAULTS.map(([name, text]) => h("option", { value: name }, text)));
+  const size = h("input", { name: "size", type: "number", step: "any", required: true }), unit = h("span.muted");
+  const duration = h("input", { name: "duration", type: "number", min: 0, step: "any", value: 10, required: true });
+  const done = h("p.words", { role: "status" }), hint = h("p.muted");
+  const start = h("button", { type: "button", onclick: () => act({ scenario: scenario.value }, `Scenario ${scenario.value} runs.`) }, "Start");
+  const stop = h("button.quiet", { type: "button", onclick: () => act({ scenario: "" }, "The scenario is stopped.") }, "Stop");
+  const inject = h("button", { type: "submit" }, "Inject");
+
+  root.append(
+    h("div.head", {}, h("h1", {}, "Virtual rig"), hint),
+    h("div.grid.two", {},
+      h("section.card", {}, h("header", {}, h("h2", {}, "Scenario")), h("div.form", {}, h("label", {}, "What the rig plays", scenario), h("div.buttons", {}, stop, start))),
+      h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
+        h("form.form", { onsubmit: (event) => {
+          event.preventDefault();
+          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} for ${duration.value} s. The time line shows what the service makes of it.`);
+        } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject))),
+    ),
+    done,
+  );
+
+  function choose() {
+    const [, , of, usual] = FAULTS.find(([name]) => name === kind.value);
+    say(unit, of ? `in ${of}` : "(not used)");
+    size.value = usual;
+  }
+
+  async function act(command, text) {
+    say(done, "…");
+    say(done, (await user.command(command)) ?? text);
+  }
+
+  function showUser() {
+    for (const button of [start, stop, inject]) button.disabled = !user.name;
+    say(hint, user.name ? `As ${user.name}.` : "Log in as operator (the demo has printed the password) to play with it.");
+  }
+
+  kind.addEventListener("change", choose);
+  user.addEventListener("change", showUser);
+  choose();
+  showUser();
+  return () => user.removeEventListener("change", showUser);
+}

@@ -1,0 +1,293 @@
+// One valve, live: signals, measured and predicted flow, residuals, parameters, estimators side by side.
+
+import { History, timeChart } from "../charts.js";
+import { css, h, lineVariable, mark, paced, pen, say } from "../dom.js";
+import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, STATUS_SENTENCE, UNITS } from "../format.js";
+import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
+
+const SIGNALS = ["U", "p1", "p2", "dp", "Q", "T"];
+const RESIDUALS = 600; // of the newest minute
+const LAGS = 20;
+const MOST_PARAMETERS = 100; // a network has hundreds, of which none says anything alone
+const REDRAW_MS = 250; // of what is counted rather than seen
+
+export function valveView(root, { live, valve, estimator, choose }) {
+  const estimators = valve.estimators;
+  const closers = [];
+  const flows = new History(4), residuals = new History(3), drives = new History(2);
+  const bySelected = [];
+  let selected = estimators.includes(estimator) ? estimator : valve.primary;
+  let drawnAt = 0;
+
+  const signals = Object.fromEntries(SIGNALS.map((name) => [name, signalTile(name)]));
+  const badge = h("span.badge"), sentence = h("span.muted.sentence");
+  const table = estimatorTable(estimators, (name) => select(name));
+  const parameters = h("tbody"), parametersTitle = h("h2");
+  const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
+  const spreadWords = h("p.words"), followWords = h("p.words");
+  const facts = h("dl.facts");
+  const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
+  const driveCard = card("Control voltage and pressure drop", driveChart);
+
+  root.append(
+    h("div.head", {}, h("h1", {}, valve.name), badge, sentence),
+    h("section.signals", { "aria-label": "Signals" }, Object.values(signals).map((tile) => tile.element)),
+    h("div.grid.valve-grid", {},
+      h("div.grid", {},
+        card("Flow, measured and predicted", flowChart, legend()),
+        card("Residual Q − Q̂", residualChart),
+        driveCard,
+      ),
+      h("div.grid", {},
+        h("section.card", {}, h("header", {}, h("h2", {}, "Estimators")), table.element),
+        h("div.grid.two", {},
+          h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, how large")), spread, spreadWords),
+          h("section.card", {}, h("header", {}, h("h2", {}, "Residuals, do they repeat")), follow, followWords),
+        ),
+        h("section.card", {}, h("header", {}, parametersTitle),
+          h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Parameters" },
+            h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th.number", {}, "Value"), h("th.number", {}, "± 2 σ"), h("th", {}, "relative"))), parameters))),
+        h("section.card", {}, h("header", {}, h("h2", {}, "In words")), facts),
+      ),
+    ),
+  );
+
+  const flow = timeChart(flowChart, 196, [
+    { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
+    { label: "predicted", colour: "--line-1", width: 1.5 }, { label: "measured", colour: "--measured", dots: true },
+  ], { unit: "Q in l/min", bands: [[1, 2, "--line-1"]] });
+  const residual = timeChart(residualChart, 150, [
+    { label: "upper", colour: "--line-6", width: 0 }, { label: "lower", colour: "--line-6", width: 0 },
+    { label: "residual", colour: "--line-1", width: 1.25 },
+  ], { unit: "l/min", bands: [[1, 2, "--line-6"]] });
+  const drive = timeChart(driveChart, 150, [
+    { label: "U", colour: "--line-1" }, { label: "Δp", colour: "--line-2", scale: "second" },
+  ], { unit: "U in %", unit2: "Δp in bar" });
+  closers.push(flow.close, residual.close, drive.close);
+
+  function select(name) {
+    selected = name;
+    choose(name);
+    flows.clear();
+    residuals.clear();
+    bySelected.length = 0;
+    drawnAt = 0;
+    take();
+  }
+
+  /** Keep what is new; what is seen of it follows at the machine's pace. */
+  function take() {
+    const of = (name) => `${selected}.${name}`;
+    const entry = live.get(of("PredictedFlow"));
+    if (entry?.t) {
+      const predicted = entry.value, missed = live.number(of("Residual")), noise = live.number(of("NoiseStd"));
+      const t = entry.t / 1000, reach = 1.96 * noise;
+      if (t > residuals.last) {
+        if (Number.isFinite(missed)) bySelected.push(missed);
+        if (bySelected.length > RESIDUALS) bySelected.shift();
+        flows.add(t, [predicted + reach, predicted - reach, predicted, predicted + missed]);
+        residuals.add(t, [2 * noise, -2 * noise, missed]);
+        drives.add(t, [live.number("Signals.U"), live.number("Signals.dp")]);
+      }
+    }
+    soon();
+  }
+
+  const soon = paced(() => {
+    for (const name of SIGNALS) signals[name].show(live);
+    driveCard.hidden = !live.has("Signals.U"); // an older service does not publish its signals
+    flow.chart.setData(flows.data);
+    residual.chart.setData(residuals.data);
+    drive.chart.setData(drives.data);
+    table.show(live, selected);
+    if (performance.now() - drawnAt < REDRAW_MS) return;
+    drawnAt = performance.now();
+    standing();
+    drawSpread();
+    drawFollow();
+    showParameters();
+    showFacts();
+  });
+
+  function standing() {
+    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
+    if (!row) return;
+    mark(badge, "severity", row.severity);
+    say(badge, REASONS[row.reason] ?? "");
+    const status = live.number(`${selected}.Status`);
+    say(sentence, `${selected}: ${STATUS_SENTENCE[status] ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
+    mark(root, "stale", live.link !== "up" || row.silent > 3);
+  }
+
+  function drawSpread() {
+    const { context, width, height } = pen(spread);
+    if (bySelected.length < 20) { say(spreadWords, `collecting: ${bySelected.length} of 20`); return; }
+    const limit = Math.max(quantile(bySelected.map(Math.abs), 0.99) * 1.15, 1e-9), bins = 31;
+    const shares = histogram(bySelected, limit, bins), highest = Math.max(...shares);
+    const noise = live.number(`${selected}.NoiseStd`), base = height - 14;
+    context.fillStyle = css("--line-1");
+    shares.forEach((share, k) => {
+      const bar = (share / highest) * (base - 6);
+      context.fillRect((k * width) / bins + 0.5, base - bar, width / bins - 1, bar);
+    });
+    if (noise > 0) { // what white noise of the published size would look like
+      context.strokeStyle = css("--ink"); context.lineWidth = 1.5; context.beginPath();
+      for (let x = 0; x <= width; x += 2) {
+        const e = (x / width) * 2 * limit - limit;
+        const share = ((2 * limit) / bins) * Math.exp(-0.5 * (e / noise) ** 2) / (noise * Math.sqrt(2 * Math.PI));
+        context.lineTo(x, base - Math.min(share / highest, 1.1) * (base - 6));
+      }
+      context.stroke();
+    }
+    axisText(context, width, height, [`−${fixed(limit, 1)}`, "0", `${fixed(limit, 1)} l/min`]);
+    const mean = bySelected.reduce((a, b) => a + b, 0) / bySelected.length;
+    say(spreadWords, `${bySelected.length} residuals; mean ${fixed(mean, 2)}, noise ${fixed(noise, 2)} l/min (line)`);
+  }
+
+  function drawFollow() {
+    const { context, width, height } = pen(follow);
+    if (bySelected.length < 60) { say(followWords, `collecting: ${bySelected.length} of 60`); return; }
+    const found = autocorrelation(bySelected, LAGS), bound = whiteBound(bySelected.length);
+    const middle = (height - 14) / 2, y = (r) => middle - r * (middle - 2);
+    context.fillStyle = `${css("--soft")}33`;
+    context.fillRect(0, y(bound), width, y(-bound) - y(bound));
+    found.forEach((r, k) => {
+      context.fillStyle = Math.abs(r) > bound ? css("--warning") : css("--line-1");
+      context.fillRect((k * width) / LAGS + 2, Math.min(y(r), middle), width / LAGS - 4, Math.max(Math.abs(y(r) - middle), 1));
+    });
+    axisText(context, width, height, ["lag 1", "", `${LAGS}`]);
+    const outside = found.filter((r) => Math.abs(r) > bound).length;
+    say(followWords, outside <= 2
+      ? `White: ${LAGS - outside} of ${LAGS} lags within the grey band of chance.`
+      : `Not white: ${outside} of ${LAGS} lags are larger than chance (grey).`);
+  }
+
+  function showParameters() {
+    const names = live.get(`${selected}.ParameterNames`)?.value ?? [], std = live.get(`${selected}.ParameterStd`)?.value ?? [];
+    say(parametersTitle, `Parameters of ${selected}${names.length > MOST_PARAMETERS ? `, the first ${MOST_PARAMETERS} of ${names.length}` : ""}`);
+    const shown = names.slice(0, MOST_PARAMETERS);
+    while (parameters.rows.length > shown.length) parameters.deleteRow(-1);
+    shown.forEach((name, k) => {
+      const row = parameters.rows[k] ?? parameters.appendChild(h("tr", {}, h("td"), h("td.number.value"), h("td.number"), h("td", {}, h("canvas.std", { "aria-hidden": "true" }))));
+      const value = live.number(`${selected}.ParameterVector.${name}`), reach = 2 * (std[k] ?? NaN);
+      say(row.cells[0], name);
+      say(row.cells[1], short(value));
+      say(row.cells[2], short(reach));
+      drawStd(row.cells[3].firstChild, value, reach);
+    });
+  }
+
+  function showFacts() {
+    const of = (name) => live.number(`${selected}.${name}`), lines = [];
+    const status = STATUS[of("Status")] ?? "–";
+    lines.push(["Status", `${status}: ${STATUS_SENTENCE[of("Status")] ?? ""}`]);
+    const age = live.number("Diagnostics.SampleAge");
+    const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
+    lines.push(["Newest sample", Number.isFinite(age) ? `${span(age)} old` : row ? `seen ${span(row.silent)} ago` : "–"]);
+    const lagU = live.number("Diagnostics.LagU"), lagQ = live.number("Diagnostics.LagQ");
+    if (Number.isFinite(lagU) || Number.isFinite(lagQ)) {
+      lines.push(["Lag", `${Number.isFinite(lagU) ? `U ${fixed(1000 * lagU, 0)} ms` : "U unknown"}, ${Number.isFinite(lagQ) ? `Q ${fixed(1000 * lagQ, 0)} ms` : "Q unknown"}`]);
+    }
+    const adaptation = of("Adaptation");
+    if (Number.isFinite(adaptation)) lines.push(["Adaptation", ["steady", "undecided: misfit or drift, a place must be seen again", "misfit: the structure cannot follow", "drift: the valve moves, the map follows"][adaptation]]);
+    const structure = live.get(`${selected}.Structure`)?.value;
+    if (structure) lines.push(["Structure", structure]);
+    const share = of("CoverageShare");
+    if (Number.isFinite(share)) lines.push(["Coverage", `${fixed(100 * share, 0)} % of the range measured recently`]);
+    const changes = of("ChangeCount");
+    if (Number.isFinite(changes)) {
+      const when = of("ChangeTime");
+      lines.push(["Abrupt changes", changes ? `${changes}, the last at ${new Date(when).toLocaleTimeString("en-GB")}: ${fixed(of("ChangeSize"), 1)} l/min` : "none"]);
+    }
+    const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
+    if (waiting) lines.push(["Waiting for", String(waiting)]);
+    const action = live.get("Diagnostics.LastAction")?.value;
+    if (action) lines.push(["Last action", action]);
+    lines.forEach(([name, text], k) => {
+      const dt = facts.children[2 * k] ?? facts.appendChild(h("dt")), dd = facts.children[2 * k + 1] ?? facts.appendChild(h("dd"));
+      say(dt, name);
+      say(dd, text);
+    });
+    while (facts.children.length > 2 * lines.length) facts.lastChild.remove();
+  }
+
+  live.addEventListener("values", take);
+  closers.push(() => live.removeEventListener("values", take));
+  const slow = setInterval(standing, 1000);
+  closers.push(() => clearInterval(slow));
+  take();
+  return () => closers.forEach((close) => close());
+}
+
+function signalTile(name) {
+  const value = h("span.digits"), element = h("div.signal", { "data-signal": name },
+    h("span.name", {}, SIGNAL_NAMES[name]), h("span.value", {}, value, h("span.unit", {}, UNITS[name])));
+  return {
+    element,
+    show(live) {
+      let shown = live.number(`Signals.${name}`);
+      if (name === "Q" && Number.isNaN(shown)) { // Q is known by its prediction, too
+        const first = live.names().find((known) => known.endsWith(".PredictedFlow"))?.split(".")[0];
+        shown = live.number(`${first}.PredictedFlow`) + live.number(`${first}.Residual`);
+      }
+      element.hidden = name !== "Q" && !live.has(`Signals.${name}`);
+      say(value, fixed(shown, 1));
+      mark(element, "quality", live.quality(`Signals.${name}`));
+    },
+  };
+}
+
+function estimatorTable(estimators, onSelect) {
+  const rows = estimators.map((name, k) => h("tr", { "data-estimator": name },
+    h("td", {}, h("button", { type: "button", onclick: () => onSelect(name), "aria-label": `Show ${name}` },
+      h("i.swatch", { style: { "--c": lineVariable(k) } }), name)),
+    h("td"), h("td.number"), h("td.number"), h("td.number"), h("td.number")));
+  const element = h("table.estimators", {},
+    h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th", {}, "Status"), h("th.number", {}, "Q̂"), h("th.number", {}, "Q − Q̂"), h("th.number", {}, "RMSE"), h("th.number", {}, "Noise"))),
+    h("tbody", {}, rows));
+  return {
+    element,
+    show(live, selected) {
+      estimators.forEach((name, k) => {
+        const of = (what) => live.number(`${name}.${what}`), cells = rows[k].cells;
+        const chosen = String(name === selected);
+        if (rows[k].getAttribute("aria-selected") !== chosen) rows[k].setAttribute("aria-selected", chosen);
+        say(cells[1], STATUS[of("Status")] ?? "–");
+        ["PredictedFlow", "Residual", "ResidualRmse", "NoiseStd"].forEach((what, j) => say(cells[j + 2], fixed(of(what), j ? 2 : 1)));
+      });
+    },
+  };
+}
+
+function card(title, body, extra = null) {
+  return h("section.card", {}, h("header", {}, h("h2", {}, title), h("span.fill"), extra), body);
+}
+
+function legend() {
+  return h("div.legend", {},
+    h("span", {}, h("i.dot", { style: { "--c": "var(--measured)" } }), "measured"),
+    h("span", {}, h("i", { style: { "--c": "var(--line-1)" } }), "predicted"),
+    h("span", {}, h("i", { style: { "--c": "color-mix(in srgb, var(--line-1) 25%, transparent)", height: "9px" } }), "95 % of measurements"));
+}
+
+function axisText(context, width, height, [left, middle, right]) {
+  context.fillStyle = css("--soft");
+  context.font = "11px system-ui, sans-serif";
+  context.textBaseline = "bottom";
+  for (const [text, x, align] of [[left, 0, "left"], [middle, width / 2, "center"], [right, width, "right"]]) {
+    context.textAlign = align;
+    context.fillText(text, x, height);
+  }
+}
+
+/** Where a parameter lies, and how far it may be off, relative to its size. */
+function drawStd(canvas, value, reach) {
+  const { context, width, height } = pen(canvas);
+  const relative = Math.abs(reach / value);
+  if (!Number.isFinite(relative)) return;
+  const half = Math.min(relative, 1) * (width / 2 - 3), middle = width / 2;
+  context.strokeStyle = css("--line"); context.lineWidth = 1;
+  context.beginPath(); context.moveTo(0, height / 2); context.lineTo(width, height / 2); context.stroke();
+  context.fillStyle = relative > 0.5 ? css("--warning") : css("--line-1");
+  context.fillRect(middle - Math.max(half, 1), height / 2 - 3, 2 * Math.max(half, 1), 6);
+}

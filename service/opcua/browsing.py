@@ -1,0 +1,155 @@
+"""A foreign server's numbers: found by browsing, each with its names, unit and range."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from asyncua import ua
+
+from service.opcua.connection import Connection, in_one_line
+from service.opcua.source_nodes import in_chunks, namespaces_of, operation_limits
+from service.opcua.source_units import read_units
+from service.opcua.wire import NUMERIC_FORMATS
+from service.streaming.naming import Candidate
+
+MOST_NODES: Final = 50_000  # browsed; a server that has more is asked for a part of it
+DEEPEST: Final = 12  # folders within each other
+_AT_ONCE: Final = 20  # nodes browsed in one request
+_REFERENCES: Final = 500  # of a node in one answer
+_ATTRIBUTES: Final = (
+    ua.AttributeIds.Value,
+    ua.AttributeIds.ValueRank,
+    ua.AttributeIds.UserAccessLevel,
+    ua.AttributeIds.Description,
+)
+_HIERARCHICAL: Final = ua.NodeId(ua.ObjectIds.HierarchicalReferences)
+_SCALARS: Final = {-3, -2, -1}
+
+_Place = tuple[ua.NodeId, tuple[str, ...]]
+
+
+async def find_numbers(connection: Connection) -> list[Candidate]:
+    """All scalar numbers below the Objects folder that can be read, the server's own left out.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    with connection.errors("browsing"):
+        places = await _variables(connection)
+        limit = (await operation_limits(connection)).nodes_per_read
+        answers = await in_chunks(
+            places, max(limit // len(_ATTRIBUTES), 1), lambda some: _read(connection, some)
+        )
+    numbers = [
+        (place, answer) for place, answer in zip(places, answers, strict=True) if _is_number(answer)
+    ]
+    said = await read_units(connection, [node for (node, _), _ in numbers])
+    namespaces = await namespaces_of(connection)
+    return [
+        Candidate(
+            node=_text(node, namespaces),
+            path=path,
+            unit=of_node.unit,
+            bounds=of_node.bounds,
+            writable=bool((answer[2].Value.Value or 0) & 2) if answer[2].Value else False,
+            description=_words(answer[3]),
+        )
+        for ((node, path), answer), of_node in zip(numbers, said, strict=True)
+    ]
+
+
+async def _variables(connection: Connection) -> list[_Place]:
+    found: list[_Place] = []
+    seen = {ua.NodeId(ua.ObjectIds.ObjectsFolder), ua.NodeId(ua.ObjectIds.Server)}
+    front: list[_Place] = [(ua.NodeId(ua.ObjectIds.ObjectsFolder), ())]
+    for _ in range(DEEPEST):
+        below: list[_Place] = []
+        for start in range(0, len(front), _AT_ONCE):
+            some = front[start : start + _AT_ONCE]
+            for (_, path), references in zip(some, await _browse(connection, some), strict=True):
+                for reference in references:
+                    target = reference.NodeId
+                    node = ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
+                    if node in seen or len(seen) > MOST_NODES:
+                        continue
+                    seen.add(node)
+                    own = (*path, in_one_line(reference.DisplayName.Text or node.Identifier))
+                    if reference.NodeClass == ua.NodeClass.Variable:
+                        found.append((node, own))
+                    below.append((node, own))
+        front = below
+    return found
+
+
+async def _browse(
+    connection: Connection, places: Sequence[_Place]
+) -> list[list[ua.ReferenceDescription]]:
+    """Objects and variables below some nodes."""
+    results = await connection.session.browse(
+        ua.BrowseParameters(
+            View=ua.ViewDescription(),
+            RequestedMaxReferencesPerNode=_REFERENCES,
+            NodesToBrowse=[
+                ua.BrowseDescription(
+                    NodeId=node,
+                    BrowseDirection=ua.BrowseDirection.Forward,
+                    ReferenceTypeId=_HIERARCHICAL,
+                    IncludeSubtypes=True,
+                    NodeClassMask=ua.NodeClass.Object | ua.NodeClass.Variable,
+                    ResultMask=ua.BrowseResultMask.All,
+                )
+                for node, _ in places
+            ],
+        )
+    )
+    found = []
+    for result in results:
+        references, point = list(result.References or ()), result.ContinuationPoint
+        while point and len(references) < MOST_NODES:
+            (more,) = await connection.session.browse_next(
+                ua.BrowseNextParameters(ReleaseContinuationPoints=False, ContinuationPoints=[point])
+            )
+            references += more.References or ()
+            point = more.ContinuationPoint
+        found.append([r for r in references if r.ReferenceTypeId != ua.NodeId(_PROPERTY)])
+    return found
+
+
+async def _read(connection: Connection, places: Sequence[_Place]) -> list[list[ua.DataValue]]:
+    answers = await connection.session.read(
+        ua.ReadParameters(
+            TimestampsToReturn=ua.TimestampsToReturn.Neither,
+            NodesToRead=[
+                ua.ReadValueId(NodeId=node, AttributeId=attribute)
+                for node, _ in places
+                for attribute in _ATTRIBUTES
+            ],
+        )
+    )
+    width = len(_ATTRIBUTES)
+    return [answers[i * width : (i + 1) * width] for i in range(len(places))]
+
+
+_PROPERTY: Final = ua.ObjectIds.HasProperty
+_NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
+
+
+def _is_number(answer: Sequence[ua.DataValue]) -> bool:
+    value, rank = answer[0].Value, answer[1].Value
+    kind = None if value is None else value.VariantType.value
+    is_scalar = rank is None or rank.Value in _SCALARS
+    return is_scalar and kind in NUMERIC_FORMATS and kind not in _NO_SIGNALS
+
+
+def _words(answer: ua.DataValue) -> str:
+    text = answer.Value.Value if answer.Value is not None else None
+    return in_one_line(text.Text or "") if isinstance(text, ua.LocalizedText) else ""
+
+
+def _text(node: ua.NodeId, namespaces: Sequence[str]) -> str:
+    """The NodeId as it stays the same whatever order the server gives its namespaces."""
+    own = ua.NodeId(node.Identifier, 0, node.NodeIdType).to_string()
+    if node.NamespaceIndex == 0 or node.NamespaceIndex >= len(namespaces):
+        return own
+    uri = namespaces[node.NamespaceIndex]
+    return f"nsu={uri};{own}" if ";" not in uri else f"ns={node.NamespaceIndex};{own}"

@@ -1,0 +1,144 @@
+"""The monitored items of a subscription: made, checked, given longer queues."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from asyncua import ua
+
+from service.errors import SourceRejected
+from service.opcua.connection import Connection, status_name
+from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
+from service.streaming.data_changes import SIGNALS_PER_VALVE
+
+_log = logging.getLogger(__name__)
+
+_ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
+
+
+@dataclass(frozen=True)
+class Item:
+    """A monitored item: its node, its number at the server, the queue that was granted."""
+
+    node: MonitoredNode
+    number: int
+    queue_size: int
+
+
+async def create_items(
+    connection: Connection, subscription: int, nodes: Sequence[MonitoredNode]
+) -> tuple[Item, ...]:
+    """Watch every sample of every node.
+
+    Raises
+    ------
+    SourceRejected
+        naming the node that cannot be watched.
+    UaError
+    """
+    settings = connection.settings
+
+    async def create(
+        chunk: Sequence[MonitoredNode],
+    ) -> list[ua.MonitoredItemCreateResult]:
+        return await connection.session.create_monitored_items(
+            ua.CreateMonitoredItemsParameters(
+                SubscriptionId=subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Both,
+                ItemsToCreate=[
+                    ua.MonitoredItemCreateRequest(
+                        ItemToMonitor=ua.ReadValueId(
+                            NodeId=node.node, AttributeId=ua.AttributeIds.Value
+                        ),
+                        MonitoringMode=ua.MonitoringMode.Reporting,
+                        RequestedParameters=_parameters(node, connection, settings.queue_size),
+                    )
+                    for node in chunk
+                ],
+            )
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    created = await in_chunks(nodes, min(limit, _ITEMS_AT_ONCE), create)
+    for node, result in zip(nodes, created, strict=True):
+        if result.StatusCode.value >> 30:
+            raise SourceRejected(
+                f"{node.label} cannot be subscribed to at {settings.url}: "
+                f"{status_name(result.StatusCode.value)}"
+            )
+    slowest_ms = max(result.RevisedSamplingInterval for result in created)
+    if slowest_ms > max(settings.sampling_interval_ms, 0.0):
+        _log.warning(
+            "%s: samples a node every %g ms instead of %g ms",
+            settings.url,
+            slowest_ms,
+            settings.sampling_interval_ms,
+        )
+    items = tuple(
+        Item(node, result.MonitoredItemId, result.RevisedQueueSize)
+        for node, result in zip(nodes, created, strict=True)
+    )
+    _check_queues(connection, items, settings.queue_size)
+    return items
+
+
+async def enlarge_queues(
+    connection: Connection, subscription: int, items: Sequence[Item], size: int
+) -> tuple[Item, ...]:
+    """Have queues of ``size`` values; return the items with what was granted.
+
+    Raises
+    ------
+    UaError
+    """
+
+    async def modify(chunk: Sequence[Item]) -> list[ua.MonitoredItemModifyResult]:
+        return await connection.session.modify_monitored_items(
+            ua.ModifyMonitoredItemsParameters(
+                SubscriptionId=subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Both,
+                ItemsToModify=[
+                    ua.MonitoredItemModifyRequest(
+                        item.number, _parameters(item.node, connection, size)
+                    )
+                    for item in chunk
+                ],
+            )
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    results = await in_chunks(items, min(limit, _ITEMS_AT_ONCE), modify)
+    enlarged = tuple(
+        item if result.StatusCode.value >> 30 else replace(item, queue_size=result.RevisedQueueSize)
+        for item, result in zip(items, results, strict=True)
+    )
+    _check_queues(connection, enlarged, size)
+    return enlarged
+
+
+def _parameters(
+    node: MonitoredNode, connection: Connection, queue_size: int
+) -> ua.MonitoringParameters:
+    """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
+    return ua.MonitoringParameters(
+        ClientHandle=node.item,
+        SamplingInterval=connection.settings.sampling_interval_ms,
+        Filter=ua.DataChangeFilter(
+            Trigger=ua.DataChangeTrigger.StatusValueTimestamp,
+            DeadbandType=ua.DeadbandType.None_,
+        ),
+        QueueSize=queue_size,
+        DiscardOldest=True,
+    )
+
+
+def _check_queues(connection: Connection, items: Sequence[Item], asked: int) -> None:
+    """Warn of what a cut will cost."""
+    smallest = min(item.queue_size for item in items)
+    if smallest < asked:
+        _log.warning(
+            "%s: keeps %d values of a node instead of %d while nobody asks for them",
+            connection.settings.url,
+            smallest,
+            asked,
+        )

@@ -1,0 +1,269 @@
+"""A client of a server of ours, results or rig: browse, read, call, write. What any client can get.
+
+It polls: whoever looks at numbers wants the newest ones, of what is in view, together; and polling
+needs none of the compiled loops that take in every sample.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+
+from service.errors import CommandRejected, SourceLost
+from service.opcua.connection import (
+    Connection,
+    Security,
+    SourceSettings,
+    open_connection,
+    status_name,
+)
+from service.opcua.source_nodes import OperationLimits, in_chunks, namespaces_of, operation_limits
+
+__all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
+
+_METHODS_AT_ONCE = 50  # of one request: others want their turn
+_REFERENCES = 1_000  # of one node and answer; the rest by BrowseNext
+_MOST_REFERENCES = 100_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One value: None where there is none; ``code`` is its StatusCode, ``t`` source time, UTC ns.
+
+    Arrays are lists, matrices lists of lists.
+    """
+
+    value: Any
+    code: int
+    t: int
+
+
+@dataclass(frozen=True)
+class Child:
+    """A node below another: its string identifier, and what it is."""
+
+    id: str
+    is_variable: bool
+    is_method: bool
+
+
+class ResultsClient:
+    """Nodes of one server, named by the string identifiers of its own namespace.
+
+    Parameters
+    ----------
+    settings
+        Server, security, user.
+    namespace
+        URI of the namespace that the names live in.
+    """
+
+    def __init__(self, settings: SourceSettings, namespace: str) -> None:
+        self._settings = settings
+        self._namespace = namespace
+        self._connection: Connection | None = None
+        self._index = 0
+        self._limits = OperationLimits(1, 1)
+
+    @property
+    def url(self) -> str:
+        """Where the server is."""
+        return self._settings.url
+
+    async def connect(self) -> None:
+        """Connect and log in.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate or user.
+        CertificateError
+            if our own certificate or key cannot be used.
+        """
+        await self.close()
+        connection = await open_connection(self._settings)
+        try:
+            self._index = await self._find_namespace(connection)
+            with connection.errors("reading the operation limits"):
+                self._limits = await operation_limits(connection)
+        except BaseException:
+            await connection.close()
+            raise
+        self._connection = connection
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice, and after a loss."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            await connection.close()
+
+    async def browse(self, id: str | None) -> list[Child]:  # noqa: A002 - OPC UA's word
+        """Nodes of our namespace below a node; None is the Objects folder.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        start = ua.NodeId(ua.ObjectIds.ObjectsFolder) if id is None else self._node(id)
+        with connection.errors(f"browsing {id or 'Objects'}"):
+            (result,) = await connection.session.browse(
+                ua.BrowseParameters(
+                    View=ua.ViewDescription(),
+                    RequestedMaxReferencesPerNode=_REFERENCES,
+                    NodesToBrowse=[_description(start)],
+                )
+            )
+            references = list(result.References or [])
+            while result.ContinuationPoint:
+                if len(references) > _MOST_REFERENCES:
+                    raise ValueError(f"more than {_MOST_REFERENCES} references")
+                (result,) = await connection.session.browse_next(
+                    ua.BrowseNextParameters(ContinuationPoints=[result.ContinuationPoint])
+                )
+                references += result.References or []
+        return [
+            Child(
+                str(reference.NodeId.Identifier),
+                reference.NodeClass == ua.NodeClass.Variable,
+                reference.NodeClass == ua.NodeClass.Method,
+            )
+            for reference in references
+            if reference.NodeId.NamespaceIndex == self._index
+        ]
+
+    async def read(self, ids: Sequence[str]) -> list[Reading]:
+        """Values of variables, one reading each; what cannot be read has a Bad ``code``.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading"):
+            answers = await in_chunks(
+                nodes, self._limits.nodes_per_read, lambda chunk: _read(connection, chunk)
+            )
+        return [_reading(answer) for answer in answers]
+
+    async def call(
+        self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
+    ) -> list[tuple[Any, ...]]:
+        """Call ``method`` of ``owner`` once for each of the ``inputs``; return each call's outputs.
+
+        Raises
+        ------
+        CommandRejected
+            if the server refuses one of them: in its words.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        requests = [
+            ua.CallMethodRequest(
+                ObjectId=self._node(owner),
+                MethodId=self._node(f"{owner}.{method}"),
+                InputArguments=[_variant(value) for value in arguments],
+            )
+            for arguments in inputs
+        ]
+        with connection.errors(f"calling {owner}.{method}"):
+            results = await in_chunks(
+                requests, _METHODS_AT_ONCE, lambda chunk: connection.session.call(list(chunk))
+            )
+        for result in results:
+            _check(f"{owner}.{method}", result.StatusCode.value)
+        return [
+            tuple(output.Value for output in result.OutputArguments or ()) for result in results
+        ]
+
+    async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
+        """Write a Double.
+
+        Raises
+        ------
+        CommandRejected
+            if the server refuses it: in its words.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        written = ua.DataValue(ua.Variant(float(value), ua.VariantType.Double), StatusCode=None)
+        with connection.errors(f"writing {id}"):
+            (status,) = await connection.session.write(
+                ua.WriteParameters(
+                    NodesToWrite=[
+                        ua.WriteValue(
+                            NodeId=self._node(id), AttributeId=ua.AttributeIds.Value, Value=written
+                        )
+                    ]
+                )
+            )
+        _check(id, status.value)
+
+    async def _find_namespace(self, connection: Connection) -> int:
+        namespaces = await namespaces_of(connection)
+        if self._namespace not in namespaces:
+            raise SourceLost(f"{self.url}: has no namespace {self._namespace} (yet)")
+        return namespaces.index(self._namespace)
+
+    def _connected(self) -> Connection:
+        if self._connection is None:
+            raise SourceLost(f"{self.url}: not connected")
+        return self._connection
+
+    def _node(self, id_: str) -> ua.NodeId:
+        return ua.NodeId(id_, self._index)
+
+
+async def _read(connection: Connection, nodes: Sequence[ua.NodeId]) -> list[ua.DataValue]:
+    parameters = ua.ReadParameters(
+        TimestampsToReturn=ua.TimestampsToReturn.Source,
+        NodesToRead=[
+            ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value) for node in nodes
+        ],
+    )
+    answers: list[ua.DataValue] = await connection.session.read(parameters)
+    return answers
+
+
+def _reading(answer: ua.DataValue) -> Reading:
+    value = answer.Value.Value if answer.Value is not None else None
+    if isinstance(value, ua.LocalizedText):
+        value = value.Text
+    code = answer.StatusCode.value if answer.StatusCode is not None else 0
+    return Reading(value, int(code), _ns(answer.SourceTimestamp))
+
+
+def _ns(time: datetime | None) -> int:
+    if time is None:
+        return 0
+    known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+    since = known - _EPOCH
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1_000
+
+
+def _description(start: ua.NodeId) -> ua.BrowseDescription:
+    return ua.BrowseDescription(
+        NodeId=start,
+        BrowseDirection=ua.BrowseDirection.Forward,
+        ReferenceTypeId=ua.NodeId(ua.ObjectIds.HierarchicalReferences),
+        IncludeSubtypes=True,
+        NodeClassMask=0,
+        ResultMask=ua.BrowseResultMask.NodeClass,
+    )
+
+
+def _variant(value: float | str) -> ua.Variant:
+    if isinstance(value, str):
+        return ua.Variant(value, ua.VariantType.String)
+    return ua.Variant(float(value), ua.VariantType.Double)
+
+
+def _check(what: str, code: int) -> None:
+    if code >> 30:
+        raise CommandRejected(f"{what}: refused by the server, {status_name(code)}")

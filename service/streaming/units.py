@@ -1,0 +1,232 @@
+"""Units of measurement: one table, by which everything that comes in becomes %, bar, l/min and °C.
+
+A plant's numbers are turned once, at the door; behind it nothing knows of psi or mA. The codes are
+those of UNECE Recommendation 20, in which OPC UA numbers engineering units (Part 8, 5.6.3).
+"""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+from fractions import Fraction
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNECE: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
+
+
+class Quantity(Enum):
+    """What a unit measures; the unit that is used inside."""
+
+    OPENING = "%"
+    PRESSURE = "bar"
+    FLOW = "l/min"
+    TEMPERATURE = "°C"
+    ELECTRICAL = "electrical"
+
+    @property
+    def noun(self) -> str:
+        """The quantity in words."""
+        return self.name.lower()
+
+
+QUANTITY_OF: Final = {
+    "U": Quantity.OPENING,
+    "p1": Quantity.PRESSURE,
+    "p2": Quantity.PRESSURE,
+    "Q": Quantity.FLOW,
+    "T": Quantity.TEMPERATURE,
+    "required_U": Quantity.OPENING,
+}
+"""By signal, named as in the configuration."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: ``inside = factor · value + offset`` in the unit that is used inside."""
+
+    symbol: str
+    code: str
+    quantity: Quantity
+    factor: Fraction = Fraction(1)
+    offset: Fraction = Fraction(0)
+    names: tuple[str, ...] = ()
+
+    @property
+    def number(self) -> int:
+        """The unitId of OPC UA.
+
+        >>> unit_of("bar").number
+        4342098
+        """
+        return int.from_bytes(self.code.encode(), "big")
+
+
+_PSI = Fraction("0.45359237") * Fraction("9.80665") / Fraction("0.0254") ** 2 / 100_000  # bar
+_GALLON = Fraction("3.785411784")  # US, l
+_IMPERIAL_GALLON = Fraction("4.54609")  # l
+_CUBIC_INCH = Fraction("2.54") ** 3 / 1000  # l
+_KELVIN = Fraction("273.15")
+
+_P, _F, _T = Quantity.PRESSURE, Quantity.FLOW, Quantity.TEMPERATURE
+UNITS: Final = (
+    Unit("%", "P1", Quantity.OPENING, names=("percent", "pct", "prozent", "% open", "%fs")),
+    Unit("1", "C62", Quantity.OPENING, Fraction(100), names=("0-1", "0..1", "ratio", "fraction")),
+    Unit("bar", "BAR", _P, names=("bars", "barg", "bar(g)", "bar g", "bara", "bar(a)", "bar a")),
+    Unit("mbar", "MBR", _P, Fraction(1, 1000), names=("millibar",)),
+    Unit("Pa", "PAL", _P, Fraction(1, 100_000), names=("pascal",)),
+    Unit("hPa", "A97", _P, Fraction(1, 1000), names=("hectopascal",)),
+    Unit("kPa", "KPA", _P, Fraction(1, 100), names=("kilopascal", "kpag", "kpaa")),
+    Unit("MPa", "MPA", _P, Fraction(10), names=("megapascal", "mpag", "mpaa", "n/mm2")),
+    Unit("psi", "PS", _P, _PSI, names=("psig", "psia", "psi(g)", "psi(a)", "lbf/in2", "lb/in2")),
+    Unit("kgf/cm²", "E42", _P, Fraction("0.980665"), names=("kg/cm2", "kp/cm2")),
+    Unit("atm", "ATM", _P, Fraction("1.01325"), names=("atmosphere",)),
+    Unit("l/min", "L2", _F, names=("lpm", "l/m", "ltr/min", "liter/min", "litre/min", "dm3/min")),
+    Unit("l/s", "G51", _F, Fraction(60), names=("lps", "l/sec", "dm3/s")),
+    Unit("l/h", "E32", _F, Fraction(1, 60), names=("lph", "l/hr")),
+    Unit("m³/h", "MQH", _F, Fraction(1000, 60), names=("m3/hr", "cbm/h", "cmh")),
+    Unit("m³/min", "G53", _F, Fraction(1000)),
+    Unit("m³/s", "MQS", _F, Fraction(60_000), names=("m3/sec",)),
+    Unit("ml/min", "41", _F, Fraction(1, 1000)),
+    Unit("cm³/min", "G49", _F, Fraction(1, 1000), names=("ccm", "cc/min")),
+    Unit("cm³/s", "2J", _F, Fraction(60, 1000), names=("cc/s", "ml/s")),
+    Unit(
+        "gpm",
+        "G2",
+        _F,
+        _GALLON,
+        names=("usgpm", "us gpm", "gpm(us)", "gal/min", "us gal/min", "gal(us)/min", "usg/min"),
+    ),
+    Unit(
+        "imp gpm",
+        "G3",
+        _F,
+        _IMPERIAL_GALLON,
+        names=("ukgpm", "uk gpm", "igpm", "gal(uk)/min", "imp gal/min", "gpm(uk)", "gpm(imp)"),
+    ),
+    Unit("ft³/min", "2L", _F, Fraction(1728) * _CUBIC_INCH, names=("cfm",)),
+    Unit("in³/min", "G57", _F, _CUBIC_INCH, names=("cim", "cu in/min")),
+    Unit("in³/s", "G58", _F, 60 * _CUBIC_INCH, names=("cis", "cu in/s")),
+    Unit("°C", "CEL", _T, names=("c", "degc", "deg c", "celsius", "grad c")),
+    Unit(
+        "°F",
+        "FAH",
+        _T,
+        Fraction(5, 9),
+        Fraction(-160, 9),
+        names=("f", "degf", "deg f", "fahrenheit"),
+    ),
+    Unit("K", "KEL", _T, Fraction(1), -_KELVIN, names=("kelvin", "degk")),
+    Unit("mA", "4K", Quantity.ELECTRICAL, names=("milliampere",)),
+    Unit("V", "VLT", Quantity.ELECTRICAL, names=("volt", "vdc", "v dc")),
+    Unit("mV", "2Z", Quantity.ELECTRICAL, names=("millivolt",)),
+)
+SYMBOLS: Final = tuple(unit.symbol for unit in UNITS)
+
+_ALIKE = str.maketrans({"³": "3", "²": "2", "º": "°", "˚": "°", "∙": "", "·": "", "\u00a0": " "})
+
+
+def _plain(text: str) -> str:
+    """Fold a name of a unit: neither case nor spaces nor the look of a degree sign count."""
+    text = text.strip().casefold().translate(_ALIKE).replace("^", "").replace("**", "")
+    return re.sub(r"\s+", "", text).replace("°", "").replace("deg", "")
+
+
+_BY_NAME = {_plain(name): unit for unit in UNITS for name in (unit.symbol, *unit.names)}
+_BY_NUMBER = {unit.number: unit for unit in UNITS}
+
+
+def unit_of(text: str) -> Unit | None:
+    """The unit of that name, None where there is none; neither case nor spaces count.
+
+    >>> unit_of("US gal/min").symbol, unit_of("degF").symbol, unit_of("kg/cm^2").symbol
+    ('gpm', '°F', 'kgf/cm²')
+    """
+    return _BY_NAME.get(_plain(text))
+
+
+def unit_by_number(number: int) -> Unit | None:
+    """The unit that OPC UA numbers so, None where it is not in the table."""
+    return _BY_NUMBER.get(number)
+
+
+def inside(quantity: Quantity) -> Unit:
+    """The unit that is used inside for a quantity."""
+    return next(unit for unit in UNITS if unit.symbol == quantity.value)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """``inside = gain · value + offset``; the gain is not 0."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether every number stays what it is, to the last bit."""
+        return self.gain == 1.0 and self.offset == 0.0
+
+    def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Numbers in the unit that is used inside; the very same ones where nothing changes."""
+        if self.is_identity:
+            return values
+        return np.asarray(values * self.gain + self.offset)
+
+    def back(self, value: float) -> float:
+        """The number that means ``value`` outside."""
+        return (value - self.offset) / self.gain
+
+
+def scaling_of(
+    unit: Unit,
+    raw: tuple[float, float] | None = None,
+    scaled: tuple[float, float] | None = None,
+) -> Scaling:
+    """From a signal's own numbers to the unit that is used inside.
+
+    Parameters
+    ----------
+    unit
+        Of ``scaled``, or of the numbers themselves where nothing is scaled.
+    raw, scaled
+        Two raw numbers, such as 4 and 20 mA, and what they mean in ``unit``.
+
+    Examples
+    --------
+    >>> scaling_of(unit_of("%"), raw=(4, 20), scaled=(0, 100))
+    Scaling(gain=6.25, offset=-25.0)
+    """
+    gain, offset = unit.factor, unit.offset
+    if raw is not None and scaled is not None:
+        (low, high), (least, most) = ((Fraction(x) for x in pair) for pair in (raw, scaled))
+        slope = (most - least) / (high - low)
+        offset += gain * (least - slope * low)
+        gain *= slope
+    return Scaling(float(gain), float(offset))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is known of one signal beforehand.
+
+    Attributes
+    ----------
+    column
+        Its column in a recording; None: the one of its own name.
+    unit
+        Of its numbers, or of ``scaled``; None: as the source itself says, else the unit that is
+        used inside.
+    raw, scaled
+        Two raw numbers and what they mean.
+    """
+
+    column: str | None = None
+    unit: Unit | None = None
+    raw: tuple[float, float] | None = None
+    scaled: tuple[float, float] | None = None
+
+    def scaling(self, signal: str) -> Scaling:
+        """From the numbers of a signal as they come to the unit that is used inside."""
+        return scaling_of(self.unit or inside(QUANTITY_OF[signal]), self.raw, self.scaled)

@@ -1,0 +1,62 @@
+"""Nothing is compiled once the service runs: a compiler holds the loop for seconds."""
+
+import os
+import subprocess
+import sys
+
+# In a process of its own: there no other test has used a kernel before.
+LIFE = """
+import gc, sys
+import numpy as np
+from numba.core.registry import CPUDispatcher
+from service.app.build import build_identification
+from service.app.warm_up import warm_up
+from service.config.models import Config
+from support.plant import as_changes, plant
+
+def used():
+    everything = gc.get_objects()
+    return {
+        f"{kernel.__module__}.{kernel.__name__}{signature}"
+        for kernel in everything
+        if isinstance(kernel, CPUDispatcher) and kernel.__module__.startswith("service.")
+        for signature in kernel.signatures
+    }
+
+config = Config()
+warm_up(config)
+before = used()
+identification = build_identification(config)
+for first in range(0, 9_000, 50):
+    changes = as_changes(plant(50, seed=first, first=first))
+    identification.take(changes)
+    identification.waits()
+    if first % 1_000 == 0:
+        identification.refresh_maps()
+        identification.result(0)
+identification.wait_no_longer(np.zeros(1, np.int64))
+identification.begin_source_anew(np.zeros(1, np.int64))
+identification.invert("Valvistor", 30.0, 50.0, 40.0)
+for estimator in identification.plans[0].estimators:
+    identification.predict("Valvistor", estimator, 50.0, 50.0, 40.0)
+    identification.predict_measurement("Valvistor", estimator, 50.0, 50.0, 40.0)
+    identification.reset("Valvistor", estimator)
+identification.restore(identification.checkpoints())
+identification.take(as_changes(plant(2_000, first=20_000)))
+late = sorted(used() - before)
+print(*late, sep="\\n")
+sys.exit(bool(late))
+"""
+
+
+def test_a_long_life_compiles_nothing_that_the_warm_up_did_not():
+    env = {**os.environ, "PYTHONPATH": "tests"}
+    ended = subprocess.run(
+        [sys.executable, "-c", LIFE],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=env,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr

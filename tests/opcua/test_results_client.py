@@ -1,0 +1,130 @@
+"""The client that polls: browse, read, call, write, and typed errors."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import pytest_asyncio
+from support.results import results_settings
+
+from service.errors import CommandRejected, SourceLost, SourceRejected
+from service.hardened import Role, UserStore
+from service.identification.inversion import Inversion
+from service.identification.samples import Status
+from service.opcua.results_client import ResultsClient, SourceSettings
+from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.ports import EstimatorDescription, ValveDescription
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+VALVE = ValveDescription(
+    "V1",
+    (EstimatorDescription("RLS", "", ("a1", "a2"), has_forgetting_factor=True),),
+    map_Q=(0.0, 100.0),
+    map_dp=(0.0, 50.0, 200.0),
+    counters=("late",),
+)
+
+
+class Operator:
+    def predict(self, _valve, _estimator, U, dp, _T):
+        return U * dp, 0.5, Status.EXTRAPOLATING
+
+    def invert(self, _valve, Q, _dp, _T):
+        return Inversion(*(np.array([x]) for x in (Q, Q - 1, Q + 1)), np.array([0], np.uint8))
+
+    def __getattr__(self, name):  # the other commands: nothing happens
+        return lambda *_: None
+
+    def freeze(self, _valve, _estimator):
+        raise CommandRejected("not now")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def served(tmp_path_factory):
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    cache = tmp_path_factory.mktemp("cache")
+    settings = results_settings(users=users, none_on_loopback=True, cache=cache)
+    async with ResultsServer(settings, (VALVE,), Operator()) as server:
+        yield server, password
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def client(served):
+    client = ResultsClient(SourceSettings(url=served[0].url), NAMESPACE)
+    await client.connect()
+    yield client
+    await client.close()
+
+
+async def test_what_is_below_a_node_is_found_by_its_identifier(client):
+    found = {child.id: child for child in await client.browse("Identification")}
+    assert sorted(found) == ["Service", "V1"]
+    assert (found["V1"].is_variable, found["V1"].is_method) == (False, False)
+    below = {child.id: child for child in await client.browse("V1.RLS")}
+    assert below["V1.RLS.Residual"].is_variable
+    assert below["V1.RLS.Predict"].is_method
+
+
+async def test_scalars_arrays_and_texts_are_read_together(client):
+    ids = ["V1.FrameNames", "V1.Inverse.MapDp", "V1.Diagnostics.Late", "V1.RLS.Residual"]
+    names, axis, count, residual = await client.read(ids)
+    assert names.value[0] == "Sequence"
+    assert axis.value == [0.0, 50.0, 200.0]
+    assert count.value == 0
+    assert count.t > 1_700_000_000_000_000_000
+    assert (residual.value, residual.code) == (None, 0x80320000)
+
+
+async def test_more_is_read_than_one_request_may_hold(client):
+    readings = await client.read(["V1.Inverse.MapDp"] * 2_500)
+    assert {tuple(reading.value) for reading in readings} == {(0.0, 50.0, 200.0)}
+
+
+async def test_what_is_not_there_is_a_code(client):
+    (reading,) = await client.read(["V1.RLS.Nonsense"])
+    assert (reading.value, reading.code) == (None, 0x80340000)
+
+
+async def test_many_points_are_asked_for_in_one_go(client):
+    points = [(0.5 * U, 2.0, math.nan) for U in range(120)]
+    answers = await client.call("V1.RLS", "Predict", points)
+    assert answers == [(1.0 * U, 0.5, 6) for U in range(120)]
+
+
+async def test_an_observer_asks_but_does_not_command(client):
+    ((U, lower, upper, status),) = await client.call("V1.Inverse", "Invert", [(60, 100, 40)])
+    assert (U, lower, upper, status) == (60.0, 59.0, 61.0, 0)
+    with pytest.raises(CommandRejected, match="BadUserAccessDenied"):
+        await client.write("V1.Inverse.FlowDemand", 50.0)
+    with pytest.raises(CommandRejected, match="BadUserAccessDenied"):
+        await client.call("V1.RLS", "Reset", [()])
+
+
+async def test_an_operator_writes_and_hears_what_is_refused(served):
+    settings = SourceSettings(url=served[0].url, user="operator", password=served[1])
+    operator = ResultsClient(settings, NAMESPACE)
+    await operator.connect()
+    await operator.write("V1.Inverse.FlowDemand", 50.0)
+    (demand,) = await operator.read(["V1.Inverse.FlowDemand"])
+    assert demand.value == 50.0
+    with pytest.raises(CommandRejected, match="BadOutOfRange"):
+        await operator.write("V1.Inverse.FlowDemand", 5_000.0)
+    with pytest.raises(CommandRejected, match="BadInvalidState"):
+        await operator.call("V1.RLS", "Freeze", [()])
+    await operator.close()
+    wrong = ResultsClient(replace(settings, password="wrong"), NAMESPACE)
+    with pytest.raises(SourceRejected, match="password"):
+        await wrong.connect()
+
+
+async def test_a_server_that_is_not_there_is_worth_another_try(client, unused_tcp_port):
+    url = f"opc.tcp://127.0.0.1:{unused_tcp_port}/nobody/"
+    with pytest.raises(SourceLost):
+        await ResultsClient(SourceSettings(url=url), NAMESPACE).connect()
+    other = ResultsClient(SourceSettings(url=client.url), "urn:other")
+    with pytest.raises(SourceLost, match="urn:other"):
+        await other.connect()
+    with pytest.raises(SourceLost, match="not connected"):
+        await other.read(["V1.Frame"])

@@ -1,0 +1,54 @@
+"""Lives of a service that ends without a good-bye."""
+
+import asyncio
+from contextlib import suppress
+
+from support.stream import NODES
+
+from service.clock import SystemClock
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.opcua.client import OpcUaSource, SourceSettings
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.identification import Identification
+from service.streaming.live import LiveService, LiveSettings
+from service.streaming.pipeline import ValvePlan
+from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from service.streaming.supervisor import SupervisorSettings, supervise
+
+GATE = QualityGate(limits={s: SignalLimits(*PLAUSIBLE[s], spike=60.0) for s in SENSORS})
+
+
+class Sink:
+    """Nobody looks."""
+
+    async def publish(self, results):
+        pass
+
+    async def show_health(self, health):
+        pass
+
+
+def fresh():
+    plan = ValvePlan("V1", GATE, {"RLS": RecursiveLeastSquares()}, "RLS")
+    return Identification([plan], Alignment(AlignmentSettings(), (True,), (True,)))
+
+
+async def lived(served, store, seconds):
+    """A service that is killed after some time; returns what it was when it was killed."""
+    plant, password = served
+    settings = SourceSettings(
+        f"opc.tcp://127.0.0.1:{plant.port}/plant/", user="operator", password=password
+    )
+    source, clock = OpcUaSource(settings, [NODES]), SystemClock()
+    live = LiveService(fresh(), source, Sink(), store, clock, LiveSettings())
+    await live.start()
+    running = asyncio.create_task(
+        supervise(source, live, clock, asyncio.Event(), SupervisorSettings())
+    )
+    await asyncio.sleep(seconds)
+    await live.settle()
+    source.close = source.drop  # it says no good-bye
+    running.cancel()
+    with suppress(asyncio.CancelledError):
+        await running
+    return live.identification

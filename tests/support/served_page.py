@@ -1,0 +1,28 @@
+"""The page, served within the test's own process."""
+
+import asyncio
+from contextlib import asynccontextmanager
+
+from service.clock import SystemClock
+from service.dashboard.server import open_socket, serve, url_of
+from service.dashboard.settings import PageSettings
+from service.dashboard.web import Page
+
+
+@asynccontextmanager
+async def served(shown, **settings):
+    """The page of a service on a free port: (Page, URL); users log in to the same service."""
+    own = PageSettings(port=0, **settings)
+    page = Page(shown, lambda *_: (shown, None), own, SystemClock())
+    listening, stop = open_socket(own), asyncio.Event()
+    tasks = [
+        asyncio.create_task(serve(page.guard, own, listening, stop)),
+        asyncio.create_task(page.observer.run()),
+    ]
+    try:
+        yield page, url_of(own, listening)
+    finally:
+        stop.set()
+        await tasks[0]
+        tasks[1].cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,0 +1,122 @@
+"""A service as the page sees it, without OPC UA: readings by identifier, counted and scripted."""
+
+import math
+from dataclasses import dataclass, field
+
+from service.errors import SourceLost
+
+FRAME = (
+    "Sequence",
+    "RLS.PredictedFlow",
+    "RLS.Residual",
+    "RLS.ResidualRmse",
+    "RLS.NoiseStd",
+    "RLS.SampleCount",
+    "RLS.Status",
+    "RLS.ParameterVector.a1",
+    "Inverse.RequiredU",
+    "Inverse.RequiredUStatus",
+)
+
+
+@dataclass(frozen=True)
+class Read:
+    value: object
+    code: int = 0
+    t: int = 0
+
+
+@dataclass(frozen=True)
+class Node:
+    id: str
+    is_variable: bool = False
+    is_method: bool = False
+
+
+@dataclass
+class ShownService:
+    """Fulfils `service.dashboard.ports.Client`."""
+
+    names: tuple[str, ...] = ("V1",)
+    url: str = "opc.tcp://127.0.0.1:1/shown/"
+    values: dict[str, Read] = field(default_factory=dict)
+    t: int = 1_000_000_000
+    up: bool = True
+    moving: bool = True
+    calls: list[tuple] = field(default_factory=list)
+    writes: list[tuple] = field(default_factory=list)
+    reads: int = 0
+    closed: int = 0
+    users: dict[str, str] = field(default_factory=dict)
+
+    async def connect(self):
+        self._check()
+
+    async def close(self):
+        self.closed += 1
+
+    async def browse(self, id):  # noqa: A002
+        self._check()
+        if id == "Identification":
+            return [Node(name) for name in self.names]
+        if id in self.names:
+            parts = ("RLS", "Inverse", "Diagnostics", "Signals")
+            return [Node(f"{id}.Frame", is_variable=True), *(Node(f"{id}.{p}") for p in parts)]
+        below = {
+            "RLS": (
+                *("ParameterStd", "Coverage", "PredictedFlow", "ParameterNames"),
+                *("SuggestedU", "SuggestedDp"),
+            ),
+            "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
+            "Diagnostics": ("Aligned", "Late"),
+            "Signals": ("U", "dp", "Q"),
+        }[id.rpartition(".")[2]]
+        return [Node(f"{id}.{name}", is_variable=True) for name in below]
+
+    async def read(self, ids):
+        self._check()
+        self.reads += len(ids)
+        if self.moving:
+            self.t += 10_000_000
+        return [self._one(id_) for id_ in ids]
+
+    async def call(self, owner, method, inputs):
+        self._check()
+        self.calls.append((owner, method, tuple(map(tuple, inputs))))
+        if method == "Invert":
+            return [(Q / 2, Q / 2 - 1, Q / 2 + 1, 0) for Q, _, _ in inputs]
+        if method != "Predict":
+            return [() for _ in inputs]
+        return [(U * math.sqrt(dp), 0.5, 6 if U > 90 else 0) for U, dp, _ in inputs]
+
+    async def write(self, id, value):  # noqa: A002
+        self._check()
+        self.writes.append((id, value))
+
+    def _check(self):
+        if not self.up:
+            raise SourceLost("gone")
+
+    def _one(self, id_):
+        if id_ in self.values:
+            return self.values[id_]
+        name = id_.partition(".")[2]
+        count = self.t / 1e7
+        known = {
+            "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, 0.0, 1.5, 30.0, 0.0],
+            "FrameNames": list(FRAME),
+            "RLS.ParameterNames": ["a1"],
+            "RLS.ParameterStd": [0.01],
+            "RLS.Coverage": [[1.0, 2.0], [3.0, math.nan]],
+            "Signals.U": 40.0,
+            "Signals.dp": 100.0,
+            "Signals.Q": 60.0,
+            "Inverse.MapDp": [0.0, 100.0, 200.0],
+            "Diagnostics.Aligned": int(count),
+            "Diagnostics.Late": 0,
+            "RLS.ChangeCount": 0,
+            "RLS.PredictedFlow": 10.0,
+        }
+        if name not in known:
+            return Read(None, 0x80340000)
+        return Read(known[name], 0, self.t)
