@@ -377,10 +377,10 @@ class Auto:
         """Promote the challenger if it did well, let it climb, fit both."""
         scalars, counters, progress = state.scalars, state.counters, state.progress
         now = counters[memory.LAGGING + lag.TIME]
-        drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
+        ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
         counters[memory.CLOCK] = now
         coloured_noise.reckon(state.cells, scalars)
-        points = _trusted(state)
+        points = _trusted(state, ahead)
         if not len(points):
             budget.next_fit(counters, 0, at_rest=False)
             return
@@ -414,6 +414,7 @@ class Auto:
         scalars[memory.EXCITATION] = best.n_effective
         scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
         at_rest = champion == challenger and progress[CHALLENGER, IDLE] > RESTED
+        at_rest = at_rest and not drift.is_sure(scalars)
         budget.next_fit(counters, len(points), at_rest=at_rest)
         counters[[memory.FITTED, memory.FRESH]] = 1
         state.shapes[:] = [x.to_array() for x in (champion, challenger, explorer)]
@@ -482,10 +483,13 @@ def _cost(points: Floats, shape: Shape) -> int:
     return budget.cost(len(points), shape.size, band)
 
 
-def _trusted(state: AutoState) -> Floats:
-    """Cells that hold samples, but for those of a few samples far off all others: spikes."""
+def _trusted(state: AutoState, ahead: float) -> Floats:
+    """Cells that hold samples, as they will be in ``ahead`` s.
+
+    But for those of a few samples far off all others: spikes.
+    """
     points = state.cells[state.cells[:, grid.WEIGHT] > 0.0].astype(np.float64)
-    points = drift.carried(points, state.scalars)
+    points = drift.carried(points, state.scalars, ahead)
     if not state.counters[memory.FITTED] or not len(points):
         return points
     misfit = kernel.misfit(_surface(state, CHAMPION), points)

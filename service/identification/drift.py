@@ -10,6 +10,9 @@ from service.identification.kernels.grid import MEAN_Q, MEAN_TIME, WEIGHT
 from service.identification.samples import Floats
 
 CLEAR: Final = 4.0  # standard deviations from which on a gain moves
+SURE: Final = 12.0  # ... and from which on it moves all the time: the map is made for later
+LASTING: Final = 4.0  # s that a rate lasts before it is another one
+LONGEST_AHEAD: Final = 30.0  # s for which a map is made for later, at most
 MOST: Final = 1e-3  # 1/s: faster is a change, not a drift
 
 
@@ -31,22 +34,41 @@ def rate(scalars: Floats) -> tuple[float, float]:
     return min(max(found, -MOST), MOST), float(variance)
 
 
-def set_clock(cells: NDArray[np.float32], scalars: Floats, by: float) -> None:
-    """Have the cells' times count from ``by`` s later on, and take the drift for what it is now."""
+def set_clock(cells: NDArray[np.float32], scalars: Floats, by: float) -> float:
+    """Have the cells' times count from ``by`` s later on, and take the drift for what it is now.
+
+    A map stands still until the next fit, in about ``by`` s: where it surely drifts it is made for
+    the middle of that. Returned is how much later that is, s.
+    """
     cells[cells[:, WEIGHT] > 0.0, MEAN_TIME] -= by
     scalars[memory.REFERENCE + MEAN_TIME] -= by
     found, variance = rate(scalars)
     is_clear = found**2 > CLEAR**2 * variance
     scalars[memory.RATE] = found if is_clear else 0.0
+    ahead = min(by, LONGEST_AHEAD) / 2.0 if is_sure(scalars) else 0.0
     ages = _ages(cells.astype(np.float64))
     doubt = variance if is_clear else max(found**2 - variance, 0.0)  # what noise does not make
     weight = cells[:, WEIGHT] / max(float(cells[:, WEIGHT].sum()), 1e-30)
-    scalars[memory.GAIN_VARIANCE] = doubt * float(weight @ ages**2)
+    scalars[memory.GAIN_VARIANCE] = doubt * float(weight @ ages**2) + (found * ahead) ** 2 / 3.0
+    return ahead
 
 
-def carried(points: Floats, scalars: Floats) -> Floats:
-    """Points of the memory as they would be measured now."""
-    points[:, MEAN_Q] *= 1.0 + scalars[memory.RATE] * _ages(points)
+def is_sure(scalars: Floats) -> bool:
+    """Whether the map surely drifts, so that it must not stand still for long."""
+    found, variance = rate(scalars)
+    return bool(found**2 > SURE**2 * variance > 0.0)
+
+
+def carried(points: Floats, scalars: Floats, ahead: float) -> Floats:
+    """Points of the memory as they would be measured in ``ahead`` s, the older the more in doubt.
+
+    A rate that is found now may have been another one before: a walk of steps of LASTING s.
+    """
+    rate_now, ages = scalars[memory.RATE], _ages(points) + ahead
+    points[:, MEAN_Q] *= 1.0 + rate_now * ages
+    if is_sure(scalars):
+        walked = rate_now**2 * LASTING * ages * points[:, MEAN_Q] ** 2
+        points[:, WEIGHT] /= 1.0 + points[:, WEIGHT] * walked / max(scalars[memory.NOISE], 1e-30)
     return points
 
 

@@ -95,6 +95,15 @@ def test_a_signal_that_stands_still_tells_no_lag():
     assert not known.any()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_meters_lag_is_not_shared_out_to_u(seed):
+    samples = machine(seed, 0.0, 0.2, n=kernel.ROWS)
+    rows = np.stack([np.full(len(samples), 0.01), samples.U, np.sqrt(samples.dp), samples.Q], axis=1)
+    U, Q = look(rows, np.zeros(6), (None, None))
+    assert U <= 0.01
+    assert Q == pytest.approx(0.2, rel=0.1)
+
+
 def test_without_a_lag_no_sample_is_too_fast():
     samples, auto = machine(6, n=4000), Auto()
     state, _ = auto.update(auto.initial_state(), samples)
