@@ -98,7 +98,7 @@ def recording(kind: str, valve: Valve, seed: int, n: int = N) -> Recording:
             Q = valve(U, dp) * (1.0 + PER_HOUR * hours) + noise
 
             def at_end(U: Floats, dp: Floats) -> Floats:
-                return valve(U, dp) * (1.0 + PER_HOUR * hours[-1])
+                return np.asarray(valve(U, dp) * (1.0 + PER_HOUR * hours[-1]))
         case "wear":
 
             def edge(U: Floats, dp: Floats) -> Floats:
@@ -107,7 +107,7 @@ def recording(kind: str, valve: Valve, seed: int, n: int = N) -> Recording:
             Q = valve(U, dp) + edge(U, dp) * hours + noise
 
             def at_end(U: Floats, dp: Floats) -> Floats:
-                return valve(U, dp) + edge(U, dp) * hours[-1]
+                return np.asarray(valve(U, dp) + edge(U, dp) * hours[-1])
         case "closed loop":
             dp = ramps_and_holds(rng, n, 20.0, 180.0)
             U, Q = closed_loop(rng, valve, dp)
