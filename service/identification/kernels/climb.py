@@ -20,16 +20,17 @@ MOVE, IDLE = 0, 1
 @kernel
 def climb(
     points: Floats, shape: Floats, top: float, least_play: float, trends: int,
-    steps: int, progress: np.ndarray,
+    steps: int, progress: np.ndarray, least: float,
 ) -> None:  # fmt: skip
     """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
 
     A trend is tried each time, where there is none and the samples can tell one: temperature may
     have moved just now. ``shape`` (6,) and ``progress`` (2,) are written: the number of the next
-    neighbour, and how many were tried in vain since the last gain.
+    neighbour, and how many were tried in vain since the last gain. σ² is ``least`` at least:
+    coloured noise is the same in neighbouring cells, and a rich spline follows it.
     """
     around = np.empty((ladder.MOST_NEIGHBOURS, len(shape)))
-    sigma_2 = noise(points, shape, top)
+    sigma_2 = max(noise(points, shape, top), least)
     best = bic(points, shape, top, sigma_2)
     if trends and shape[ladder.TREND] == 0.0:
         around[0] = shape
@@ -47,14 +48,14 @@ def climb(
             shape[:] = candidate
             progress[IDLE] = 0
             count = ladder.neighbours(shape, least_play, trends, around)
-            sigma_2 = noise(points, shape, top)
+            sigma_2 = max(noise(points, shape, top), least)
             best = bic(points, shape, top, sigma_2)
 
 
 @kernel
-def is_better(points: Floats, shape: Floats, than: Floats, top: float) -> bool:
+def is_better(points: Floats, shape: Floats, than: Floats, top: float, least: float) -> bool:
     """Whether a shape has the smaller BIC, with the σ² of the other."""
-    sigma_2 = noise(points, than, top)
+    sigma_2 = max(noise(points, than, top), least)
     return bic(points, shape, top, sigma_2) < bic(points, than, top, sigma_2) - LEAST_GAIN
 
 
