@@ -6,10 +6,10 @@ RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
-# Markers of the tests that need foreign programs.
-PEERS := node or milo or image or chromium
+# Markers of the tests that need foreign programs, or a minute of waiting.
+PEERS := node or milo or image or chromium or tutorial
 
-.PHONY: install demo test peers hardened lint format soak bench report lock clean
+.PHONY: install demo test peers hardened lint format soak bench report reference docs sbom lock clean
 
 install: $(RUNTIME)
 
@@ -54,6 +54,17 @@ bench: $(BENCH)
 
 report: $(RUNTIME)
 	$(BIN)/valvemap report --out reports
+
+# The reference pages of the documentation, from models, commands and a running server.
+reference: $(DEV)
+	$(BIN)/python -m documentation
+
+docs: $(DEV)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# What the image holds, as CycloneDX.
+sbom: $(DEV)
+	$(BIN)/python -m documentation.bill_of_materials
 
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \

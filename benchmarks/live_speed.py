@@ -23,7 +23,7 @@ import numpy as np
 from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
-from service.config.estimators import RlsConfig
+from service.config.estimators import AnyEstimatorConfig, RlsConfig
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
 from service.hardened import Limits, ServerSettings
@@ -45,14 +45,14 @@ def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = F
     with tempfile.TemporaryDirectory() as name:
         folder, url = Path(name), free_url("rig")
         environment = init(folder, url) if secured else {}
-        with _rig(valves, hz, url, environment):
-            names = _names(valves)
+        with rig(valves, hz, url, environment):
+            names = names_of(valves)
             if secured:
                 loaded = load_config(folder / "data" / "service.toml")
                 config = _with_valves(loaded, names, folder, {"url": url})
             else:
                 config = open_config(names, folder, url)
-            figures = asyncio.run(_live(config, hz, seconds, secured=secured))
+            figures = asyncio.run(live(config, hz, seconds, secured=secured))
     return {"valves": valves, "wanted, notifications/s": valves * hz * SIGNALS, **figures}
 
 
@@ -60,12 +60,12 @@ def scripted(seconds: float = 10.0) -> Figures:
     """Notifications per second that plain scripts take in; nothing where padasip is missing."""
     if importlib.util.find_spec("padasip") is None:
         return {}
-    names = ",".join(_names(SCRIPTED_VALVES))
+    names = ",".join(names_of(SCRIPTED_VALVES))
     figures, url = {}, free_url("rig")
     with running(["benchmarks.plain_server", url, names], {}):
         figures["asyncua's server, asyncua and padasip"] = _script(url, names, seconds)
     url = free_url("rig")
-    with _rig(SCRIPTED_VALVES, SCRIPTED_HZ, url, {}):
+    with rig(SCRIPTED_VALVES, SCRIPTED_HZ, url, {}):
         figures["our rig, asyncua and padasip"] = _script(url, names, seconds)
     return figures
 
@@ -80,7 +80,8 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-async def _live(config: Config, hz: float, seconds: float, *, secured: bool) -> Figures:
+async def live(config: Config, hz: float, seconds: float, *, secured: bool) -> Figures:
+    """Serve for so long, once all valves have been learnt from for a while."""
     identification, stop = build_identification(config), asyncio.Event()
     settings = None if secured else open_settings(config, Limits())
     serving = asyncio.ensure_future(serve(config, stop, settings, identification))
@@ -114,7 +115,8 @@ def _script(url: str, names: str, seconds: float) -> float:
 
 
 @contextmanager
-def _rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
+def rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
+    """Run a rig of so many valves in a process of its own."""
     command = ["service", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
     with running(command if environment else [*command, "--under-demo"], environment):
         yield
@@ -161,9 +163,15 @@ def init(folder: Path, url: str) -> dict[str, str]:
     return environment
 
 
-def open_config(valves: Sequence[str], folder: Path, url: str) -> Config:
-    """RLS on these valves of an open rig; states in the folder."""
-    return _with_valves(load_config(), valves, folder, {"url": url, "security": "None"})
+def open_config(
+    valves: Sequence[str],
+    folder: Path,
+    url: str,
+    estimators: tuple[AnyEstimatorConfig, ...] = (RlsConfig(),),
+) -> Config:
+    """Estimators, RLS alone by default, on these valves of an open rig; states in the folder."""
+    source = {"url": url, "security": "None"}
+    return _with_valves(load_config(), valves, folder, source, estimators)
 
 
 def open_settings(config: Config, limits: Limits) -> ServerSettings:
@@ -185,7 +193,11 @@ def counts(identification: Identification, name: str) -> np.ndarray:
 
 
 def _with_valves(
-    loaded: Config, valves: Sequence[str], folder: Path, source: dict[str, Any]
+    loaded: Config,
+    valves: Sequence[str],
+    folder: Path,
+    source: dict[str, Any],
+    estimators: tuple[AnyEstimatorConfig, ...] = (RlsConfig(),),
 ) -> Config:
     source |= {"startup_timeout_s": 60.0, "timeout_s": 60.0}
     return loaded.model_copy(
@@ -194,14 +206,15 @@ def _with_valves(
             "server": loaded.server.model_copy(update={"url": free_url("service")}),
             "state": loaded.state.model_copy(update={"file": folder / "state.sqlite"}),
             "valves": tuple(
-                ValveConfig(name=n, nodes=NodesConfig.of_rig(n), estimators=(RlsConfig(),))
+                ValveConfig(name=n, nodes=NodesConfig.of_rig(n), estimators=estimators)
                 for n in valves
             ),
         }
     )
 
 
-def _names(valves: int) -> tuple[str, ...]:
+def names_of(valves: int) -> tuple[str, ...]:
+    """What the rig calls its valves."""
     return tuple(valve_names(Scenario(fleet=Fleet(valves=valves))))
 
 

@@ -30,19 +30,25 @@ _WATCH = json.dumps({"watch": {"valve": "Valvistor", "estimator": None, "overvie
 
 def main() -> None:
     """Measure, print, write."""
-    bare = _bare_asyncua_mb()
-    with tempfile.TemporaryDirectory() as folder, _demo(Path(folder) / "demo.log") as (demo, log):
-        figures = asyncio.run(_measure(demo, log))
-    figures["bare asyncua import, MB"] = bare
-    figures["page above a bare asyncua import, MB"] = figures["page with 20 viewers, MB"] - bare
-    without = figures["service with 0 viewers, % of a core"]
-    with_all = figures["service with 20 viewers, % of a core"]
-    figures["service, 20 viewers against none, %"] = 100.0 * (with_all / without - 1.0)
-    for name, value in figures.items():
+    found = figures()
+    for name, value in found.items():
         print(f"{name:45s} {value:10.1f}")
     target = Path(__file__).parent / "results" / "page.json"
     target.parent.mkdir(exist_ok=True)
-    target.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    target.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+
+
+def figures() -> dict[str, float]:
+    """What the page costs, and what it costs the service."""
+    bare = _bare_asyncua_mb()
+    with tempfile.TemporaryDirectory() as folder, _demo(Path(folder) / "demo.log") as (demo, log):
+        found = asyncio.run(_measure(demo, log))
+    found["bare asyncua import, MB"] = bare
+    found["page above a bare asyncua import, MB"] = found["page with 20 viewers, MB"] - bare
+    without = found["service with 0 viewers, % of a core"]
+    with_all = found["service with 20 viewers, % of a core"]
+    found["service, 20 viewers against none, %"] = 100.0 * (with_all / without - 1.0)
+    return found
 
 
 @contextmanager
@@ -67,13 +73,13 @@ async def _measure(demo: int, log: Path) -> dict[str, float]:
     page = _child(demo, "dashboard")
     client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
     await client.connect()
-    figures: dict[str, float] = {}
+    found: dict[str, float] = {}
     for viewers in VIEWERS:
-        figures |= await _with(viewers, url, demo, page)
+        found |= await _with(viewers, url, demo, page)
     (gaps,) = await client.read(["Valvistor.Diagnostics.Gaps"])
-    figures["samples lost"] = float(gaps.value)
+    found["samples lost"] = float(gaps.value)
     await client.close()
-    return figures
+    return found
 
 
 async def _with(viewers: int, url: str, service: int, page: int) -> dict[str, float]:

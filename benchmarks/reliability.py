@@ -27,6 +27,7 @@ from support.stream import NumberedServer, until, watching
 
 PAGE = Path(__file__).parents[1] / "docs" / "reliability.md"
 FIRST = "| fault | lost | twice | bits different | data again after, s |"
+HISTORY = 40_000  # samples that the source remembers: 400 s
 ALIGN = Alignment(AlignmentSettings(), (True,), (True,))
 
 
@@ -73,10 +74,12 @@ async def line(served: tuple[NumberedServer, str], fault: str, seconds: float) -
         await until(lambda: collector.arrived[-1] > back, 60.0)
         again_s = next(t for t in collector.arrived if t > back) - back
         await until(lambda: collector.numbers[-1] >= target, 60.0)
+        caught_up = seconds / (time.monotonic() - back)
         numbers = collector.numbers
         span = numbers[-1] - numbers[0] + 1
         lost, twice = span - len(set(numbers)), collector.counters.get("duplicates", 0)
-    return f"{lost} of {span} | {twice} | | {again_s:.1f} |"
+    asked = f"; {caught_up:.0f} × real time" if source.counters.from_history else ""
+    return f"{lost} of {span} | {twice} | | {again_s:.1f}{asked} |"
 
 
 async def kills(served: tuple[NumberedServer, str], count: int, seed: int) -> str:
@@ -151,7 +154,7 @@ async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
         rows.append(f"| {text} | {told}")
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     with tempfile.TemporaryDirectory() as cache:
-        plant = await NumberedServer.create(Path(cache), users=users)
+        plant = await NumberedServer.create(Path(cache), users=users, remembers=HISTORY)
         async with plant.server:
             served = plant, password
             for seconds in cuts:
@@ -167,7 +170,9 @@ async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
 def main() -> None:
     """Measure, and write the page between its marks."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0], metavar="S")
+    parser.add_argument(
+        "--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0, 300.0], metavar="S"
+    )
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--flips", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,9 +1,12 @@
 """How long the service takes from its first line to its first result: ``-m benchmarks.start_up``.
 
 Rig and service are set up by ``valvemap init``; everything is compiled already. Beside it a bare
-server of asyncua's, in turns, the best of some starts each.
+server of asyncua's, in turns, the best of some starts each. Then a service of a thousand valves in
+the default configuration, until it serves, until a client has read a number of a few valves, and
+until it has read one of every valve.
 """
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -11,10 +14,20 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import urlparse
+
+from asyncua import Client, ua
 
 from benchmarks import live_speed
+from service.app.serve import serve
+from service.cli.logs import set_up_logs
+from service.config.loading import load_config
+from service.config.models import LogConfig
+from service.hardened import Limits
+from service.opcua.results_server import NAMESPACE
 
 ROUNDS = 4
+READ_AT_ONCE = 20  # valves
 EVENTS = "results served", "source connected", "first results published"
 
 
@@ -37,10 +50,69 @@ def measured() -> dict[str, float]:
     return {name: min(times[1:]) for name, times in figures.items()}
 
 
-def main() -> int:
-    """Measure and print."""
-    for name, seconds in measured().items():
-        print(f"{name:24} {seconds:6.2f} s")
+def many(valves: int = 1_000) -> dict[str, float]:
+    """Seconds from the start of the process of a service of many valves, all estimators each."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, url = Path(name), live_speed.free_url("service")
+        names = [f"V{k}" for k in range(valves)]
+        sections = "".join(f'[[valves]]\nname = "{name}"\n' for name in names)
+        file = folder / "service.toml"
+        file.write_text(
+            f'[source]\nurl = "{live_speed.free_url("nobody")}"\nsecurity = "None"\n'
+            "startup_timeout_s = 600.0\n"
+            f'[server]\nurl = "{url}"\n[state]\nfile = "{folder / "state.sqlite"}"\n{sections}'
+        )
+        began = time.perf_counter()
+        with live_speed.running(["benchmarks.start_up", "serve", str(file)], {}) as pid:
+            found = {"results served": time.perf_counter() - began}
+            found["results served, s of a core"] = live_speed.processor_time(pid)
+            return found | asyncio.run(_read(url, names, began))
+
+
+async def _read(url: str, names: Sequence[str], began: float) -> dict[str, float]:
+    """Seconds until a client has read one valve, and every one."""
+    found = {}
+    async with Client(url, timeout=120) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        nodes = [client.get_node(ua.NodeId(f"{name}.RLS.Residual", index)) for name in names]
+        ids = [node.nodeid for node in nodes]
+        for first in range(0, len(ids), READ_AT_ONCE):
+            chosen = ids[first : first + READ_AT_ONCE]
+            await client.uaclient.read_attributes(chosen, ua.AttributeIds.Value)
+            found.setdefault(f"{READ_AT_ONCE} valves read", time.perf_counter() - began)
+        found["every valve read"] = time.perf_counter() - began
+    return found
+
+
+async def _serve(file: Path) -> None:
+    """Serve as ``valvemap serve`` does, with an open endpoint; say when it listens."""
+    set_up_logs(LogConfig(level="error"))
+    config = load_config(file)
+    settings = live_speed.open_settings(config, Limits())
+    serving = asyncio.ensure_future(serve(config, asyncio.Event(), settings))
+    parsed = urlparse(settings.url)
+    while not serving.done():
+        try:
+            _, writer = await asyncio.open_connection(parsed.hostname, parsed.port)
+        except OSError:
+            await asyncio.sleep(0.01)
+        else:
+            writer.close()
+            print(settings.url, flush=True)
+            break
+    await serving
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print, or serve what is measured."""
+    if arguments[:1] == ["serve"]:
+        asyncio.run(_serve(Path(arguments[1])))
+        return 0
+    figures = {f"1,000 valves: {name}": seconds for name, seconds in many().items()}
+    if arguments != ["many"]:
+        figures = measured() | figures
+    for name, seconds in figures.items():
+        print(f"{name:32} {seconds:6.2f} s")
     return 0
 
 
@@ -64,4 +136,4 @@ def _until(module: Sequence[str], word: str, environment: dict[str, str]) -> flo
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -1,7 +1,10 @@
 """The only place that reads the time; tests put a clock of their own in its stead."""
 
 import time
-from typing import Protocol
+from datetime import UTC, datetime
+from typing import Final, Protocol
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class Clock(Protocol):
@@ -12,6 +15,17 @@ class Clock(Protocol):
 
     def monotonic(self) -> float:
         """Seconds since some instant, never running back."""
+
+
+def utc_ns(moment: datetime) -> int:
+    """Nanoseconds since 1970 of a date; one without a zone is meant as UTC.
+
+    >>> utc_ns(datetime(1970, 1, 2, 0, 0, 0, 1))
+    86400000001000
+    """
+    known = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    since = known - _EPOCH
+    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1_000
 
 
 class SystemClock:

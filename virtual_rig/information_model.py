@@ -83,9 +83,13 @@ class FleetNodes:
 
 @dataclass(frozen=True)
 class RigNodes(FleetNodes):
-    """What changes in a rig."""
+    """What changes in a rig.
+
+    ``of_valves`` are the variables behind the blocks: of each valve U, p1, p2, Q, T, and Sequence.
+    """
 
     scenario: Variable
+    of_valves: Sequence[Signals]
 
 
 NOTHING = RigBlock(np.empty(0, np.uint32), np.empty(0, np.int64), {})
@@ -111,7 +115,7 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
         server, rig, "Rig.Scenario", "", type=text, description="Running scenario, or empty"
     )
     valves = [await _add_valve(server, rig, bench, actions) for bench in scenario.valves]
-    return RigNodes(status, *_blocks(server, valves), scenario=running)
+    return RigNodes(status, *_blocks(server, valves), scenario=running, of_valves=valves)
 
 
 async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[str]) -> FleetNodes:

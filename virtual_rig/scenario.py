@@ -53,6 +53,13 @@ class Scenario(Parameters):
     time_factor: float = Field(
         default=1.0, ge=1, le=100, description="simulated seconds in one second"
     )
+    history_s: float = Field(
+        default=360.0,
+        ge=0,
+        le=86_400,
+        description="real time for which the rig remembers its samples, at most a million of them; "
+        "0 = none can be asked for",
+    )
     excitation: Excitation = Structured()
     valves: tuple[ValveBench, ...] = Field(default=(ValveBench(),), min_length=1, max_length=100)
     fleet: Fleet | None = None

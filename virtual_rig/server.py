@@ -16,6 +16,7 @@ from service.hardened import (
 )
 from virtual_rig.command import Command
 from virtual_rig.faults import Fault, FaultError, commanded_fault
+from virtual_rig.history import RigHistory
 from virtual_rig.information_model import (
     GOOD,
     NOTHING,
@@ -66,6 +67,7 @@ class RigServer(Startable):
         self._on_block = on_block
         self._clock = clock
         self._nodes: RigNodes
+        self._history: RigHistory | None = None
         self._scenario: Scenario | None = None
         self._state: RigState
         self._started_at = 0.0
@@ -110,6 +112,10 @@ class RigServer(Startable):
             rig.start_scenario, rig.stop_scenario, rig.inject_fault, rig.command_U, rig.heartbeat
         )
         rig._nodes = await add_rig(server, scenario, actions)
+        if scenario.history_s > 0.0:
+            rate = scenario.sample_rate_hz * scenario.time_factor
+            rig._history = RigHistory(rig._nodes, scenario.history_s, rate)
+            server.add_history(rig._history.variables, rig._history)
         return rig
 
     @property
@@ -275,7 +281,10 @@ class RigServer(Startable):
 
     def _publish(self, n: int, lag_s: float) -> None:
         first, self._taken = self._taken, self._taken + n
-        publish(self._server, self._nodes, self._columns, slice(first, self._taken))
+        rows = slice(first, self._taken)
+        publish(self._server, self._nodes, self._columns, rows)
+        if self._history is not None:
+            self._history.keep(self._columns, rows, self._clock.now())
         self._played += n
         self._samples += n
         self._late_ticks += lag_s > _LATE_S

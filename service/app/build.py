@@ -18,8 +18,9 @@ from service.hardened import (
     UserStore,
     ensure_certificate,
 )
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.storage.layout import NUMBERS, Layout, ValveLayout
+from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
@@ -28,7 +29,8 @@ from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
-from service.streaming.units import QUANTITY_OF, Measure
+from service.streaming.timing import Timing, TimingSettings
+from service.streaming.units import MEASURED, QUANTITY_OF, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -40,7 +42,7 @@ _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 def build_identification(config: Config) -> Identification:
     """All valves with their estimators, before the first sample."""
-    return Identification(build_plans(config), build_alignment(config))
+    return Identification(build_plans(config), build_alignment(config), build_timing(config))
 
 
 def build_alignment(config: Config) -> Alignment:
@@ -59,6 +61,19 @@ def build_alignment(config: Config) -> Alignment:
         settings,
         has_T=tuple(valve.nodes.T is not None for valve in config.valves),
         has_sequence=tuple(valve.nodes.sequence is not None for valve in config.valves),
+    )
+
+
+def build_timing(config: Config) -> Timing | None:
+    """How it is found in what way signals come; None where the configuration says it."""
+    given = config.alignment
+    if not given.finds_timing:
+        return None
+    horizon_s = max(given.reorder_ms, 2.0 * config.source.publishing_interval_ms) * 1e-3
+    return Timing(
+        TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
+        has_T=[valve.nodes.T is not None for valve in config.valves],
+        has_sequence=[valve.nodes.sequence is not None for valve in config.valves],
     )
 
 
@@ -82,6 +97,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         application_uri=None if own is not None else APPLICATION_URI,
         publishing_interval_ms=config.source.publishing_interval_ms,
         queue_size=config.source.queue_size,
+        history_s=config.source.history_s,
         timeout_s=config.source.timeout_s,
     )
     nodes = [
@@ -99,7 +115,9 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
 def build_layout(config: Config) -> Layout:
     """Where recordings hold the valves' signals."""
     return Layout(
-        valves=tuple(ValveLayout(valve.name, _measures(valve, NUMBERS)) for valve in config.valves),
+        valves=tuple(
+            ValveLayout(valve.name, _measures(valve, MEASURED)) for valve in config.valves
+        ),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,
@@ -181,6 +199,10 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
+        nodes={name: f"{name} ({valve.nodes.of(name)})" for name in _READ if valve.nodes.of(name)},
+        accuracy=SensorAccuracy(
+            **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}
+        ),
     )
 
 
@@ -199,6 +221,7 @@ def _feed_forward(valve: ValveConfig) -> FeedForward | None:
     )
 
 
+_READ = ("U", "p1", "p2", "Q", "T", "sequence")
 _GATES = dict(zip(SENSORS, ("U", "p1", "p2", "Q", "T"), strict=True))
 
 

@@ -15,8 +15,8 @@ from service.opcua.browsing import find_numbers
 from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.opcua.connection import open_connection
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.naming import ROLES, Candidate, ValveProposal, propose
-from service.streaming.units import QUANTITY_OF, Measure, Quantity, inside
+from service.streaming.naming import Candidate, ValveProposal, propose
+from service.streaming.units import MEASURED, QUANTITY_OF, Measure, Quantity, inside
 
 CLEAR_DP = 2.0  # bar: by less two pressures are not told apart
 FEW = 5  # values: of fewer nothing is said
@@ -84,7 +84,9 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
     lines: list[str] = []
     silent: list[str] = []
     for number, valve in enumerate(config.valves):
-        nodes = {role: node for role in ROLES if (node := getattr(valve.nodes, role)) is not None}
+        nodes = {
+            role: node for role in MEASURED if (node := getattr(valve.nodes, role)) is not None
+        }
         for role, seen in _seen_of(changes, number, nodes, watch_s).items():
             comes = "on change" if seen.on_change else "cyclic"
             lines.append(
@@ -104,6 +106,8 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
 
 def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
     """What the configuration would need for a signal that came so."""
+    if config.alignment.finds_timing:
+        return
     held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
     if seen.on_change and held < seen.longest_s:
         yield (
@@ -146,25 +150,18 @@ def _of_source(settings: SourceSettings) -> str:
 
 
 def _of_alignment(found: Found) -> str:
-    """Tolerance for the skew that was seen, and how long values that come seldom serve."""
-    seen = [signal for valve in found.watched.values() for signal in valve.values()]
-    skews = [signal.skew_ms for signal in seen if not signal.on_change]
-    tolerance = float(np.ceil(2.0 * max(skews, default=0.0)))
-    held: dict[str, float] = {}
-    for valve in found.watched.values():
-        for name, signal in valve.items():
-            if signal.on_change:
-                held[name] = max(held.get(name, 0.0), 10.0, 5.0 * signal.longest_s)
-    lines = ["[alignment]", f"tolerance_ms = {tolerance:g} # twice the skew that was seen"]
-    if held:
-        shown = ", ".join(f"{name} = {seconds:.0f}" for name, seconds in held.items())
-        lines.append(f"hold_s = {{ {shown} }} # written on change")
+    """What was seen of how signals come; the service finds it again, and exactly."""
+    lines = ["[alignment]", "# how signals come is found at the start; when watched:"]
+    for valve, signals in found.watched.items():
+        for name, seen in signals.items():
+            comes = "on change" if seen.on_change else f"{seen.rate_hz:.3g} Hz"
+            lines.append(f"#   {valve}.{name}: {comes}, {seen.skew_ms:.3g} ms beside the others")
     return "\n".join([*lines, ""])
 
 
 def _of_valve(valve: ValveProposal) -> str:
     lines = ["[[valves]]", f"name = {json.dumps(valve.name)}", "", "[valves.nodes]"]
-    for role in ROLES:
+    for role in MEASURED:
         if role in valve.nodes:
             shown = "/".join(valve.nodes[role].path)
             lines.append(
@@ -243,7 +240,7 @@ def _seen_of(
 ) -> dict[str, Watched]:
     of_signal = {
         role: changes[changes.item == number * SIGNALS_PER_VALVE + place]
-        for place, role in enumerate(ROLES)
+        for place, role in enumerate(MEASURED)
         if role in roles
     }
     clock_signal = max(of_signal.values(), key=len)

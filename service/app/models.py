@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.app.replay import BEST_FIT, Report, replay
+from service.app.replay import BEST_FIT, Progress, Report, replay
 from service.config.models import Config
 from service.errors import ConfigurationError, StorageError
 from service.storage.models import Model, is_model, load_model, save_model
@@ -16,6 +16,7 @@ def open_model(
     valve: str | None = None,
     estimator: str | None = None,
     config: Config | None = None,
+    progress: Progress = lambda _file, _fraction: None,
 ) -> Model:
     """Load a model (.json), or identify one from a recording.
 
@@ -25,6 +26,10 @@ def open_model(
         A saved model, or a recording to learn from.
     valve, estimator
         Which of a recording's; without them its only valve, and Auto (else the first).
+    config
+        Of a recording: valves and estimators, columns and units.
+    progress
+        Called with a recording and how much of it is done (0 to 1).
 
     Raises
     ------
@@ -42,7 +47,7 @@ def open_model(
             if wanted not in (None, there):
                 raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; {there} is")
         return model
-    report = replay([file], config)
+    report = replay([file], config, progress=progress)
     valve = _chosen(file, "valve", valve, list(report))
     names = [name for name in report[valve] if name != BEST_FIT]
     preferred = estimator or (PREFERRED if PREFERRED in names else names[0])

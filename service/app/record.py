@@ -1,15 +1,24 @@
 """Recording a source: aligned samples, as they come, into a file."""
 
 import asyncio
+import json
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import structlog
 
-from service.app.build import build_alignment, build_source, build_supervisor_settings
+from service.app.build import (
+    build_alignment,
+    build_source,
+    build_supervisor_settings,
+    build_timing,
+)
 from service.clock import SystemClock
 from service.config.models import Config
-from service.errors import SourceError
+from service.errors import SourceError, StorageError
 from service.storage.recordings import RecordingWriter
+from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.supervisor import supervise
 
@@ -17,9 +26,16 @@ log = structlog.get_logger(__name__)
 
 
 async def record(
-    config: Config, file: Path, stop: asyncio.Event, duration_s: float | None = None
+    config: Config,
+    file: Path,
+    stop: asyncio.Event,
+    duration_s: float | None = None,
+    progress: Callable[[int], None] = lambda _samples: None,
 ) -> int:
     """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` is over.
+
+    Where the signals carried no common time, ``FILE.timing.json`` says how each came. ``progress``
+    is called with the number of samples whenever some were written.
 
     Returns
     -------
@@ -32,7 +48,7 @@ async def record(
     """
     clock = SystemClock()
     with RecordingWriter(file) as writer:
-        recorder = _Recorder(config, writer)
+        recorder = _Recorder(config, writer, progress)
         ends = None
         if duration_s is not None:
             ends = asyncio.get_running_loop().call_later(duration_s, stop.set)
@@ -43,27 +59,69 @@ async def record(
         finally:
             if ends is not None:
                 ends.cancel()
+        recorder.finish()
+    recorder.write_timing(file)
     return recorder.samples
 
 
 class _Recorder:
     """Fulfils :class:`service.streaming.supervisor.Consumer`."""
 
-    def __init__(self, config: Config, writer: RecordingWriter) -> None:
+    def __init__(
+        self, config: Config, writer: RecordingWriter, progress: Callable[[int], None]
+    ) -> None:
         self._names = [valve.name for valve in config.valves]
         self._alignment = build_alignment(config)
         self._waiting = self._alignment.initial_state()
+        self._timing = build_timing(config)
         self._writer = writer
+        self._progress = progress
+        self._every = np.arange(len(self._names))
+        self._source_started = 0
         self.samples = 0
 
     async def connected(self, source_started: int) -> None:
-        pass
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            self._waiting, samples = self._alignment.begin_anew(self._waiting, self._every)
+            self._append(samples)
 
     async def take(self, changes: DataChanges) -> None:
-        self._waiting, samples = self._alignment.update(self._waiting, changes)
+        self._align(changes if self._timing is None else self._timing.take(changes))
+
+    def finish(self) -> None:
+        """Write what waits for more of its scan, or for earlier samples."""
+        if self._timing is not None:
+            self._align(self._timing.flush(self._every))
+        self._waiting, samples = self._alignment.flush(self._waiting, self._every)
+        self._append(samples)
+
+    def write_timing(self, file: Path) -> None:
+        """Write beside the recording how the signals came.
+
+        Raises
+        ------
+        StorageError
+        """
+        found = {} if self._timing is None else self._timing.found_by(self._names)
+        if not found:
+            return
+        beside = file.with_name(f"{file.name}.timing.json")
+        try:
+            beside.write_text(json.dumps(found, indent=2, ensure_ascii=False), encoding="utf-8")
+        except OSError as error:
+            raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
+
+    def _align(self, changes: DataChanges) -> None:
+        self._waiting, samples = self._alignment.take(self._waiting, changes)
+        self._append(samples)
+
+    def _append(self, samples: ByValve) -> None:
         for valve, batch in samples.items():
             self._writer.append(self._names[valve], batch)
             self.samples += len(batch)
+        self._progress(self.samples)
 
     async def tick(self) -> None:
         pass

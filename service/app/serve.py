@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import structlog
 
@@ -12,16 +13,20 @@ from service.app.build import (
     build_source,
     build_supervisor_settings,
 )
+from service.app.reload import Reload, check_what_stays, in_one_line
 from service.app.warm_up import warm_up
 from service.clock import SystemClock
 from service.config.models import Config
-from service.hardened import ServerSettings
+from service.errors import StorageError, ValvemapError
+from service.hardened import HardenedError, ServerSettings
+from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
-from service.opcua.decoding import was_compiled_before
+from service.opcua.client import OpcUaSource
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
+from service.streaming.ports import Checkpoint
 from service.streaming.supervisor import supervise
 
 log = structlog.get_logger(__name__)
@@ -35,6 +40,7 @@ async def serve(
     server_settings: ServerSettings | None = None,
     identification: Identification | None = None,
     on_samples: SampleTap | None = None,
+    reload: Reload | None = None,
 ) -> None:
     """Identify and publish until ``stop`` is set; keep all states at the end.
 
@@ -50,6 +56,8 @@ async def serve(
         Instead of a new one from the configuration, for one who wants to look inside.
     on_samples
         Sees every valve's samples as they are identified from.
+    reload
+        By which another configuration is asked for.
 
     Raises
     ------
@@ -57,36 +65,154 @@ async def serve(
         at start: of the configuration, the source, the server's address, the stores; at the end:
         if the states cannot be kept.
     """
-    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config))
+    reload = reload or Reload(lambda: config)
+    plan: _Plan | None = _plan(config, server_settings, identification)
+    before: _Plan | None = None
+    known: list[Checkpoint] = []
+    with CheckpointFile(config.state.file) as store:
+        if store.set_aside is not None:
+            log.warning("damaged or old state file set aside", file=str(store.set_aside))
+        while plan is not None:
+            try:
+                following, states = await _live(plan, store, stop, on_samples, reload, known)
+            except (ValvemapError, HardenedError) as error:
+                if before is None or stop.is_set():
+                    raise
+                reason = in_one_line(error)
+                log.warning("configuration given up, the one before it goes on", reason=reason)
+                back = _plan(before.config, server_settings, after_another=True)
+                back.source.succeed(plan.source)
+                await plan.source.close()
+                plan, before = back, None
+            else:
+                plan, before, known = following, plan, states
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What runs between two configurations."""
+
+    config: Config
+    settings: ServerSettings
+    identification: Identification
+    source: OpcUaSource
+    compiled: asyncio.Task[None]
+    given_settings: ServerSettings | None
+    after_another: bool
+
+
+def _plan(
+    config: Config,
+    server_settings: ServerSettings | None = None,
+    identification: Identification | None = None,
+    *,
+    after_another: bool = False,
+) -> _Plan:
+    """Make all that a configuration asks for; kernels are compiled in a thread."""
+    settings = server_settings or build_server_settings(config)
+    identification = identification or build_identification(config)
+    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config, _show_progress))
 
     async def ready() -> None:  # no sample waits for a compiler
         await asyncio.shield(compiled)
 
-    clock = SystemClock()
-    settings = server_settings or build_server_settings(config)
-    identification = identification or build_identification(config)
     source = build_source(config, ready)
-    with CheckpointFile(config.state.file) as store:
-        if store.set_aside is not None:
-            log.warning("damaged or old state file set aside", file=str(store.set_aside))
-        server = ResultsServer(
-            settings,
-            identification.descriptions(),
-            identification,
-            scalars_interval_s=config.server.results_interval_ms * 1e-3,
-        )
-        live = LiveService(
-            identification, source, server, store, clock, build_live_settings(config), on_samples
-        )
-        async with server:
-            await live.start()
-            log.info("results served", url=server.url)
-            if not was_compiled_before():
-                await asyncio.wait({compiled}, timeout=2.0)
-                if not compiled.done():
-                    log.info("compiling: half a minute at the first start")
-                await compiled
-            try:
-                await supervise(source, live, clock, stop, build_supervisor_settings(config))
-            finally:
+    return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
+
+
+async def _live(
+    plan: _Plan,
+    store: CheckpointFile,
+    stop: asyncio.Event,
+    on_samples: SampleTap | None,
+    reload: Reload,
+    known: list[Checkpoint],
+) -> tuple[_Plan | None, list[Checkpoint]]:
+    """Run one configuration until the end; return what is to run then, and all that is known."""
+    config, clock = plan.config, SystemClock()
+    server = ResultsServer(
+        plan.settings,
+        plan.identification.descriptions(),
+        plan.identification,
+        scalars_interval_s=config.server.results_interval_ms * 1e-3,
+        on_reload=reload.call,
+    )
+    live = LiveService(
+        plan.identification,
+        plan.source,
+        server,
+        store,
+        clock,
+        build_live_settings(config),
+        on_samples,
+    )
+    ended = asyncio.Event()
+    async with server:
+        await live.start(known)
+        log.info("results served", url=server.url)
+        if not was_warmed_up():
+            await plan.compiled
+        stopping = asyncio.create_task(_pass_on(stop, ended))
+        following = asyncio.create_task(_following(plan, reload, ended))
+        try:
+            supervision = build_supervisor_settings(config)
+            supervision = replace(supervision, connected_before=plan.after_another)
+            await supervise(plan.source, live, clock, ended, supervision)
+        finally:
+            for task in (stopping, following):
+                task.cancel()
+            await asyncio.gather(stopping, following, return_exceptions=True)
+            goes_on = not (following.cancelled() or stop.is_set())
+            if not goes_on:
                 await live.keep()
+        if not goes_on:
+            return None, []
+        states = live.states()
+        try:
+            await live.keep()
+        except StorageError as error:
+            log.warning("checkpoint not kept", reason=str(error))
+    return following.result(), states
+
+
+async def _pass_on(stop: asyncio.Event, ended: asyncio.Event) -> None:
+    await stop.wait()
+    ended.set()
+
+
+async def _following(plan: _Plan, reload: Reload, ended: asyncio.Event) -> _Plan:
+    """Wait for another configuration that holds, and end this one; the source is handed over."""
+    while True:
+        outcome = await reload.asked()
+        try:
+            following = await _checked(plan, reload)
+        except (ValvemapError, HardenedError) as error:
+            log.warning("configuration refused, the old one goes on", reason=in_one_line(error))
+            if not outcome.done():
+                outcome.set_exception(error)
+            continue
+        if not outcome.done():
+            outcome.set_result(None)
+        if following is None:
+            log.info("configuration unchanged")
+            continue
+        log.info("configuration taken over", valves=len(following.config.valves))
+        following.source.succeed(plan.source)
+        ended.set()
+        return following
+
+
+async def _checked(plan: _Plan, reload: Reload) -> _Plan | None:
+    """Read the configuration and try what can be tried; None if it is the one that runs."""
+    config = await asyncio.to_thread(reload.load)
+    if config == plan.config:
+        return None
+    check_what_stays(plan.config, config)
+    following = _plan(config, plan.given_settings, after_another=True)
+    await following.compiled
+    await following.source.check()
+    return following
+
+
+def _show_progress(done: int, of: int) -> None:
+    log.info("compiling, at the first start only", part=done + 1, of=of)

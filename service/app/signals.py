@@ -4,8 +4,9 @@ import asyncio
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from types import FrameType
 
 import structlog
@@ -14,12 +15,17 @@ log = structlog.get_logger(__name__)
 
 
 @contextmanager
-def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
-    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up."""
+def stop_on_signal(
+    stop: asyncio.Event, on_hang_up: Callable[[], None] | None = None
+) -> Iterator[None]:
+    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up.
+
+    ``on_hang_up`` is called in the loop; None: it is noted in the log.
+    """
     loop = asyncio.get_running_loop()
 
-    def on_hang_up(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(log.info, "hang-up: goes on")
+    def on_hang(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(on_hang_up or partial(log.info, "hang-up: goes on"))
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
         loop.call_soon_threadsafe(stop.set)
@@ -29,7 +35,7 @@ def stop_on_signal(stop: asyncio.Event) -> Iterator[None]:
         numbers.append(signal.SIGBREAK)  # type: ignore[attr-defined]
     before = {number: signal.signal(number, on_signal) for number in numbers}
     with suppress(AttributeError):
-        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, on_hang_up)
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, on_hang)
     try:
         yield
     finally:

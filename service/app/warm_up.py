@@ -2,19 +2,32 @@
 
 import os
 import signal
+import threading
+from collections.abc import Callable
+from functools import partial
 from multiprocessing import get_context
+from multiprocessing.sharedctypes import Synchronized
+from typing import Any
 
 import numpy as np
 
-from service.app.build import build_identification, build_plans
+from service.app.build import build_alignment, build_identification, build_plans
 from service.config.models import Config
-from service.identification import lag_search, map_search
+from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
+from service.identification.estimator import Estimator, key_of
 from service.identification.kernels import cells, grid, lag
-from service.identification.map_shapes import Shape
-from service.identification.samples import Samples
-from service.opcua.decoding import decode_data_changes, was_compiled_before
+from service.identification.kernels.compiled import note_warm_up, was_warmed_up
+from service.identification.map_shapes import Shape, Variety
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.residual_spread import ResidualSpread
+from service.identification.samples import Samples, Segments, Trace
+from service.identification.support import Support
+from service.opcua.decoding import decode_data_changes
 from service.streaming.data_changes import DataChanges
+from service.streaming.plausibility import Plausibility
+from service.streaming.quality_gate import QualityGate
+from service.streaming.valve_timing import make_one_scan
 
 _NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
 _ONE_CHANGE = DataChanges(
@@ -25,38 +38,135 @@ _ONE_CHANGE = DataChanges(
 )
 
 
-def warm_up(config: Config) -> None:
+Progress = Callable[[int, int], None]  # parts that are done, of how many
+_REPORT_EVERY_S = 5.0
+
+
+def warm_up(config: Config, progress: Progress = lambda _done, _of: None) -> None:
     """Have every kernel compiled that this configuration needs.
 
     The first run on a machine compiles for half a minute and caches the result on disk; later runs
-    load it. A second process then helps: it begins with the second estimator.
+    load it. A second process helps at that: each takes the next part that nobody has taken, and
+    ``progress`` hears now and then how many are done.
     """
     decode_data_changes(_NO_CHANGES)
+    if not was_warmed_up():
+        _compile_in_parts(config, progress)
+    compile_here(config)
+    note_warm_up()
+
+
+def _compile_in_parts(config: Config, progress: Progress) -> None:
+    """Compile what takes long, each part in one of two processes."""
+    context = get_context("spawn")
+    taken, done = context.Value("i", 0), context.Value("i", 0)
     helper = None
-    if not was_compiled_before() and (os.cpu_count() or 1) > 1:
-        helper = get_context("spawn").Process(target=_help, args=(config,), daemon=True)
+    if (os.cpu_count() or 1) > 1:
+        helper = context.Process(target=_help, args=(config, taken, done), daemon=True)
         helper.start()
-    _compile(config)
+    finished, of = threading.Event(), len(_parts(config))
+
+    def report() -> None:
+        while not finished.wait(_REPORT_EVERY_S):
+            progress(done.value, of)
+
+    threading.Thread(target=report, daemon=True).start()
+    try:
+        _take_parts(config, taken, done)
+    finally:
+        finished.set()
     if helper is not None:
-        helper.terminate()  # what it is still at is compiled here already
         helper.join()
 
 
-def _help(config: Config) -> None:
-    """Run the estimators alone, the first one last; Ctrl-C is for the service to answer."""
+def _help(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
+    """Take parts as well; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for plan in build_plans(config):
-        first, *others = plan.estimators.values()
-        for estimator in (*others, first):
-            state, _ = estimator.update(estimator.initial_state(), _samples())
-            estimator.predict(state, *(np.full(1, x) for x in (50.0, 100.0, 40.0)))
-            estimator.parameters(state)
+    _take_parts(config, taken, done)
 
 
-def _compile(config: Config) -> None:
+def _take_parts(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
+    parts = _parts(config)
+    while True:
+        with taken.get_lock():
+            mine, taken.value = taken.value, taken.value + 1
+        if mine >= len(parts):
+            return
+        parts[mine]()
+        with done.get_lock():
+            done.value += 1
+
+
+def _parts(config: Config) -> list[Callable[[], None]]:
+    """What can be compiled apart, the longest first; nearly no kernel is in two of them."""
+    estimators = {
+        key_of(estimator): estimator
+        for plan in build_plans(config)
+        for estimator in plan.estimators.values()
+    }
+    finds_structure = any(isinstance(one, Auto) for one in estimators.values())
+    others = [one for one in estimators.values() if not isinstance(one, Auto)]
+    return [
+        *([_fit, _fill_cells] if finds_structure else []),
+        *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
+        partial(_align, config),
+        partial(_first_maps, config),
+        *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
+        _look_around,
+    ]
+
+
+def _fit() -> None:
+    """The fits of `Auto` and its search for a shape."""
+    points, shape = np.ones((32, len(grid.COLUMNS))), Shape(cells=2)
+    points[:, grid.MEAN_U], points[:, grid.MEAN_S] = _samples().U, np.sqrt(_samples().dp)
+    map_search.climb(points, shape, 200.0, Variety(0.0, temperatures=True), 1, np.zeros(2, int))
+    map_search.fit(points, shape, 200.0)
+    map_search.is_better(points, shape, shape, 200.0)
+
+
+def _fill_cells() -> None:
+    """What `Auto` does with each sample: these are too few for a fit."""
+    auto = Auto()
+    auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+
+
+def _learn(estimator: Estimator[Any]) -> None:
+    state, _ = estimator.update(estimator.initial_state(), _samples())
+    estimator.predict(state, *(np.full(1, x) for x in (50.0, 100.0, 40.0)))
+    estimator.parameters(state)
+
+
+def _align(config: Config) -> None:
+    alignment = build_alignment(config)
+    waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
+    alignment.waits(waiting)
+    make_one_scan()
+
+
+def _first_maps(config: Config) -> None:
+    """The inverse of a map, as it is published before the first sample."""
+    build_identification(config)
+
+
+def _look_around() -> None:
+    """What is done with samples beside learning from them."""
+    samples, one = _samples(), Segments.one(len(_samples()))
+    Plausibility(1).count(samples, one)
+    gate = QualityGate()
+    gate.judge(gate.initial_state(1), samples, one)
+    support = Support.none().of_many(1)
+    status = np.zeros(len(samples), np.uint8)
+    support.learn(samples, status, one)
+    support.one(0).distance(*(np.full(1, x) for x in (50.0, 100.0, 40.0)))
+    ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
+
+
+def compile_here(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
+    make_one_scan()
     identification.waits()
     for valve in identification.one_of_each_kind():
         plan = identification.plans[valve]

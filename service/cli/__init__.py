@@ -24,6 +24,9 @@ COMMANDS: Final[Mapping[str, str]] = {
     "connect": "connect",
     "init": "security",
     "trust": "security",
+    "baseline": "baseline",
+    "schema": "package",
+    "unit": "package",
     "warm-up": "serve",
 }
 """Each command and the module that holds it: what others need is not imported, so `serve` starts
@@ -62,7 +65,7 @@ def application(asked: Sequence[str] = ()) -> typer.Typer:
         name="valvemap",
         help="Identify hydraulic valves' flow maps online, over OPC UA.",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.options import FolderOption, check_folder
+from service.cli.progress import working
 from service.cli.security import make_users
 from service.errors import ConfigurationError, SourceRejected, StorageError
 
@@ -65,7 +66,8 @@ def connect(
                 raise
             return settings, asyncio.run(look_around(settings, watch))
 
-    settings, found = _by_the_best(look) if security is None else look(security)
+    with working(f"watching for {watch:g} s"):
+        settings, found = _by_the_best(look) if security is None else look(security)
     console.print(f"security: {settings.security}", soft_wrap=True)
     if not found.valves:
         raise ConfigurationError(

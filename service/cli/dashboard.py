@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.options import FolderOption
+from service.cli.options import FolderOption, RevocationOption
 from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
 
@@ -47,13 +47,7 @@ def dashboard(
     check_host_name: Annotated[
         bool, typer.Option(help="The service's certificate must name the host of its url.")
     ] = True,
-    require_crl: Annotated[
-        bool,
-        typer.Option(
-            envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
-            help="Certificates of an authority need its revocation list.",
-        ),
-    ] = True,
+    require_crl: RevocationOption = True,
     under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
 ) -> None:
     """Serve the live page, until Ctrl-C."""

@@ -1,10 +1,7 @@
 """``valvemap demo``: rig and service side by side, a valve being identified before your eyes."""
 
 import asyncio
-import os
-import sys
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Protocol
@@ -21,13 +18,13 @@ from service.app.serve import serve
 from service.app.signals import stop_on_signal
 from service.app.warm_up import warm_up
 from service.cli import feedforward
-from service.cli.demo_page import page_process
 from service.cli.demo_view import Verdict, status_table, verdict_table
 from service.cli.logs import set_up_logs
+from service.cli.under_demo import page_process, rig_process
 from service.clock import SystemClock
 from service.config.loading import load_config
 from service.config.models import Config, LogConfig, NodesConfig, StateConfig, ValveConfig
-from service.hardened import Role, ServerError, ServerSettings, UserStore
+from service.hardened import Role, ServerSettings, UserStore
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.samples import Samples
@@ -36,7 +33,6 @@ from virtual_rig.scenario import Scenario, VerificationPoints, load_scenario, ve
 
 _REFRESH_S = 1.0
 _LINE_S = 5.0
-_RIG_START_S = 120.0
 
 
 def demo(
@@ -72,7 +68,7 @@ async def _demo(
     stop = asyncio.Event()
     with stop_on_signal(stop):
         compiling = asyncio.ensure_future(asyncio.to_thread(warm_up, config))
-        async with _rig_process(config.source.url, name, password) as rig_url:
+        async with rig_process(config.source.url, name, password) as rig_url:
             await compiling
             serving = asyncio.ensure_future(
                 serve(config, stop, _settings(config, users), identification, view.count)
@@ -95,7 +91,7 @@ async def _feed_forward_demo(
     with stop_on_signal(stop):
         await asyncio.to_thread(warm_up, config)
         await asyncio.to_thread(feedforward.commission, identification, scenario)
-        async with _rig_process(config.source.url, name, password) as rig_url:
+        async with rig_process(config.source.url, name, password) as rig_url:
             course = feedforward.Course(identification, SystemClock().now())
             armed = feedforward.arm(identification)
             serving = asyncio.ensure_future(
@@ -250,33 +246,3 @@ def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Conf
         valves = feedforward.valves()
     state = StateConfig(file=folder / "state.sqlite")
     return config.model_copy(update={"source": source, "valves": valves, "state": state})
-
-
-@asynccontextmanager
-async def _rig_process(url: str, scenario: str, password: str) -> AsyncIterator[str]:
-    """Run the rig in a process of its own, which ends with us whatever becomes of us.
-
-    Raises
-    ------
-    ServerError
-        if the rig does not start; it has said why.
-    """
-    arguments = ["-m", "service", "rig", "--under-demo", "--scenario", scenario, "--url", url]
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        *arguments,
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-    )
-    assert process.stdin is not None  # noqa: S101 - both are pipes
-    assert process.stdout is not None  # noqa: S101
-    try:
-        process.stdin.write(f"{password}\n".encode())
-        line = await asyncio.wait_for(process.stdout.readline(), _RIG_START_S)
-        if not line:
-            raise ServerError("the rig did not start")
-        yield line.decode().strip()
-    finally:
-        process.stdin.close()
-        await process.wait()

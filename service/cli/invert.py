@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.options import ConfigOption, check_folder
+from service.cli.progress import bars, of_files, working
 from service.config.loading import load_config
 from service.errors import ConfigurationError
 from service.identification.inversion import InverseStatus, Inversion
@@ -64,7 +65,8 @@ def invert(
     else:
         Q, dp = _grid(_numbers("--Q", str(flow)), _numbers("--dp", str(drop)))
         T = np.full_like(Q, np.nan)
-    model = open_model(file, valve, estimator, loaded)
+    with bars() as progress:
+        model = open_model(file, valve, estimator, loaded, of_files(progress))
     T = np.where(np.isnan(T), model.T if temperature is None else temperature, T)
     answer = run(model.estimator, model.state, Q, dp, T, support=model.support)
     if out is not None:
@@ -103,20 +105,23 @@ def export(
 
     check_form(out)
     check_folder("--to", out)
-    model = open_model(file, valve, estimator, None if config is None else load_config(config))
+    loaded = None if config is None else load_config(config)
+    with bars() as progress:
+        model = open_model(file, valve, estimator, loaded, of_files(progress))
     T = temperature if temperature is not None else model.T
     T = 40.0 if np.isnan(T) else T
     size = points_Q, points_dp
     try:
-        table = lookup_table(
-            model.estimator,
-            model.state,
-            dp_max,
-            T,
-            points=size,
-            dp_min=dp_min,
-            support=model.support,
-        )
+        with working("measuring the table's error"):
+            table = lookup_table(
+                model.estimator,
+                model.state,
+                dp_max,
+                T,
+                points=size,
+                dp_min=dp_min,
+                support=model.support,
+            )
     except ValueError as error:
         raise ConfigurationError(f"{file}: {error}") from None
     write_table(out, table, f"{model.valve} by {model.name}")

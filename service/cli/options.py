@@ -20,6 +20,13 @@ FolderOption = Annotated[
         envvar="VALVEMAP_DATA", metavar="FOLDER", help="Where certificates, users and states live."
     ),
 ]
+RevocationOption = Annotated[
+    bool,
+    typer.Option(
+        envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
+        help="Certificates of an authority need its revocation list.",
+    ),
+]
 
 
 def check_folder(option: str, file: Path | None) -> None:

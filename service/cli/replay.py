@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from service.cli.options import ConfigOption, check_folder
+from service.cli.progress import bars, of_files, working
 from service.config.loading import load_config
 from service.errors import RecordingError, StorageError
 
@@ -35,7 +35,10 @@ def replay(
         ),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Draw what was identified (PNG).")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Draw what was identified: PNG files, and index.html with all."
+        ),
     ] = None,
     *,
     insist: Annotated[
@@ -46,6 +49,7 @@ def replay(
     from service.app.models import save_models
     from service.app.replay import as_json
     from service.app.replay import replay as run
+    from service.report.replay_page import write_page
     from service.report.replay_plots import ReplayPlots
     from service.report.verification import verification_table
 
@@ -53,40 +57,34 @@ def replay(
     check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
     plots = None if plot is None else ReplayPlots(plot)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    ) as bar:
-        tasks = {}
-
-        def progress(file: Path, fraction: float) -> None:
-            if file not in tasks:
-                tasks[file] = bar.add_task(file.name, total=1.0)
-            bar.update(tasks[file], completed=fraction)
-
+    with bars() as progress:
         taps = [] if plots is None else [plots.take]
-        report = run(files, loaded, verify, progress, *taps, insist=insist)
+        report = run(files, loaded, verify, of_files(progress), *taps, insist=insist)
     console = Console()
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
-    console.print(verification_table("One step ahead, before each update", one_step))
+    tables = [verification_table("One step ahead, before each update", one_step)]
     if verify is not None:
         verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
-        console.print(verification_table(f"Verified on {verify.name}, no adaptation", verified))
-    console.print(_trust_table(report))
-    for line in (*_not_learnt_from(report), *_hints(report)):
+        tables.append(verification_table(f"Verified on {verify.name}, no adaptation", verified))
+    tables.append(_trust_table(report))
+    for table in tables:
+        console.print(table)
+    notes = [*_not_learnt_from(report), *_hints(report)]
+    for line in notes:
         console.print(line, soft_wrap=True, highlight=False)
     if json_out is not None:
         write_json(json_out, as_json(report))
     if save is not None:
         for written in save_models(save, report):
             console.print(f"written: {written}")
-    if plots is not None:
+    if plots is not None and plot is not None:
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
-        for written in plots.write(lanes):
-            console.print(f"written: {written}")
+        with working("drawing"):
+            pictures = list(plots.write(lanes))
+            title = f"Replay of {', '.join(file.name for file in files)}"
+            page = write_page(plot, title, tables, notes, pictures)
+        for written in (*pictures, page):
+            console.print(f"written: {written}", soft_wrap=True)
     _refuse_if_nothing_was_learnt(report)
 
 

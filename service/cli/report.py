@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.progress import bars
 from service.cli.replay import write_json
 from service.errors import StorageError
 
@@ -32,12 +32,7 @@ def report(
     from service.report.paper.page import html_page
 
     _make(out)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    ) as bar:
+    with bars() as bar:
         task = bar.add_task("measuring", total=2 * sets + STEPS)
 
         def progress(step: str) -> None:

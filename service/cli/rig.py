@@ -12,7 +12,8 @@ import typer
 from service.app.build import PRODUCT, load_users
 from service.app.signals import stop_on_signal, stop_with_parent
 from service.cli.logs import set_up_logs
-from service.cli.options import FolderOption
+from service.cli.options import FolderOption, RevocationOption
+from service.cli.progress import bars
 from service.config.models import LogConfig
 from service.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from service.identification.samples import Samples
@@ -64,13 +65,7 @@ def rig(
         ),
     ] = Limits.publishing_interval_ms,
     *,
-    require_crl: Annotated[
-        bool,
-        typer.Option(
-            envvar="VALVEMAP_SECURITY__REQUIRE_CRL",
-            help="Certificates of an authority need its revocation list.",
-        ),
-    ] = True,
+    require_crl: RevocationOption = True,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
     ] = False,
@@ -113,10 +108,12 @@ def record_offline(scenario: Scenario, file: Path | None) -> None:
     if file is None or scenario.samples is None:
         raise typer.BadParameter("--offline needs --record FILE and --duration S")
     state = initial(scenario, SystemClock().now())
-    with RecordingWriter(file) as writer:
+    with RecordingWriter(file) as writer, bars() as progress:
+        task = progress.add_task(file.name, total=scenario.samples)
         while state.index < scenario.samples:
             state, block = advance(scenario, state, _BLOCK)
             _append(writer.append, block)
+            progress.update(task, completed=state.index)
     typer.echo(f"{file}: {state.index:,} samples of each valve")
 
 

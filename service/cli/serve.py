@@ -8,11 +8,13 @@ import typer
 
 from service.cli.logs import set_up_logs
 from service.cli.options import ConfigOption, check_folder
+from service.cli.progress import working
 from service.config.loading import load_config
 
 
 def serve(config: ConfigOption = None) -> None:
-    """Subscribe to the source, identify, publish, until Ctrl-C."""
+    """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
+    from service.app.reload import Reload
     from service.app.serve import serve as run
     from service.app.signals import stop_on_signal
 
@@ -20,9 +22,9 @@ def serve(config: ConfigOption = None) -> None:
     set_up_logs(loaded.log)
 
     async def until_stopped() -> None:
-        stop = asyncio.Event()
-        with stop_on_signal(stop):
-            await run(loaded, stop)
+        stop, reload = asyncio.Event(), Reload(lambda: load_config(config))
+        with stop_on_signal(stop, reload.ask_by_signal):
+            await run(loaded, stop, reload=reload)
 
     asyncio.run(until_stopped())
 
@@ -45,8 +47,10 @@ def record(
 
     async def until_stopped() -> int:
         stop = asyncio.Event()
-        with stop_on_signal(stop):
-            return await run(loaded, file, stop, duration)
+        of = "" if duration is None else f", {duration:g} s"
+        with stop_on_signal(stop), working(f"waiting for the source{of}") as say:
+            recorded = lambda n: say(f"{file.name}: {n:,} samples{of}")  # noqa: E731
+            return await run(loaded, file, stop, duration, recorded)
 
     n = asyncio.run(until_stopped())
     typer.echo(f"{file}: {n:,} samples")
@@ -67,7 +71,9 @@ def check_config(
     if online:
         from service.app.connect import check_online
 
-        for line in asyncio.run(check_online(loaded, watch)):
+        with working(f"watching {loaded.source.url} for {watch:g} s"):
+            lines = asyncio.run(check_online(loaded, watch))
+        for line in lines:
             typer.echo(line)
     typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
     typer.echo(f"results  {loaded.server.url}")
@@ -81,4 +87,5 @@ def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from service.app.warm_up import warm_up as run
 
-    run(load_config(config))
+    with working("compiling: half a minute at first") as say:
+        run(load_config(config), lambda done, of: say(f"compiling: {done} of {of} parts are done"))

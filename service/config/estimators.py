@@ -21,7 +21,10 @@ from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+Name = Annotated[
+    str,
+    Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in every node id"),
+]
 Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
 Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
 Range = tuple[float, float]
@@ -65,8 +68,8 @@ class RbfConfig(_EstimatorSection):
 
     kind: Literal["RBF"] = "RBF"
     name: Name = "RBF"
-    neurons_U: int = Field(5, ge=2, le=30)
-    neurons_dp: int = Field(5, ge=2, le=30)
+    neurons_U: int = Field(5, ge=2, le=30, description="neurons along U")
+    neurons_dp: int = Field(5, ge=2, le=30, description="neurons along the pressure drop")
     eta: float = Field(0.3, gt=0.0, le=1.0, description="learning rate")
     alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
 

@@ -23,7 +23,15 @@ from service.streaming.quality_gate import PLAUSIBLE, SignalLimits
 
 RIG_NAMESPACE = "urn:valvemap:rig"
 RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
-RESERVED_ESTIMATORS = ("Signals", "Alarms", "Diagnostics", "Inverse", "Frame", "FrameNames")
+RESERVED_ESTIMATORS = (
+    "Signals",
+    "Alarms",
+    "Baseline",
+    "Diagnostics",
+    "Inverse",
+    "Frame",
+    "FrameNames",
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
 SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
@@ -51,9 +59,17 @@ class SourceConfig(_Section):
     check_host_name: bool = Field(
         default=True, description="the source's certificate must name the host of the url"
     )
-    publishing_interval_ms: float = Field(100.0, ge=1.0, le=60_000.0)
+    publishing_interval_ms: float = Field(
+        100.0, ge=1.0, le=60_000.0, description="how often the source sends what has changed"
+    )
     queue_size: int = Field(
         1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
+    )
+    history_s: float = Field(
+        3_600.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how far back its history is asked for what was not heard; 0 = never",
     )
     timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
     startup_timeout_s: float = Field(
@@ -75,7 +91,9 @@ class ServerConfig(_Section):
     anonymous_observer: bool = Field(
         default=False, description="let anonymous users read on the secured endpoints"
     )
-    min_publishing_interval_ms: float = Field(50.0, ge=1.0, le=60_000.0)
+    min_publishing_interval_ms: float = Field(
+        50.0, ge=1.0, le=60_000.0, description="shortest publishing interval that a client may have"
+    )
     results_interval_ms: float = Field(
         0.0,
         ge=0.0,
@@ -100,14 +118,23 @@ class StateConfig(_Section):
     """What survives a restart."""
 
     file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
-    checkpoint_interval_s: float = Field(10.0, ge=0.1, le=86_400.0)
+    checkpoint_interval_s: float = Field(
+        10.0, ge=0.1, le=86_400.0, description="how often states are kept"
+    )
 
 
 class AlignmentConfig(_Section):
     """How the signals of one sample find together."""
 
-    tolerance_ms: float = Field(0.0, ge=0.0, le=10_000.0)
-    max_wait_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    tolerance_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=10_000.0,
+        description="largest difference of the times of one sample; 0 = found at the start",
+    )
+    max_wait_s: float = Field(
+        2.0, gt=0.0, le=3_600.0, description="longest wait for a signal that is missing"
+    )
     reorder_ms: float = Field(
         1_000.0,
         ge=0.0,
@@ -115,21 +142,42 @@ class AlignmentConfig(_Section):
         description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
         "with every sample, but only if this is given",
     )
-    max_pending: int = Field(4_096, ge=16, le=1_000_000)
-    hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
-        default_factory=dict, description="signals whose last value serves for this long"
+    max_pending: int = Field(
+        4_096, ge=16, le=1_000_000, description="most samples of a valve that wait"
     )
-    stale_after_s: float = Field(2.0, gt=0.0, le=3_600.0)
+    hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
+        default_factory=dict,
+        description="signals whose last value serves for this long; none = found at the start",
+    )
+    find_timing: bool = Field(
+        default=True,
+        description="find out at the start how signals come that carry no common time, unless "
+        "tolerance_ms or hold_s say so",
+    )
+    stale_after_s: float = Field(
+        2.0, gt=0.0, le=3_600.0, description="without a sample for so long results are Bad"
+    )
+
+    @property
+    def finds_timing(self) -> bool:
+        """Whether it has to be found how the signals come."""
+        return self.find_timing and self.tolerance_ms == 0.0 and not self.hold_s
 
 
 class LimitsConfig(_Section):
     """Limits of one signal in its own unit; what is left out is not checked."""
 
-    low: float | None = None
-    high: float | None = None
-    frozen_s: float | None = Field(None, gt=0.0)
-    max_rate_per_s: float | None = Field(None, gt=0.0)
-    spike: float | None = Field(None, gt=0.0)
+    low: float | None = Field(None, description="lowest value that is believed")
+    high: float | None = Field(None, description="highest value that is believed")
+    frozen_s: float | None = Field(
+        None, gt=0.0, description="longest time that the value may stand still"
+    )
+    max_rate_per_s: float | None = Field(
+        None, gt=0.0, description="fastest change that is believed, per second"
+    )
+    spike: float | None = Field(
+        None, gt=0.0, description="largest distance from the median of the last five values"
+    )
 
     @model_validator(mode="after")
     def _low_below_high(self) -> Self:
@@ -165,10 +213,10 @@ class GateConfig(_Section):
 class NodesConfig(_Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
-    U: str
-    p1: str
-    p2: str
-    Q: str
+    U: str = Field(description="control voltage")
+    p1: str = Field(description="pressure before the valve")
+    p2: str = Field(description="pressure behind the valve")
+    Q: str = Field(description="flow")
     T: str | None = Field(None, description="oil temperature, where there is a sensor")
     sequence: str | None = Field(None, description="running number of the sample")
     required_U: str | None = Field(
@@ -194,6 +242,11 @@ class NodesConfig(_Section):
         ):
             raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
         return text
+
+    def of(self, name: str) -> str | None:
+        """The node of a signal, if there is one."""
+        node: str | None = getattr(self, name)
+        return node
 
     @classmethod
     def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:
@@ -256,7 +309,7 @@ class FeedForwardConfig(_Section):
 class ValveConfig(_Section):
     """One valve."""
 
-    name: Name = "Valvistor"
+    name: Name = Field("Valvistor", description="its name in every node id")
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
@@ -265,9 +318,9 @@ class ValveConfig(_Section):
         default=False, description="learn from data that look wrong, such as p1 below p2"
     )
     estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
-    U_range_percent: Range = (0.0, 100.0)
-    dp_range_bar: Range = (0.0, 200.0)
-    Q_range_l_min: Range = (0.0, 200.0)
+    U_range_percent: Range = Field((0.0, 100.0), description="range of U that the map covers")
+    dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that it covers")
+    Q_range_l_min: Range = Field((0.0, 200.0), description="range of the flow")
     inverse: str | None = Field(
         None, description="name of the estimator whose map is inverted; none = Auto or the first"
     )
@@ -344,8 +397,12 @@ class RecordingConfig(_Section):
 class LogConfig(_Section):
     """What is logged while the service runs."""
 
-    level: Literal["debug", "info", "warning", "error"] = "info"
-    format: Literal["console", "json"] = "console"
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="least severe event that is logged"
+    )
+    format: Literal["console", "json"] = Field(
+        "console", description="console: for people; json: an object a line"
+    )
 
 
 class Config(BaseSettings):

@@ -16,8 +16,6 @@ from service.streaming.units import (
 
 Range = tuple[float, float]
 
-_SIGNALS = ("U", "p1", "p2", "Q", "T", "required_U")
-
 
 class SignalConfig(BaseModel):
     """One signal; what is left out is as in the table of recordings: %, bar, l/min, °C."""
@@ -30,6 +28,10 @@ class SignalConfig(BaseModel):
         None, description="two raw numbers as they come, e.g. [4, 20] for mA; range says what of"
     )
     range: Range | None = Field(None, description="what the two raw numbers mean, in unit")
+
+    accuracy: float = Field(
+        0.0, ge=0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
+    )
 
     @field_validator("unit")
     @classmethod
@@ -70,6 +72,11 @@ class SignalConfig(BaseModel):
             unit = inside(QUANTITY_OF[signal])  # what is named is the unit of raw
         return Measure(self.column, unit, self.raw, self.range)
 
+    def error_limit(self, signal: str) -> float:
+        """Limit ± of the sensor's error, in the unit that is used inside."""
+        unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])
+        return float(unit.factor) * self.accuracy
+
 
 class SignalsConfig(BaseModel):
     """The signals of a valve, and the command that is written."""
@@ -85,7 +92,7 @@ class SignalsConfig(BaseModel):
 
     @model_validator(mode="after")
     def _quantities_fit(self) -> Self:
-        for name in _SIGNALS:
+        for name in QUANTITY_OF:
             signal: SignalConfig = getattr(self, name)
             unit, quantity = signal.measure(name).unit, QUANTITY_OF[name]
             if unit is not None and unit.quantity is not quantity:

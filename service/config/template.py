@@ -38,7 +38,8 @@ file = {quoted(data / "state.sqlite")}
 checkpoint_interval_s = 10
 
 [alignment] # which signals make one sample
-tolerance_ms = 0 # 0 = the same SourceTimestamp
+# How signals come that carry no common time is found at the start; these two say it instead.
+# tolerance_ms = 6 # of the times of one sample
 # hold_s = {{ T = 10 }} # a signal that reports less often than the others
 # reorder_ms = 1000 # behind a hole in nodes.sequence; without one nothing waits unless given
 
@@ -59,7 +60,7 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 
 # [valves.signals] # units and names of a plant's own, live and in recordings: docs/units.md
 # U = {{ raw = [4, 20], range = [0, 100], column = "FCV-101.cmd" }} # mA, or counts: raw -> %
-# p1 = {{ unit = "psi" }}
+# p1 = {{ unit = "psi", accuracy = 15 }} # its sensor may be off by ± 15 psi
 # p2 = {{ unit = "psi" }}
 # Q = {{ unit = "gpm" }} # of the United States; "imp gpm"
 # T = {{ unit = "°F" }}

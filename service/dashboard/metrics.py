@@ -41,6 +41,7 @@ class Metrics:
         )
         if up:
             yield from self._of_valves()
+            yield from self._of_service()
         yield GaugeMetricFamily(
             "valvemap_page_viewers", "Open pages.", value=float(len(self._viewers))
         )
@@ -82,11 +83,97 @@ class Metrics:
             samples.add_metric(name, row.samples)
             silent.add_metric(name, self._observer.silent_s(number))
         yield from (severity, rmse, samples, silent)
-        dropped = CounterMetricFamily(
+        yield from self._of_diagnostics()
+
+    def _of_diagnostics(self) -> Iterator[Metric]:
+        """What became of the valves' data, and how fresh they are."""
+        gauges = {
+            name: GaugeMetricFamily(figure, what, labels=["valve"])
+            for name, (figure, what) in _DIAGNOSTICS.items()
+        }
+        counts = CounterMetricFamily(
             "valvemap_diagnostics",
             "What became of the valve's data on their way into the model.",
             labels=["valve", "what"],
         )
-        for (number, what), value in self._observer.counters.items():
-            dropped.add_metric([self._observer.valves[number].name, what], value)
-        yield dropped
+        lags = GaugeMetricFamily(
+            "valvemap_lag_seconds",
+            "Lag of U's effect, or of the flow meter, as found.",
+            labels=["valve", "of"],
+        )
+        for (valve, name), value in self._observer.figures.valves.items():
+            if name in gauges:
+                gauges[name].add_metric([valve], value)
+            elif name.startswith("Lag"):
+                lags.add_metric([valve, name.removeprefix("Lag")], value)
+            else:
+                counts.add_metric([valve, name], value)
+        yield from (*gauges.values(), lags, counts)
+
+    def _of_service(self) -> Iterator[Metric]:
+        """Whether what was learnt is safe, what the source lost, who is there, who was refused."""
+        of_service, of_server = self._observer.figures.service, self._observer.figures.server
+        for name, (family, figure, what) in _SERVICE.items():
+            if name in of_service:
+                yield family(figure, what, value=of_service[name])
+        source = CounterMetricFamily(
+            "valvemap_source",
+            "What came from the source since the service started.",
+            labels=["what"],
+        )
+        for name, value in of_service.items():
+            part, _, what = name.partition(".")
+            if part == "Source":
+                source.add_metric([what], value)
+        yield source
+        for name, (figure, what) in _OPEN.items():
+            if name in of_server:
+                yield GaugeMetricFamily(figure, what, value=of_server[name])
+        refused = CounterMetricFamily(
+            "valvemap_refused", "What the service's OPC UA server refused.", labels=["what"]
+        )
+        for name, what in _REFUSED.items():
+            if name in of_server:
+                refused.add_metric([what], of_server[name])
+        yield refused
+
+
+_DIAGNOSTICS = {
+    "SampleAge": (
+        "valvemap_sample_age_seconds",
+        "By how much the newest sample is behind the source's clock.",
+    ),
+    "Pending": ("valvemap_pending_samples", "Samples that wait for signals of theirs."),
+}
+_SERVICE: dict[str, tuple[type[CounterMetricFamily | GaugeMetricFamily], str, str]] = {
+    "Checkpoint.Age": (
+        GaugeMetricFamily,
+        "valvemap_checkpoint_age_seconds",
+        "Time since states were last kept.",
+    ),
+    "Checkpoint.Failures": (
+        CounterMetricFamily,
+        "valvemap_checkpoint_failures",
+        "How often states could not be kept.",
+    ),
+    "Checkpoint.Refused": (
+        CounterMetricFamily,
+        "valvemap_checkpoint_refused",
+        "States found at the start that could not be used.",
+    ),
+    "Checkpoint.Size": (
+        GaugeMetricFamily,
+        "valvemap_checkpoint_bytes",
+        "What the states take on disk.",
+    ),
+}
+_OPEN = {
+    "CurrentSessionCount": ("valvemap_sessions", "Sessions open at the service."),
+    "CurrentSubscriptionCount": ("valvemap_subscriptions", "Subscriptions open at the service."),
+}
+_REFUSED = {
+    "RejectedSessionCount": "sessions",
+    "SecurityRejectedSessionCount": "sessions for security",
+    "RejectedRequestsCount": "requests",
+    "SecurityRejectedRequestsCount": "requests for security",
+}

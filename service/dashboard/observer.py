@@ -3,10 +3,11 @@
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from enum import StrEnum
 
-from service.clock import Clock
+from service.clock import Clock, utc_ns
+from service.dashboard.figures import Figures
 from service.dashboard.judgement import Reason, Severity, Standing, judge
 from service.dashboard.layout import (
     NO_ESTIMATORS,
@@ -17,6 +18,7 @@ from service.dashboard.layout import (
 )
 from service.dashboard.points import Points
 from service.dashboard.ports import Client, Reading, Wanted
+from service.dashboard.reading import read_all
 from service.dashboard.store import Store
 from service.dashboard.surface import draw_surface
 from service.dashboard.timeline import TimeLine
@@ -28,8 +30,6 @@ _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
 _SURFACE_EVERY_S = 5.0  # a map costs the service some 20 ms
 _RETRY_S = (0.5, 1.0, 2.0)  # a service that starts again is back on the page within seconds
 _REFUSED_RETRY_S = 10.0  # whoever is refused need not ask often
-_NODES_AT_ONCE = 200  # of one read: answers stay well within what is decoded of one
-_COUNTERS_EVERY_S = 1.0  # however often somebody asks for metrics
 _BAD_NODE_ID_UNKNOWN = 0x8034_0000
 _BAD = 0x8000_0000
 
@@ -93,8 +93,7 @@ class Observer:
         self._points: dict[int, Points] = {}
         self._heard: dict[int, tuple[int, float]] = {}
         self._changed: dict[int, int] = {}
-        self.counters: dict[tuple[int, str], float] = {}
-        self._counters_due = 0.0
+        self.figures = Figures(client, clock)
 
     async def run(self) -> None:
         """Look until cancelled; whatever happens to the service."""
@@ -126,27 +125,10 @@ class Observer:
         _, when = self._heard.get(valve, (0, self._clock.monotonic()))
         return self._clock.monotonic() - when
 
-    async def look_at_counters(self) -> None:
-        """Read what became of all valves' data, at most once a second."""
-        now = self._clock.monotonic()
-        if self.link is not Link.UP or now < self._counters_due:
-            return
-        self._counters_due = now + _COUNTERS_EVERY_S
-        try:
-            asked = []
-            for number, valve in enumerate(self.valves):
-                variables = await self._variables_of(number)
-                asked += [
-                    (number, valve.name, name)
-                    for name in variables.slow
-                    if name.startswith("Diagnostics.")
-                ]
-            readings = await self._read([f"{valve}.{name}" for _, valve, name in asked])
-        except ValvemapError:
-            return  # the next look says why
-        for (number, _, name), reading in zip(asked, readings, strict=True):
-            if isinstance(reading.value, int):
-                self.counters[number, name.partition(".")[2]] = float(reading.value)
+    async def look_at_figures(self) -> None:
+        """Read what `/metrics` alone shows, if there is a service."""
+        if self.link is Link.UP:
+            await self.figures.look(self.valves)
 
     async def _look_for_ever(self) -> None:
         tasks = {asyncio.create_task(self._look()), asyncio.create_task(self._draw_maps())}
@@ -204,11 +186,11 @@ class Observer:
             self.valves = tuple(found)
             self.store.clear()
             self.rows.clear()
-            self.counters.clear()
             self._points.clear()
         self._variables.clear()
         self._seldom_read.clear()
         self._heard.clear()
+        self.figures.forget()
 
     async def _look_at_all(self, *, thoroughly: bool) -> None:
         """Look at how every valve stands."""
@@ -327,10 +309,7 @@ class Observer:
         return known
 
     async def _read(self, ids: Sequence[str]) -> list[Reading]:
-        readings: list[Reading] = []
-        for start in range(0, len(ids), _NODES_AT_ONCE):
-            readings += await self.client.read(ids[start : start + _NODES_AT_ONCE])
-        return readings
+        return await read_all(self.client, ids)
 
     def _take(self, number: int, names: Sequence[str], readings: Sequence[Reading]) -> None:
         for name, reading in zip(names, readings, strict=True):
@@ -371,10 +350,7 @@ def is_time(value: object) -> bool:
 
 def in_ns(time: object) -> int:
     """UTC ns of a DateTime; 0 if it is none."""
-    if not isinstance(time, datetime):
-        return 0
-    known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
-    return round(known.timestamp() * 1e6) * 1_000
+    return utc_ns(time) if isinstance(time, datetime) else 0
 
 
 _SHOWN = ("Status", "ResidualRmse", "NoiseStd", "SampleCount", "PredictedFlow")

@@ -38,7 +38,7 @@ class Child(Protocol):
 
 
 class Client(Protocol):
-    """A server whose nodes are named by their string identifiers.
+    """A server whose own nodes are named by their string identifiers.
 
     All but ``close`` raise `service.errors.SourceLost` or `SourceRejected`.
     """
@@ -56,8 +56,8 @@ class Client(Protocol):
     async def browse(self, id: str | None) -> Sequence[Child]:  # noqa: A002 - OPC UA's word
         """Nodes below a node; None is the Objects folder."""
 
-    async def read(self, ids: Sequence[str]) -> Sequence[Reading]:
-        """Values of variables."""
+    async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
+        """Values of variables; a number names one of the standard's."""
 
     async def call(
         self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]

@@ -93,7 +93,7 @@ class Page:
         return PlainTextResponse(f"{self.observer.link}: {self.observer.link_text}\n", 503)
 
     async def _show_metrics(self, _request: Request) -> Response:
-        await self.observer.look_at_counters()
+        await self.observer.look_at_figures()
         return Response(self._metrics.exposition(), media_type=CONTENT_TYPE)
 
     async def _user(self, request: Request) -> Response:

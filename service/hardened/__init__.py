@@ -12,6 +12,7 @@ from service.hardened.address_space.insertion import many_nodes
 from service.hardened.address_space.nodes import (
     add_method,
     add_object,
+    add_property,
     add_variable,
 )
 from service.hardened.address_space.units import Unit
@@ -25,6 +26,7 @@ from service.hardened.errors import (
     ServerError,
     StorageError,
 )
+from service.hardened.history.historian import Historian, Records, Span
 from service.hardened.lifecycle import Startable
 from service.hardened.security.certificates import (
     OwnCertificate,
@@ -50,6 +52,7 @@ __all__ = [
     "ConfigurationError",
     "HardenedError",
     "HardenedServer",
+    "Historian",
     "InvalidArgument",
     "Limits",
     "ManualClock",
@@ -58,10 +61,12 @@ __all__ = [
     "OwnCertificate",
     "Pki",
     "Product",
+    "Records",
     "Role",
     "ServerCounters",
     "ServerError",
     "ServerSettings",
+    "Span",
     "Startable",
     "StorageError",
     "SystemClock",
@@ -70,6 +75,7 @@ __all__ = [
     "Variable",
     "add_method",
     "add_object",
+    "add_property",
     "add_variable",
     "caller",
     "ensure_certificate",

@@ -4,12 +4,12 @@ import asyncio
 import dataclasses
 import datetime as dt
 import ipaddress
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Sequence
 from typing import Any, Self
 from urllib.parse import urlparse
 
 from asyncua import Server, ua
-from asyncua.server.address_space import AddressSpace
+from asyncua.server.address_space import AddressSpace, AttributeValue
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
@@ -21,13 +21,17 @@ from service.hardened.address_space.attributes import Attributes
 from service.hardened.address_space.blocks import Block
 from service.hardened.address_space.browse import View
 from service.hardened.address_space.declarations import Method, Value, Variable
+from service.hardened.address_space.insertion import many_nodes
+from service.hardened.address_space.packed_nodes import make_later
 from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
-from service.hardened.address_space.watchers import notify
+from service.hardened.address_space.watchers import drive, notify
 from service.hardened.audit import Audit
-from service.hardened.binary.encoding import instant, nanoseconds
+from service.hardened.binary.encoding import DTYPES, instant, nanoseconds
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
+from service.hardened.history.historian import Historian
+from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
 from service.hardened.logs import bounded_logger
 from service.hardened.monitoring.event_filter import event_of_asyncua
@@ -92,6 +96,7 @@ class HardenedServer(Startable):
         self._variables: dict[ua.NodeId, Variable] = {}
         self._methods: dict[ua.NodeId, Method] = {}
         self._port: int | None = None
+        self._made_at: int | None = None  # while nodes are made later than they were added
         limits, aspace = settings.limits, self._inside.aspace
         self._subscriptions = Subscriptions(aspace, limits, self._clock)
         self._inside.hand_events_to(self._trigger_event_of_asyncua)
@@ -116,13 +121,14 @@ class HardenedServer(Startable):
             self._clock,
             limits.audit_events_per_second,
         )
+        self._histories = Histories(limits)
         self._services = Services(
             limits,
             self._clock,
             self._attributes,
             self._view,
             self._subscriptions,
-            self._inside.history_manager,
+            self._histories,
             self._audit,
         )
         self._announcements = SelfDescription(
@@ -184,14 +190,40 @@ class HardenedServer(Startable):
 
     def utc(self) -> dt.datetime:
         """Time of day."""
-        return instant(self._clock.now())
+        return instant(self._added_at())
+
+    def add_later(self, folder: ua.NodeId, add: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Add what is below a folder when somebody first looks there.
+
+        A client sees no difference. Of a thousand folders alike, few are ever looked at: they
+        cost neither time at the start nor memory.
+
+        Parameters
+        ----------
+        folder
+            An object without children. The identifiers of all nodes below it begin with its own
+            and a dot, and those of no other node.
+        add
+            Adds them; it must not wait. It may have folders among them filled later still.
+        """
+        added_at = self._added_at()
+
+        def make() -> None:
+            before, self._made_at = self._made_at, added_at
+            try:
+                with many_nodes():
+                    drive(add())
+            finally:
+                self._made_at = before
+
+        make_later(self._inside.aspace, folder, make)
 
     def register_variable(self, variable: Variable, value: Value) -> None:
         """Take a variable into care (called by ``add_variable``)."""
         self._variables[variable.id] = variable
         waiting = ua.StatusCodes.BadWaitingForInitialData
         code = waiting if value is None else ua.StatusCodes.Good
-        self.write([(variable, value, code, self._clock.now())])
+        self.write([(variable, value, code, self._added_at())])
 
     def register_method(self, method: Method) -> None:
         """Take a method into care (called by ``add_method``)."""
@@ -234,10 +266,34 @@ class HardenedServer(Startable):
         ServerError
             if the variables are not of one type, or no numbers.
         """
-        aspace, known = self._inside.aspace, self._subscriptions.blocks
-        block = Block(variables, length, aspace, self._subscriptions.ledger)
-        known.update({variable.id: (block, i) for i, variable in enumerate(block.variables)})
+        if not variables:
+            raise ServerError("a block needs variables")
+        block = self.add_empty_block(variables[0].type, length, len(variables))
+        for variable in variables:
+            block.check(variable)
+        for column, variable in enumerate(variables):
+            block.adopt(column, self._value(variable).value)
+            self.show(variable, block, column)
         return block
+
+    def add_empty_block(self, type_: ua.VariantType, length: int | None, n: int) -> Block:
+        """Keep n values of one type as arrays, whether there are variables that show them or not.
+
+        They wait for their first values; :meth:`show` is for those who want to see them.
+        """
+        ledger = self._subscriptions.ledger
+        return Block(type_, n, length, ledger, self._clock.now())
+
+    def show(self, variable: Variable, block: Block, column: int) -> None:
+        """Let a variable show one column of a block from now on.
+
+        Raises
+        ------
+        ServerError
+            if it is of another type.
+        """
+        block.show(column, variable, self._value(variable))
+        self._subscriptions.blocks[variable.id] = block, column
 
     def write_block(
         self,
@@ -263,6 +319,25 @@ class HardenedServer(Startable):
             Shape (k, n), False where there is no sample; None: all are there.
         """
         block.take(block.batch(values, source_times, codes, present, self._clock.now()))
+
+    def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
+        """Let clients read what variables have been; who keeps it is asked with each request.
+
+        Raises
+        ------
+        ServerError
+            if a variable is no scalar number.
+        """
+        for variable in variables:
+            if variable.array or variable.type not in DTYPES:
+                raise ServerError(f"{variable.id.Identifier}: histories are of scalar numbers")
+            self._histories.add(variable, historian)
+            attributes = self._inside.aspace[variable.id].attributes
+            for of_level in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+                level = attributes[of_level].value.Value.Value | 1 << ua.AccessLevel.HistoryRead
+                attributes[of_level].value = ua.DataValue(ua.Variant(level, ua.VariantType.Byte))
+            historizing = ua.DataValue(ua.Variant(True, ua.VariantType.Boolean))  # noqa: FBT003
+            attributes[ua.AttributeIds.Historizing].value = historizing
 
     def mark(self, variable: Variable, code: int) -> None:
         """Change the status of a variable's value, keeping value and source time."""
@@ -320,7 +395,7 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce()
+        self._announcements.announce(has_history=len(self._histories) > 0)
         self._announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)
@@ -346,6 +421,12 @@ class HardenedServer(Startable):
         if held.datachange_callbacks:
             notify(held, data)
         ledger.moment += 1
+
+    def _value(self, variable: Variable) -> AttributeValue:
+        return self._inside.aspace[variable.id].attributes[ua.AttributeIds.Value]
+
+    def _added_at(self) -> int:
+        return self._clock.now() if self._made_at is None else self._made_at
 
     def _take_write(self, variable: Variable, value: Value, at: dt.datetime | None) -> None:
         source = self._clock.now() if at is None else nanoseconds(at)

@@ -40,6 +40,8 @@ class Limits:
         After so long a request lets others go first, s.
     operations, method_calls, history_reads
         Operations (nodes, items) of one request; methods, and histories, of one request.
+    history_values, history_continuation_points
+        Values of all histories in one response; histories of one session that are read in part.
     references_per_node, continuation_points
         References that one Browse answers at once; continuation points of one session.
     subscriptions, subscriptions_per_session
@@ -95,6 +97,8 @@ class Limits:
     operations: int = 1_000
     method_calls: int = 100
     history_reads: int = 100
+    history_values: int = 20_000
+    history_continuation_points: int = 100
     references_per_node: int = 1_000
     continuation_points: int = 10
     subscriptions: int = 200

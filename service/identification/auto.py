@@ -8,7 +8,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification import drift, lag_search
+from service.identification import coloured_noise, drift, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
@@ -62,8 +62,9 @@ class AutoState(State):
 
     Attributes
     ----------
-    cells : (704, 6) float32
-        Weight and means of U, s, T, direction and Q of the samples of each cell that has a slot.
+    cells : (640, 7) float32
+        Weight and means of U, s, T, direction, Q and time of the samples of each cell that has a
+        slot.
     slots : (3264,) uint16
         One more than the slot of each cell of the grid, see :mod:`kernels.grid`; 0 for none.
     recent : (704, 4) float32
@@ -322,9 +323,9 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
-    def too_fast(self, state: AutoState) -> int:
-        """How many samples were not learnt from, as the signals moved too fast for the lags."""
-        return int(state.counters[memory.TOO_FAST])
+    def too_fast(self, states: AutoState) -> Counts:
+        """How many samples of each of M valves moved too fast for the lags to be learnt from."""
+        return np.asarray(states.counters[..., memory.TOO_FAST])
 
     def change_counts(self, states: AutoState) -> Counts:
         """How many changes were found of each of M valves."""
@@ -383,17 +384,15 @@ class Auto:
 
     def _refit(self, state: AutoState) -> None:
         """Promote the challenger if it did well, let it climb, fit both."""
-        points = _trusted(state)
         scalars, counters, progress = state.scalars, state.counters, state.progress
+        now = counters[memory.LAGGING + lag.TIME]
+        ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
+        counters[memory.CLOCK] = now
+        coloured_noise.reckon(state.cells, scalars)
+        points = _trusted(state, ahead)
         if not len(points):
             budget.next_fit(counters, 0, at_rest=False)
             return
-        gain, doubt = drift.gain(scalars)
-        if abs(gain) > drift.CLEAR * math.sqrt(doubt) and abs(gain) > drift.LEAST:
-            points[:, grid.MEAN_Q] *= 1.0 + gain
-            state.cells[:, grid.MEAN_Q] *= np.float32(1.0 + gain)
-            scalars[memory.ERROR_Q] = 0.0
-        scalars[memory.GAIN_VARIANCE] = gain**2 + doubt
         top = dp_top(float(points[:, grid.MEAN_S].max()))
         champion, challenger, explorer = (Shape.from_array(shape) for shape in state.shapes)
         if scalars[memory.CHALLENGER_SQUARES] <= WORSE * scalars[memory.CHAMPION_SQUARES]:
@@ -403,9 +402,16 @@ class Auto:
         if len(points) > NEW_START * progress[STARTED, 1]:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            varied = variety(_weights(state), points, max(self.lags(state)))
+            varied = variety(_weights(state), points, sum(self.lags(state)))
             challenger, explorer = self._climb(
-                points, challenger, explorer, top, varied, progress, counters
+                points,
+                challenger,
+                explorer,
+                top,
+                varied,
+                progress,
+                counters,
+                coloured_noise.least_variance(scalars),
             )
         best = fit(points, champion, top)
         rival = best if challenger == champion else fit(points, challenger, top)
@@ -417,6 +423,7 @@ class Auto:
         scalars[memory.EXCITATION] = best.n_effective
         scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
         at_rest = champion == challenger and progress[CHALLENGER, IDLE] > RESTED
+        at_rest = at_rest and not drift.is_sure(scalars)
         budget.next_fit(counters, len(points), at_rest=at_rest)
         counters[[memory.FITTED, memory.FRESH]] = 1
         state.shapes[:] = [x.to_array() for x in (champion, challenger, explorer)]
@@ -438,6 +445,7 @@ class Auto:
         varied: Variety,
         progress: Counts,
         counters: Counts,
+        least: float,
     ) -> tuple[Shape, Shape]:
         """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
         resting = is_resting(challenger, varied, progress[CHALLENGER])
@@ -445,7 +453,7 @@ class Auto:
         steps = min(steps, RESTING_STEPS) if resting else steps
         if steps < 1:
             return challenger, explorer
-        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER])
+        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER], least)
         budget.spend(counters, (steps + 2) * _cost(points, challenger))
         if not resting or progress[STARTED, 0] > len(STARTS):
             return challenger, explorer
@@ -456,9 +464,9 @@ class Auto:
         steps = self._affordable(counters, points, explorer)
         if steps < 1:
             return challenger, explorer
-        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER])
+        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER], least)
         budget.spend(counters, (steps + 5) * _cost(points, explorer))
-        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top):
+        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least):
             challenger = explorer
             progress[CHALLENGER] = 0
         return challenger, explorer
@@ -484,9 +492,13 @@ def _cost(points: Floats, shape: Shape) -> int:
     return budget.cost(len(points), shape.size, band)
 
 
-def _trusted(state: AutoState) -> Floats:
-    """Cells that hold samples, but for those of a few samples far off all others: spikes."""
+def _trusted(state: AutoState, ahead: float) -> Floats:
+    """Cells that hold samples, as they will be in ``ahead`` s.
+
+    But for those of a few samples far off all others: spikes.
+    """
     points = state.cells[state.cells[:, grid.WEIGHT] > 0.0].astype(np.float64)
+    points = drift.carried(points, state.scalars, ahead)
     if not state.counters[memory.FITTED] or not len(points):
         return points
     misfit = kernel.misfit(_surface(state, CHAMPION), points)

@@ -20,6 +20,7 @@ from service.identification.model_structures import Polynomial, Structure, Tenso
 from service.identification.monotone_search import search
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.samples import Codes, Floats
+from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 
 U_MAX: Final = 100.0
@@ -46,6 +47,7 @@ def invert(
     T: ArrayLike,
     direction: ArrayLike = 0.0,
     support: Support | None = None,
+    accuracy: SensorAccuracy = EXACT,
 ) -> Inversion:
     """Control voltage that delivers the demanded flow, at N points at once.
 
@@ -63,6 +65,8 @@ def invert(
     support
         What the map rests on: where it is a guess, the interval grows with the distance from the
         samples, and the status is EXTRAPOLATING. None: the map is taken at its word.
+    accuracy
+        Of the sensors that the map was learnt from: what they may be off by is in the interval.
 
     Returns
     -------
@@ -93,19 +97,22 @@ def invert(
                 found = _on_branch(found, lag)
             case _:
                 found = _search(estimator, state, demand, drop, temperature)
-        std, lacking = _spread(estimator, state, np.nan_to_num(found.U), drop, temperature)
+        points = np.nan_to_num(found.U), drop, temperature
+        std, lacking = _spread(estimator, state, *points)
+        off = _systematic(estimator, state, accuracy, points)
         if support is None:
+            std = np.hypot(std, off)
             return _answer(found, std, finite & ~lacking, U_range_of(estimator))
-        U = np.nan_to_num(found.U)
-        points = U, drop, temperature
         std, guessed = trusted(estimator, state, support, points, demand, std)
+        std = np.hypot(std, off)
         answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
         has_U = answer.status <= InverseStatus.BELOW_REACH
         status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
         answer = replace(answer, status=status)
         bent = is_eq7(estimator, state) and support.is_eq7_refuted
         doubtful = np.flatnonzero(has_U & (guessed | bent))
-        return _widened(estimator, state, support, (demand, drop, temperature), answer, doubtful)
+        given = demand, drop, temperature
+        return _widened(estimator, state, (support, accuracy), given, answer, doubtful)
 
 
 def inverse_table(
@@ -221,10 +228,26 @@ def _spread(
             return np.where(unknown, np.inf, std), lacking
 
 
+def _systematic(
+    estimator: Estimator[S],
+    state: S,
+    accuracy: SensorAccuracy,
+    points: tuple[Floats, Floats, Floats],
+) -> Floats:
+    """What the sensors' errors make of the flow (N,), l/min."""
+    if not accuracy.is_stated:
+        return np.zeros(len(points[0]))
+
+    def flow(U: Floats, dp: Floats, T: Floats) -> Floats:
+        return estimator.predict(state, U, dp, T)[0]
+
+    return systematic_std(accuracy, flow, points, U_range_of(estimator))
+
+
 def _widened(
     estimator: Estimator[S],
     state: S,
-    support: Support,
+    grounds: tuple[Support, SensorAccuracy],
     points: tuple[Floats, Floats, Floats],
     answer: Inversion,
     doubtful: NDArray[np.intp],
@@ -233,6 +256,7 @@ def _widened(
 
     Where a map is a guess, or bends less than the valve, its slope says nothing of the valve's.
     """
+    support, accuracy = grounds
     lower, upper = answer.lower.copy(), answer.upper.copy()
     levels = np.linspace(*U_range_of(estimator), LEVELS)
     for start in range(0, len(doubtful), CHUNK):
@@ -241,6 +265,7 @@ def _widened(
         where = np.tile(levels, len(rows)), dp, T
         flow, std = estimator.predict(state, *where)
         std, _ = trusted(estimator, state, support, where, flow, std)
+        std = np.hypot(std, _systematic(estimator, state, accuracy, where))
         possible = ~(np.abs(flow - Q) > TWO_SIDED_95 * std).reshape(-1, LEVELS)
         above = levels >= answer.U[rows, None]
         up = np.logical_and.accumulate(possible | ~above, axis=1) & above

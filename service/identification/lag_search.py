@@ -2,7 +2,8 @@
 
 A map that is linear in its parameters lags as its regressors do, so for any pair of lags the best
 coarse map, and what it leaves, follow by least squares (:func:`kernels.lag.misfit`). A look finds
-the pair that leaves least in the last samples, and how sharply. Looks add up as information does::
+the pair that leaves least in the last samples, and how sharply, after what noise repeats from
+sample to sample is taken off. Looks add up as information does::
 
     J(x) = N·ln(squares) ~ (x - x̂)ᵀ·Λ·(x - x̂),   Σ = ΣΛ,   b = ΣΛ·x̂,   x = Σ⁻¹·b
 
@@ -11,6 +12,7 @@ A lag is claimed if without it J would be larger by CLEAR.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Final
 
@@ -23,13 +25,19 @@ TRIED_U: Final = (0.0, 0.03, 0.1)  # s
 TRIED_Q: Final = (0.0, 0.03, 0.08, 0.2, 0.45)  # s
 MOST: Final = 0.6  # s: slower ones are not looked for
 LEAST: Final = 0.010  # s: less is none, one sample at 100 Hz
-FIRST_STEP: Final = 0.3  # of a lag, or LEAST_STEP: the first step of the search
+FIRST_STEP: Final = 0.3  # of a lag, or LEAST_STEP: the first step
 LEAST_STEP: Final = 0.006  # s
-FIRST_ROUNDS, LATER_ROUNDS = 6, 3  # times that the step may be halved
-LEAST_WAY: Final = 1.0  # ranges that U must travel within the rows to tell its lag, and Q its own
+ROUNDS: Final = 6  # steps along either lag, halvings included
+NEWTONS: Final = 12  # of Newton's steps after them
+SHARES: Final = (1.0, 0.4, 0.1)  # of each that are tried
+NEAR: Final = 0.004  # s: how far around a pair they look
+LEAST_BEND: Final = 1.0  # 1/s²: next to nothing, where the score does not bend upwards
+LEAST_GAIN: Final = 0.5  # in J: less is no reason for another one
+LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows to tell a lag
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200
-CLEAR: Final = 40.0  # gain in J: a clear lag, noise of correlation .9 included
+CLEAR: Final = 40.0  # gain in J: a clear lag
+COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
 
@@ -42,20 +50,24 @@ def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) 
     The first look searches everywhere, later ones around what is known.
     """
     rows = np.ascontiguousarray(rows, np.float64)
-    squares, counted = kernel.misfit(rows, 0.0, 0.0)
+    squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
     if counted >= LEAST_ROWS and squares > 0.0:
 
-        def score(lags: Pair) -> float:
-            left = kernel.misfit(rows, *lags)[0]
+        def score(lags: Pair, rho: float) -> float:
+            left = kernel.misfit(rows, *lags, rho)[0]
             return float(counted * math.log(max(left, 1e-12 * squares)))
 
         near = _resolved(known) if known[LOOKED] else None
-        free = _moved(rows, kernel.LEFT_U) >= LEAST_WAY, _moved(rows, kernel.LEFT_Q) >= LEAST_WAY
-        found = _information(score, _search(score, near, free), free)
+        ways = _moved(rows, kernel.LEFT_U), _moved(rows, kernel.LEFT_Q)
+        free = ways[0] >= LEAST_WAY[0], ways[1] >= LEAST_WAY[1]
+        at = _search(partial(score, rho=0.0), near, free)
+        rho = min(COLOURS, key=lambda rho: score(at, rho))
+        if rho:
+            at = _search(partial(score, rho=rho), near, free)
+        found = _bowl(partial(score, rho=rho), at, free)
         if found is not None:
             known[UU:] *= KEPT
-            known[UU:] += found
-            known[LOOKED] += 1.0
+            known += found
     claimed = _claimed(known)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
@@ -69,12 +81,35 @@ def _moved(rows: Floats, column: int) -> float:
 
 
 def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool, bool]) -> Pair:
+    """The pair of the lowest score: steps along either lag from a few pairs, then Newton's.
+
+    The score's valley is narrow and lies askew: more of one lag stands for less of the other.
+    """
+    if near is None:
+        tried = product(TRIED_U if free[0] else (0.0,), TRIED_Q if free[1] else (0.0,))
+        near = _stepped(score, min(tried, key=score), free)
+    least = score(near)
+    for _ in range(NEWTONS):
+        bowl = _bowl(score, near, free)
+        if bowl is None:
+            return near
+        way = np.array(_resolved(bowl)) - near
+        for share in SHARES:
+            candidate = near[0] + share * float(way[0]), near[1] + share * float(way[1])
+            if (found := score(candidate)) < least:
+                break
+        else:
+            return near
+        near, gain, least = candidate, least - found, found
+        if gain < LEAST_GAIN:
+            return near
+    return near
+
+
+def _stepped(score: Callable[[Pair], float], best: Pair, free: tuple[bool, bool]) -> Pair:
     """Steps along either lag, and halves of them, as long as they lower the score."""
-    tried = product(TRIED_U if free[0] else (0.0,), TRIED_Q if free[1] else (0.0,))
-    best = min(tried, key=score) if near is None else near
-    least = score(best)
-    steps = [max(FIRST_STEP * x, LEAST_STEP) for x in best]
-    for _ in range(FIRST_ROUNDS if near is None else LATER_ROUNDS):
+    least, steps = score(best), [max(FIRST_STEP * x, LEAST_STEP) for x in best]
+    for _ in range(ROUNDS):
         for k, sign in product((0, 1), (1.0, -1.0)):
             if not free[k]:
                 continue
@@ -89,28 +124,31 @@ def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool,
     return best
 
 
-def _information(
-    score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]
-) -> Floats | None:
-    """Λ (uu, uq, qq) and Λ·x̂ (u, q) from the score's differences around a pair.
+def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> Floats | None:
+    """1, Λ (uu, uq, qq) and Λ·x̂ (u, q) from the score's differences around a pair.
 
     Nothing is known of a lag that is not free: its signal stood still.
     """
-    h_U, h_Q = (max(FIRST_STEP / 2.0 * x, LEAST_STEP) for x in at)
-    U, Q = max(at[0], h_U), max(at[1], h_Q)
-    here, both = score((U, Q)), score((U + h_U, Q + h_Q))
-    less_U, more_U = score((U - h_U, Q)), score((U + h_U, Q))
-    less_Q, more_Q = score((U, Q - h_Q)), score((U, Q + h_Q))
-    uu = (more_U + less_U - 2.0 * here) / (2.0 * h_U**2)
-    qq = (more_Q + less_Q - 2.0 * here) / (2.0 * h_Q**2)
-    uq = (both - more_U - more_Q + here) / (2.0 * h_U * h_Q)
-    if not (uu > 0.0 and qq > 0.0 and uu * qq > uq * uq) or not free[1]:
+    if not free[1]:
         return None
+    h = NEAR
+    U, Q = (max(x, h) for x in at)
+    here, less_Q, more_Q = score((U, Q)), score((U, Q - h)), score((U, Q + h))
+    qq = (more_Q + less_Q - 2.0 * here) / (2.0 * h**2)
     if not free[0]:
-        return np.array([0.0, 0.0, qq, 0.0, qq * Q - (more_Q - less_Q) / (4.0 * h_Q)])
-    b_U = uu * U + uq * Q - (more_U - less_U) / (4.0 * h_U)
-    b_Q = uq * U + qq * Q - (more_Q - less_Q) / (4.0 * h_Q)
-    return np.array([uu, uq, qq, b_U, b_Q])
+        b_Q = qq * Q - (more_Q - less_Q) / (4.0 * h)
+        return np.array([1.0, 0.0, 0.0, qq, 0.0, b_Q]) if qq > 0.0 else None
+    less_U, more_U = score((U - h, Q)), score((U + h, Q))
+    less, more = score((U - h, Q - h)), score((U + h, Q + h))
+    uu = (more_U + less_U - 2.0 * here) / (2.0 * h**2)
+    uq = (more + less + 2.0 * here - more_U - less_U - more_Q - less_Q) / (4.0 * h**2)
+    slope = np.array([more_U - less_U, more_Q - less_Q]) / (4.0 * h)
+    bends, ways = np.linalg.eigh(np.array([[uu, uq], [uq, qq]]))
+    slope = ways @ ((bends > LEAST_BEND) * (ways.T @ slope))
+    bends = np.maximum(bends, LEAST_BEND)
+    (uu, uq), (_, qq) = (ways * bends) @ ways.T
+    b_U, b_Q = np.array([uu * U + uq * Q, uq * U + qq * Q]) - slope
+    return np.array([1.0, uu, uq, qq, b_U, b_Q])
 
 
 def _resolved(known: Floats) -> Pair:

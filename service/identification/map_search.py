@@ -52,7 +52,7 @@ def noise(points: Floats, shape: Shape, top: float) -> float:
 
 
 def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
-    """What the memory can tell apart, behind a lag known to be ``lag`` s.
+    """What the memory can tell apart, behind lags of ``lag`` s in all.
 
     ``sides`` (N, 2): samples with U falling and rising, cell by cell.
     """
@@ -72,14 +72,17 @@ def climb(
     varied: Variety,
     steps: int,
     progress: NDArray[np.int64],
+    least: float = 0.0,
 ) -> Shape:
     """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
 
     ``progress`` (2,) is carried on: the number of the next neighbour, and how many were tried in
-    vain since the last gain.
+    vain since the last gain. ``least`` is what σ² is at least.
     """
     numbers = shape.to_array()
-    kernel.climb(points, numbers, top, varied.least_play, int(varied.temperatures), steps, progress)
+    kernel.climb(
+        points, numbers, top, varied.least_play, int(varied.temperatures), steps, progress, least
+    )
     return Shape.from_array(numbers)
 
 
@@ -88,9 +91,9 @@ def is_resting(shape: Shape, varied: Variety, progress: NDArray[np.int64]) -> bo
     return bool(progress[IDLE] > len(shape.neighbours(varied)))
 
 
-def is_better(points: Floats, shape: Shape, than: Shape, top: float) -> bool:
+def is_better(points: Floats, shape: Shape, than: Shape, top: float, least: float = 0.0) -> bool:
     """Whether a shape has the smaller BIC, with the σ² of the other."""
-    return bool(kernel.is_better(points, shape.to_array(), than.to_array(), top))
+    return bool(kernel.is_better(points, shape.to_array(), than.to_array(), top, least))
 
 
 def fresh_start(number: int, like: Shape) -> Shape:

@@ -6,23 +6,23 @@ from typing import Final
 from asyncua import ua
 
 from service.opcua.connection import Connection, in_one_line
-from service.opcua.source_nodes import in_chunks, namespaces_of, operation_limits
+from service.opcua.requests import children_of, namespaces_of, read_attributes
 from service.opcua.source_units import read_units
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.naming import Candidate
 
 MOST_NODES: Final = 50_000  # browsed; a server that has more is asked for a part of it
 DEEPEST: Final = 12  # folders within each other
-_AT_ONCE: Final = 20  # nodes browsed in one request
-_REFERENCES: Final = 500  # of a node in one answer
 _ATTRIBUTES: Final = (
     ua.AttributeIds.Value,
     ua.AttributeIds.ValueRank,
     ua.AttributeIds.UserAccessLevel,
     ua.AttributeIds.Description,
 )
-_HIERARCHICAL: Final = ua.NodeId(ua.ObjectIds.HierarchicalReferences)
+_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
+_NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
 _SCALARS: Final = {-3, -2, -1}
+_CLASSES: Final = ua.NodeClass.Object | ua.NodeClass.Variable
 
 _Place = tuple[ua.NodeId, tuple[str, ...]]
 
@@ -36,10 +36,7 @@ async def find_numbers(connection: Connection) -> list[Candidate]:
     """
     with connection.errors("browsing"):
         places = await _variables(connection)
-        limit = (await operation_limits(connection)).nodes_per_read
-        answers = await in_chunks(
-            places, max(limit // len(_ATTRIBUTES), 1), lambda some: _read(connection, some)
-        )
+        answers = await read_attributes(connection, [node for node, _ in places], _ATTRIBUTES)
     numbers = [
         (place, answer) for place, answer in zip(places, answers, strict=True) if _is_number(answer)
     ]
@@ -64,74 +61,21 @@ async def _variables(connection: Connection) -> list[_Place]:
     front: list[_Place] = [(ua.NodeId(ua.ObjectIds.ObjectsFolder), ())]
     for _ in range(DEEPEST):
         below: list[_Place] = []
-        for start in range(0, len(front), _AT_ONCE):
-            some = front[start : start + _AT_ONCE]
-            for (_, path), references in zip(some, await _browse(connection, some), strict=True):
-                for reference in references:
-                    target = reference.NodeId
-                    node = ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
-                    if node in seen or len(seen) > MOST_NODES:
-                        continue
-                    seen.add(node)
-                    own = (*path, in_one_line(reference.DisplayName.Text or node.Identifier))
-                    if reference.NodeClass == ua.NodeClass.Variable:
-                        found.append((node, own))
-                    below.append((node, own))
+        children = await children_of(connection, [node for node, _ in front], _CLASSES)
+        for (_, path), references in zip(front, children, strict=True):
+            for reference in references:
+                target = reference.NodeId
+                node = ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
+                is_property = reference.ReferenceTypeId == _HAS_PROPERTY
+                if is_property or node in seen or len(seen) > MOST_NODES:
+                    continue
+                seen.add(node)
+                own = (*path, in_one_line(reference.DisplayName.Text or node.Identifier))
+                if reference.NodeClass == ua.NodeClass.Variable:
+                    found.append((node, own))
+                below.append((node, own))
         front = below
     return found
-
-
-async def _browse(
-    connection: Connection, places: Sequence[_Place]
-) -> list[list[ua.ReferenceDescription]]:
-    """Objects and variables below some nodes."""
-    results = await connection.session.browse(
-        ua.BrowseParameters(
-            View=ua.ViewDescription(),
-            RequestedMaxReferencesPerNode=_REFERENCES,
-            NodesToBrowse=[
-                ua.BrowseDescription(
-                    NodeId=node,
-                    BrowseDirection=ua.BrowseDirection.Forward,
-                    ReferenceTypeId=_HIERARCHICAL,
-                    IncludeSubtypes=True,
-                    NodeClassMask=ua.NodeClass.Object | ua.NodeClass.Variable,
-                    ResultMask=ua.BrowseResultMask.All,
-                )
-                for node, _ in places
-            ],
-        )
-    )
-    found = []
-    for result in results:
-        references, point = list(result.References or ()), result.ContinuationPoint
-        while point and len(references) < MOST_NODES:
-            (more,) = await connection.session.browse_next(
-                ua.BrowseNextParameters(ReleaseContinuationPoints=False, ContinuationPoints=[point])
-            )
-            references += more.References or ()
-            point = more.ContinuationPoint
-        found.append([r for r in references if r.ReferenceTypeId != ua.NodeId(_PROPERTY)])
-    return found
-
-
-async def _read(connection: Connection, places: Sequence[_Place]) -> list[list[ua.DataValue]]:
-    answers = await connection.session.read(
-        ua.ReadParameters(
-            TimestampsToReturn=ua.TimestampsToReturn.Neither,
-            NodesToRead=[
-                ua.ReadValueId(NodeId=node, AttributeId=attribute)
-                for node, _ in places
-                for attribute in _ATTRIBUTES
-            ],
-        )
-    )
-    width = len(_ATTRIBUTES)
-    return [answers[i * width : (i + 1) * width] for i in range(len(places))]
-
-
-_PROPERTY: Final = ua.ObjectIds.HasProperty
-_NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
 
 
 def _is_number(answer: Sequence[ua.DataValue]) -> bool:

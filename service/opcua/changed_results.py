@@ -9,15 +9,19 @@ from numpy.typing import NDArray
 
 from service.identification.samples import Times
 from service.opcua.information_model import (
+    BASELINE,
+    BUILDS_ON,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
+    TIMING,
     WAITING,
     counter_name,
 )
 from service.opcua.result_values import (
     Column,
     Shown,
+    baseline_values,
     discovery_values,
     estimator_own_words,
     feed_forward_values,
@@ -64,6 +68,7 @@ class ChangedResults:
                 yield valves[m], map_value(table, codes[m], t[m])
         yield from self._feed_forward(results, now)
         yield from self._waiting(results, now)
+        yield from self._baselines(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -91,9 +96,20 @@ class ChangedResults:
                     yield valve, new
 
     def _waiting(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
-        for valve, reasons in zip(_numbers(results.valves), results.waiting, strict=False):
-            if self._is_new(valve, WAITING, None, reasons):
-                yield valve, Shown(WAITING, list(reasons), int(ua.StatusCodes.Good), now)
+        for name, found in ((WAITING, results.waiting), (TIMING, results.timing)):
+            for valve, sentences in zip(_numbers(results.valves), found, strict=False):
+                if self._is_new(valve, name, None, sentences):
+                    yield valve, Shown(name, list(sentences), int(ua.StatusCodes.Good), now)
+
+    def _baselines(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
+        for valve, found in zip(_numbers(results.valves), results.baselines, strict=False):
+            version = "" if found is None else found.version
+            if self._is_new(valve, BASELINE, None, version):
+                for new in baseline_values(found, now):
+                    yield valve, new
+                for name in results.estimators:
+                    good = int(ua.StatusCodes.Good)
+                    yield valve, Shown(f"{name}.{BUILDS_ON}", version, good, now)
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Whether it is another thing, or one of the facts is another than last time."""

@@ -1,7 +1,8 @@
 """The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
 
+from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asyncua import ua
 
@@ -16,11 +17,14 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
-from service.opcua.position import left_at, position_to_bytes
+from service.opcua.decoding import overflown
+from service.opcua.history import Holes, Knowledge, SourceHistory
+from service.opcua.position import Mark, position_from_bytes, position_to_bytes
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
     CheckedNodes,
+    MonitoredNode,
     SourceClock,
     ValveNodes,
     WritableNode,
@@ -31,13 +35,14 @@ from service.opcua.source_units import Scales, check_units
 from service.opcua.subscription import (
     LIFETIME_S,
     Left,
-    Mark,
+    Part,
     Subscription,
     Tally,
     subscribe,
     take_over,
 )
-from service.streaming.data_changes import DataChanges
+from service.opcua.succession import Estate, divided
+from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.ports import SourceCounters
 
 __all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
@@ -75,6 +80,8 @@ class OpcUaSource:
         self._valves = tuple(valves)
         self._clock = clock or SystemClock()
         self._ready = ready
+        self._heir: Callable[[Estate], None] | None = None
+        self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: there is none
         self._tally = Tally()
         self._started = 0
         self._clock_offset_s = 0.0
@@ -82,8 +89,9 @@ class OpcUaSource:
         self._ticket: Ticket | None = None
         self._left: Left | None = None
         self._left_at = 0.0
-        self._undelivered: list[DataChanges] = []
-        self._undelivered_mark: Mark | None = None
+        self._parts: deque[Part] = deque()  # arrived, not handed out
+        self._knowledge = Knowledge(len(self._valves) * SIGNALS_PER_VALVE)
+        self._history = SourceHistory()
         self._mark: Mark | None = None
         self._holds_back = False
         self._known_position: bytes | None = None
@@ -127,27 +135,66 @@ class OpcUaSource:
             await (connection.hang_up() if self.is_held else connection.close())
             raise
         self._connection, self._subscription = connection, subscription
+        if self._settings.history_s > 0.0:
+            self._history.over(connection, (item.node for item in subscription.items))
         self._started = source_clock.started
 
     async def receive(self) -> DataChanges:
         """Wait for data changes and return all that have arrived, in order and in our units.
+
+        Before what comes behind a hole, what the source's history has of it is returned.
 
         Raises
         ------
         SourceLost
             if the connection was cut, or fell silent for longer than its keep-alives allow.
         """
-        if self._undelivered:
-            changes = DataChanges.concatenate(self._undelivered)
-            self._undelivered.clear()
-            self._mark = self._undelivered_mark
-            return self._scales(changes)
-        subscription = self._subscription
-        if subscription is None:
-            raise SourceLost(f"{self._settings.url}: not connected")
-        changes = await subscription.receive()
-        self._mark = subscription.mark
+        changes = DataChanges.empty()
+        while not len(changes):
+            if not self._parts:
+                if self._subscription is None:
+                    raise SourceLost(f"{self._settings.url}: not connected")
+                self._parts += await self._subscription.receive()
+            changes = await self._next()
         return self._scales(changes)
+
+    async def _next(self) -> DataChanges:
+        """What is to be handed out next: what has arrived, or what was missed before it."""
+        whole = 0
+        for part in self._parts:
+            if len(self._holes_before(part)):
+                break
+            self._knowledge.note(part.changes)
+            whole += 1
+        if whole:
+            parts = [self._parts.popleft() for _ in range(whole)]
+            last = parts[-1]
+            self._mark = Mark(last.subscription, last.message, self._knowledge.known_to.copy())
+            return DataChanges.concatenate([part.changes for part in parts])
+        return await self._missed(self._parts[0])
+
+    def _holes_before(self, part: Part) -> Holes:
+        """What the source's history may know of the time before a message."""
+        known, changes = self._knowledge, part.changes
+        if not self._history.is_there:
+            return Holes.none()
+        if part.behind_gap:
+            known.doubt()
+        if part.overflows:
+            known.doubt(changes.item[overflown(changes.status)])
+        if not known.doubtful.any():
+            return Holes.none()
+        return known.holes(changes, round(self._settings.history_s * 1e9))
+
+    async def _missed(self, part: Part) -> DataChanges:
+        """The oldest of what was missed before a message; nothing where nobody knows of it."""
+        known = self._knowledge
+        changes, read, reached = await self._history.read(self._holes_before(part))
+        known.fill(read, reached)
+        self._tally.from_history += len(changes)
+        before = self._mark or Mark(0, 0, known.known_to)
+        self._mark = replace(before, known_to=known.known_to.copy())
+        return changes
 
     @property
     def mark(self) -> Mark | None:
@@ -163,18 +210,57 @@ class OpcUaSource:
     def commit(self, mark: Mark) -> None:
         """What was handed out up to a mark is safe: the source need not keep it any more."""
         if self._subscription is not None:
-            self._subscription.commit(mark)
+            self._subscription.commit(mark.subscription, mark.message)
 
     def position(self, mark: Mark) -> bytes:
         """What `resume_at` goes on from after a restart."""
         known = self._subscription or self._left
         if known is None or known.created.SubscriptionId != mark.subscription:
-            return b""
+            return position_to_bytes(self._binding, mark, None, ())
         return position_to_bytes(self._binding, mark, known.created, known.items)
 
     def resume_at(self, position: bytes) -> None:
         """Go on from a position that was kept, if the source still has the subscription."""
         self._known_position = position
+
+    async def check(self) -> None:
+        """Connect, check every node, and leave: nothing is subscribed to.
+
+        Raises
+        ------
+        SourceLost, SourceRejected, CertificateError
+            as :meth:`connect`.
+        """
+        connection = await open_connection(self._settings)
+        try:
+            await check_units(connection, self._valves, await check_nodes(connection, self._valves))
+        finally:
+            await connection.close()
+
+    def succeed(self, before: "OpcUaSource") -> None:
+        """Take over from another one when it is closed: signals of both miss nothing by it.
+
+        It must be the same user of the same server; else each is on its own.
+        """
+        if before.identity == self.identity:
+            before.bequeath(self.inherit)
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """What a session belongs to: the server, and its user."""
+        settings = self._settings
+        return settings.url, settings.security, settings.user, settings.password
+
+    def bequeath(self, heir: Callable[[Estate], None]) -> None:
+        """Have somebody go on where this source stops, instead of saying good-bye."""
+        self._heir = heir
+
+    def inherit(self, estate: Estate) -> None:
+        """Go on where another source stopped."""
+        ours = divided(estate, self._valves)
+        self._knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
+        self._parts.extend(part for part in ours.parts if len(part.changes))
+        self._left, self._left_at, self._surplus = ours.left, ours.left_at, ours.surplus
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -251,18 +337,18 @@ class OpcUaSource:
     def _leave(self, subscription: Subscription) -> None:
         left = subscription.left()
         self._left, self._left_at = left, self._clock.monotonic()
-        self._undelivered += left.buffer
-        self._undelivered_mark = subscription.mark
+        self._parts += left.buffer
 
     async def _take_over(self, connection: Connection) -> Subscription | None:
         """Go on with the subscription of the connection before, if the server still has it."""
         if self._left is None and self._known_position is not None:
             nodes = await self._check_nodes(connection)
-            self._left = left_at(self._known_position, self._binding, nodes.monitored)
-            self._left_at = self._clock.monotonic()
+            self._resume(self._known_position, nodes.monitored)
         self._known_position = None
         if self._left is None:
             return None
+        surplus = self._surplus
+        checked = None if surplus is None else await self._check_nodes(connection)
         found = await take_over(connection, self._left, self._tally, self._clock)
         if found is not None:
             subscription, available = found
@@ -273,9 +359,19 @@ class OpcUaSource:
                 self._leave(subscription)
             if known:
                 subscription.start()
+                if checked is not None and surplus is not None:
+                    await subscription.change_items(checked.monitored, surplus)
+                    self._surplus = None
                 return subscription
-        self._left = None
+        self._left = self._surplus = None
         return None
+
+    def _resume(self, position: bytes, nodes: Sequence[MonitoredNode]) -> None:
+        known = self._knowledge
+        found = position_from_bytes(position, self._binding, nodes, len(known.known_to))
+        if found is not None:
+            known.known_to[:] = found.known_to
+            self._left, self._left_at = found.left, self._clock.monotonic()
 
     async def _check_nodes(self, connection: Connection) -> CheckedNodes:
         nodes = await check_nodes(connection, self._valves)
@@ -292,6 +388,7 @@ class OpcUaSource:
 
     async def _subscribe(self, connection: Connection) -> Subscription:
         nodes = await self._check_nodes(connection)
+        self._knowledge.doubt()
         return await subscribe(
             connection,
             nodes.monitored,
@@ -300,8 +397,24 @@ class OpcUaSource:
             hold_back=self._holds_back,
         )
 
+    def _estate(self) -> Estate:
+        return Estate(
+            self._valves,
+            self._knowledge,
+            tuple(self._parts),
+            self._tally,
+            self._ticket,
+            self._left,
+            self._left_at,
+            self._surplus or (),
+        )
+
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
+        heir, self._heir = self._heir, None
+        if heir is not None:
+            await self.drop()
+            heir(self._estate())
         self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None

@@ -97,6 +97,8 @@ class SourceSettings:
         Changes kept until ``receive`` takes them. Overflow policy: *back-pressure*. From there on
         no further publish request goes out, so the server's own queues fill, and what they drop
         shows in ``counters.overflows``.
+    history_s
+        How far back the server's history is asked for what was not heard; 0: never.
     """
 
     url: str
@@ -115,6 +117,7 @@ class SourceSettings:
     timeout_s: float = 5.0
     publish_requests: int = 10
     buffer_limit: int = 1_000_000
+    history_s: float = 3_600.0
 
     def __post_init__(self) -> None:
         """Check what goes together.
@@ -139,6 +142,14 @@ class SourceSettings:
             )
 
 
+@dataclass(frozen=True)
+class OperationLimits:
+    """How many operations a server takes in one request."""
+
+    nodes_per_read: int
+    items_per_call: int
+
+
 class Connection:
     """An open channel and session; made by :func:`open_connection`, used once."""
 
@@ -154,6 +165,7 @@ class Connection:
         self.resumed = resumed
         self.settings = settings
         self.session = session
+        self.limits: OperationLimits | None = None  # not asked for yet
         self._client = client
         self._server = server
         self._tasks = [asyncio.create_task(self._renew_for_ever())]
@@ -179,28 +191,27 @@ class Connection:
 
     async def hang_up(self) -> None:
         """End the connection without a word: the session and what it holds stay."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        client = self._client.uaclient
-        client.request_disconnect()
-        client.pre_request_hook = None
+        await self._end_tasks()
         self._client.disconnect_socket()
 
     async def close(self) -> None:
         """Say good-bye if the server still listens, and hang up."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._end_tasks()
         client = self._client.uaclient
-        client.request_disconnect()
-        client.pre_request_hook = None
         with contextlib.suppress(OSError, TimeoutError, ua.UaError, asyncio.InvalidStateError):
             async with asyncio.timeout(_FAREWELL_S):
                 if client.protocol is not None and not client.protocol.is_closed:
                     await self.session.close_session(delete_subscriptions=True)
                     await client.close_secure_channel()
         self._client.disconnect_socket()
+
+    async def _end_tasks(self) -> None:
+        """End our own tasks, and keep asyncua's from holding back the requests of the ending."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._client.uaclient.request_disconnect()
+        self._client.uaclient.pre_request_hook = None
 
     async def _renew_for_ever(self) -> None:
         """Renew the channel's keys after three quarters of their life (Part 4, 5.6.2)."""

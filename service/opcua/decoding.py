@@ -10,9 +10,11 @@ arrays become NaN. What it does not know (structures and the like) is passed ove
 Nothing here does I/O.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from asyncua import ua
 from numba import njit
 from numpy.typing import NDArray
 
@@ -22,11 +24,14 @@ from service.streaming.data_changes import DataChanges
 __all__ = [
     "EPOCH_TICKS",
     "DecodeError",
+    "HistoryPiece",
     "Message",
     "PublishResponse",
+    "decode_history_response",
     "decode_publish_response",
     "decode_republish_response",
     "ns_from_ticks",
+    "overflown",
     "ticks_from_ns",
 ]
 
@@ -35,6 +40,8 @@ EPOCH_TICKS = 116_444_736_000_000_000
 
 _PUBLISH_RESPONSE = 829
 _REPUBLISH_RESPONSE = 835
+_HISTORY_READ_RESPONSE = 667
+_HISTORY_DATA = 658
 _DATA_CHANGE_NOTIFICATION = 811
 _STATUS_CHANGE_NOTIFICATION = 820
 
@@ -42,10 +49,12 @@ _MAX_TICKS = (2**63 - 1) // 100 + EPOCH_TICKS  # what still fits into int64 ns, 
 _MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
-_SMALLEST_RECORD = 5
+_HANDLE = 4  # bytes of a client handle, where one goes before a value
 _MOST_RECORDS = 600_000  # what the largest message holds with a Double in each
 _ELEMENTS_PER_RECORD = 4  # to pass over a record costs as much as to walk so many elements
 _RESERVED = 0xC0  # bits of a DataValue mask
+_SMALLEST_RESULT = 11  # bytes of a HistoryReadResult: status, no continuation point, nothing
+_NO_TIME = -(2**63)
 _NO_NUMBER = 255
 
 
@@ -160,6 +169,49 @@ def decode_republish_response(data: bytes) -> Message:
     return _message(reader)
 
 
+@dataclass(frozen=True)
+class HistoryPiece:
+    """What one variable was: ``status`` of the reading, ``point`` where it can be gone on with."""
+
+    status: int
+    point: bytes
+    changes: DataChanges
+
+
+def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPiece]:
+    """Decode the body of a HistoryReadResponse, from its TypeId on.
+
+    ``items`` are those that were asked for; a value without any time has the earliest there is.
+
+    Raises
+    ------
+    DecodeError
+        if it is cut short, or no HistoryReadResponse, or not of so many variables.
+    UaStatusCodeError
+        if the server refuses.
+    """
+    reader = Reader(data)
+    ua.StatusCode(_enter_response(reader, _HISTORY_READ_RESPONSE)).check()
+    results = reader.one_by_one(_SMALLEST_RESULT)
+    if len(results) != len(items):
+        raise DecodeError(f"{len(results)} histories for {len(items)} variables")
+    pieces = []
+    for item in items:
+        status, size = reader.u4(), max(reader.i4(), 0)
+        start = reader.skip(size)
+        point = reader.data[start : start + size]
+        kind, body = reader.extension_object()
+        changes = DataChanges.empty()
+        if kind == _HISTORY_DATA:
+            changes = _data_changes(body, _NO_TIME, handle=0).changes
+        pieces.append(HistoryPiece(status, point, replace(changes, item=_all(item, changes))))
+    return pieces
+
+
+def _all(item: int, changes: DataChanges) -> NDArray[np.int32]:
+    return np.full(len(changes), item, np.int32)
+
+
 def _enter_response(reader: Reader, expected: int) -> int:
     """Read TypeId and ResponseHeader; return the ServiceResult."""
     kind = reader.node_id()
@@ -208,29 +260,30 @@ class _Batch:
     not_numeric: int
 
 
-def _data_changes(reader: Reader, publish_time: int) -> _Batch:
-    n = reader.count(_SMALLEST_RECORD)
+def _data_changes(reader: Reader, publish_time: int, handle: int = _HANDLE) -> _Batch:
+    n = reader.count(handle + 1)
     if n > _MOST_RECORDS:
         raise DecodeError(f"{n} changes in one message, at most {_MOST_RECORDS} are read")
     raw = np.frombuffer(reader.data, np.uint8)
-    handle = np.empty(n, np.int32)
+    item = np.zeros(n, np.int32)
     bits = np.empty(n, np.uint64)
     kind = np.empty(n, np.uint8)
     status = np.empty(n, np.uint32)
     time = np.empty(n, np.int64)
-    columns = (handle, bits, kind, status, time)
+    columns = (item, bits, kind, status, time)
     row = 0
     while True:
-        row, position = _scan(raw, reader.position, reader.stop, row, publish_time, *columns)
+        at = reader.position
+        row, position = _scan(raw, at, reader.stop, row, publish_time, handle, *columns)
         reader.position = position
         if row == n:
             break
         reader.spend(_ELEMENTS_PER_RECORD)
-        _pass_over(reader, row, publish_time, *columns)
+        _pass_over(reader, row, publish_time, handle, *columns)
         row += 1
     return _Batch(
-        DataChanges(item=handle, value=_values(bits, kind), status=status, source_time=time),
-        overflows=int(np.count_nonzero((status & _OVERFLOW_MASK) == _OVERFLOW)),
+        DataChanges(item=item, value=_values(bits, kind), status=status, source_time=time),
+        overflows=int(np.count_nonzero(overflown(status))),
         not_numeric=int(np.count_nonzero(kind == _NO_NUMBER)),
     )
 
@@ -239,14 +292,16 @@ def _pass_over(
     reader: Reader,
     row: int,
     publish_time: int,
-    handle: NDArray[np.int32],
+    handle: int,
+    item: NDArray[np.int32],
     bits: NDArray[np.uint64],
     kind: NDArray[np.uint8],
     status: NDArray[np.uint32],
     time: NDArray[np.int64],
 ) -> None:
     """Take in one record whose value is of some other type: NaN, but its status and time."""
-    handle[row] = np.uint32(reader.u4()).view(np.int32)
+    if handle:
+        item[row] = np.uint32(reader.u4()).view(np.int32)
     mask = reader.u1()
     if mask & _RESERVED:
         raise DecodeError(f"DataValue mask {mask:#x} has reserved bits")
@@ -299,9 +354,9 @@ def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.flo
     return values
 
 
-def was_compiled_before() -> bool:
-    """Whether the loop over records, once it has run, came from the cache on disk."""
-    return bool(_scan.stats.cache_hits)
+def overflown(status: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Which changes say that the server dropped some before them."""
+    return (status & _OVERFLOW_MASK) == _OVERFLOW
 
 
 @njit(cache=True, inline="always")
@@ -326,7 +381,8 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
     stop: int,
     row: int,
     publish_time: int,
-    handle: NDArray[np.int32],
+    handle: int,
+    item: NDArray[np.int32],
     bits: NDArray[np.uint64],
     kind: NDArray[np.uint8],
     status: NDArray[np.uint32],
@@ -334,17 +390,19 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
 ) -> tuple[int, int]:
     """Take in records until all rows are filled, or one is not known, or cut short.
 
+    ``handle`` bytes go before each value.
+
     Returns the next row and the position of its record.
     """
-    n = len(handle)
+    n = len(item)
     while row < n:
-        at = position
-        if stop - at < 5:
+        at = position + handle
+        if stop - at < 1:
             break
-        mask = raw[at + 4]
+        mask = raw[at]
         if mask & _RESERVED:
             break
-        at += 5
+        at += 1
         number = np.uint8(0)
         size = 0
         if mask & 0x01:
@@ -392,7 +450,8 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
         else:
             bits[row] = np.uint64(0)
         at += size
-        handle[row] = np.int32(_u4(raw, position))
+        if handle > 0:
+            item[row] = np.int32(_u4(raw, position))
         kind[row] = number
         if mask & 0x02:
             status[row] = np.uint32(_u4(raw, at))

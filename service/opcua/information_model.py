@@ -16,6 +16,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cache
 
 from asyncua import ua
 
@@ -36,7 +37,8 @@ PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
 SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
-WAITING = f"{DIAGNOSTICS}.Waiting"
+WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
+BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
 
@@ -44,7 +46,7 @@ U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
-_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS}
+_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE}
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 
@@ -137,6 +139,13 @@ def estimator_variables(
             f"{prefix}.NoiseStd",
             "Standard deviation of a recent measurement about the map: noise, and what the "
             "structure cannot follow.",
+            unit=litres,
+            range=(0.0, Q_max),
+        ),
+        VariableNode(
+            f"{prefix}.SystematicStd",
+            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
+            "standard deviation: no number of samples averages it out.",
             unit=litres,
             range=(0.0, Q_max),
         ),
@@ -286,6 +295,42 @@ def waiting_variable(valve: str) -> VariableNode:
     )
 
 
+def timing_variable(valve: str) -> VariableNode:
+    """How a valve's signals come."""
+    return VariableNode(
+        f"{valve}.{TIMING}",
+        "How each of the valve's signals comes, as found at the start and fixed since: with one "
+        "time, one after the other in a scan, or on change.",
+        ua.VariantType.String,
+        dimensions=(0,),
+    )
+
+
+def builds_on_variable(valve: str, estimator: str) -> VariableNode:
+    """Which approved map an estimator's results build on."""
+    return VariableNode(
+        f"{valve}.{estimator}.{BUILDS_ON}",
+        "Version of the approved map that the results build on; empty where none was approved.",
+        ua.VariantType.String,
+    )
+
+
+def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
+    """The map that was approved as new."""
+    prefix = f"{valve}.{BASELINE}"
+    return (
+        VariableNode(
+            f"{prefix}.Version",
+            "The approved map: its running number, and how its hash begins; empty: there is none.",
+            ua.VariantType.String,
+        ),
+        VariableNode(
+            f"{prefix}.Time", "Time of the newest sample behind it.", ua.VariantType.DateTime
+        ),
+        VariableNode(f"{prefix}.DataHash", "SHA-256 of all that it holds.", ua.VariantType.String),
+    )
+
+
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
     """The regions of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"
@@ -393,6 +438,16 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
     )
 
 
+def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
+    """What changes of a valve's inverse map with each result."""
+    rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
+    return tuple(
+        node
+        for node in inverse_variables(valve)
+        if node.dimensions is None and not node.writable and node.id not in rare
+    )
+
+
 def map_variable(valve: ValveDescription) -> VariableNode:
     """The inverse map as a matrix, an ImageItemType (Part 8, 5.3.4.4)."""
     return VariableNode(
@@ -483,6 +538,11 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "Changes whose value is no number, and messages that cannot be understood.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Source.FromHistory",
+                "Changes that were not heard and were read from the source's history.",
+                counts,
+            ),
         ),
     }
 
@@ -498,6 +558,7 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     )
 
 
+@cache
 def _sentences(statuses: type[IntEnum]) -> str:
     return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
 
@@ -532,4 +593,5 @@ _COUNTERS = {
     "too_fast": "Samples rejected because a signal changed faster than it can.",
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
+    "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
 }

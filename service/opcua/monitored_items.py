@@ -1,14 +1,15 @@
 """The monitored items of a subscription: made, checked, given longer queues."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from asyncua import ua
 
 from service.errors import SourceRejected
 from service.opcua.connection import Connection, status_name
-from service.opcua.source_nodes import MonitoredNode, in_chunks, operation_limits
+from service.opcua.requests import in_chunks, operation_limits
+from service.opcua.source_nodes import MonitoredNode
 from service.streaming.data_changes import SIGNALS_PER_VALVE
 
 _log = logging.getLogger(__name__)
@@ -18,17 +19,21 @@ _ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publi
 
 @dataclass(frozen=True)
 class Item:
-    """A monitored item: its node, its number at the server, the queue that was granted."""
+    """A monitored item: its node, its number at the server, the queue that was granted.
+
+    ``handle`` is what its changes are marked with.
+    """
 
     node: MonitoredNode
     number: int
     queue_size: int
+    handle: int
 
 
 async def create_items(
-    connection: Connection, subscription: int, nodes: Sequence[MonitoredNode]
+    connection: Connection, subscription: int, nodes: Mapping[int, MonitoredNode]
 ) -> tuple[Item, ...]:
-    """Watch every sample of every node.
+    """Watch every sample of every node; the keys are the handles.
 
     Raises
     ------
@@ -39,7 +44,7 @@ async def create_items(
     settings = connection.settings
 
     async def create(
-        chunk: Sequence[MonitoredNode],
+        chunk: Sequence[tuple[int, MonitoredNode]],
     ) -> list[ua.MonitoredItemCreateResult]:
         return await connection.session.create_monitored_items(
             ua.CreateMonitoredItemsParameters(
@@ -51,16 +56,16 @@ async def create_items(
                             NodeId=node.node, AttributeId=ua.AttributeIds.Value
                         ),
                         MonitoringMode=ua.MonitoringMode.Reporting,
-                        RequestedParameters=_parameters(node, connection, settings.queue_size),
+                        RequestedParameters=_parameters(handle, connection, settings.queue_size),
                     )
-                    for node in chunk
+                    for handle, node in chunk
                 ],
             )
         )
 
     limit = (await operation_limits(connection)).items_per_call
-    created = await in_chunks(nodes, min(limit, _ITEMS_AT_ONCE), create)
-    for node, result in zip(nodes, created, strict=True):
+    created = await in_chunks(list(nodes.items()), min(limit, _ITEMS_AT_ONCE), create)
+    for node, result in zip(nodes.values(), created, strict=True):
         if result.StatusCode.value >> 30:
             raise SourceRejected(
                 f"{node.label} cannot be subscribed to at {settings.url}: "
@@ -75,11 +80,28 @@ async def create_items(
             settings.sampling_interval_ms,
         )
     items = tuple(
-        Item(node, result.MonitoredItemId, result.RevisedQueueSize)
-        for node, result in zip(nodes, created, strict=True)
+        Item(node, result.MonitoredItemId, result.RevisedQueueSize, handle)
+        for (handle, node), result in zip(nodes.items(), created, strict=True)
     )
     _check_queues(connection, items, settings.queue_size)
     return items
+
+
+async def delete_items(connection: Connection, subscription: int, numbers: Sequence[int]) -> None:
+    """Watch some items no longer.
+
+    Raises
+    ------
+    UaError
+    """
+
+    async def delete(chunk: Sequence[int]) -> list[ua.StatusCode]:
+        return await connection.session.delete_monitored_items(
+            ua.DeleteMonitoredItemsParameters(subscription, list(chunk))
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    await in_chunks(numbers, min(limit, _ITEMS_AT_ONCE), delete)
 
 
 async def enlarge_queues(
@@ -99,7 +121,7 @@ async def enlarge_queues(
                 TimestampsToReturn=ua.TimestampsToReturn.Both,
                 ItemsToModify=[
                     ua.MonitoredItemModifyRequest(
-                        item.number, _parameters(item.node, connection, size)
+                        item.number, _parameters(item.handle, connection, size)
                     )
                     for item in chunk
                 ],
@@ -116,12 +138,10 @@ async def enlarge_queues(
     return enlarged
 
 
-def _parameters(
-    node: MonitoredNode, connection: Connection, queue_size: int
-) -> ua.MonitoringParameters:
+def _parameters(handle: int, connection: Connection, queue_size: int) -> ua.MonitoringParameters:
     """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
     return ua.MonitoringParameters(
-        ClientHandle=node.item,
+        ClientHandle=handle,
         SamplingInterval=connection.settings.sampling_interval_ms,
         Filter=ua.DataChangeFilter(
             Trigger=ua.DataChangeTrigger.StatusValueTimestamp,

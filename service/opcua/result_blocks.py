@@ -1,7 +1,10 @@
-"""The results of all valves, written as blocks: one for each type and length of value."""
+"""The results of all valves, written as blocks: one for each type and length of value.
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+The blocks hold what is new of every valve, whether its nodes are made yet or not.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from asyncua import ua
@@ -9,40 +12,96 @@ from numpy.typing import NDArray
 
 from service.hardened import Block, HardenedServer, Variable
 from service.identification.samples import Times
+from service.opcua.information_model import (
+    PARAMETERS,
+    SIGNALS,
+    VariableNode,
+    counter_variable,
+    estimator_variables,
+    health_variables,
+    inverse_results,
+    parameter_variables,
+    signal_variables,
+)
+from service.opcua.result_frames import frame_names, frame_variables
 from service.opcua.result_values import Column
+from service.streaming.ports import ValveDescription
+
+_Kind = tuple[ua.VariantType, int | None]
 
 
 @dataclass(frozen=True)
-class Place:
+class Changing:
     """A variable that changes with each result.
 
-    ``valve`` is its number, ``name`` the variable's within the valve, ``length`` that of its value
-    if it is an array. One without a name stands beside the one before it, and is written with it.
+    ``name`` is the variable's within the valve, ``length`` that of its value if it is an array.
+    Variables that are published side by side, in this order, share ``column``, the name under
+    which they are written. ``first`` is its value before any result, None if it waits for one.
     """
 
-    valve: int
-    name: str | None
-    variable: Variable
+    name: str
+    type: ua.VariantType
     length: int | None
+    column: str
+    first: int | None = None
+
+
+def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
+    """What changes with each result of a valve."""
+    frame, _ = frame_variables(valve)
+    yield _by_itself(frame, len(frame_names(valve)))
+    for estimator in valve.estimators:
+        count = len(estimator.parameter_names)
+        for node in estimator_variables(valve, estimator):
+            if node.dimensions is None:
+                yield _by_itself(node)
+            elif node.kind != ua.VariantType.String and count:
+                yield _by_itself(node, count)
+        for node in parameter_variables(valve, estimator):
+            yield _beside_others(node, f"{estimator.name}.{PARAMETERS}")
+    for node in signal_variables(valve):
+        yield _beside_others(node, SIGNALS)
+    for node in inverse_results(valve):
+        yield _by_itself(node)
+    for counter in valve.counters:
+        yield replace(_by_itself(counter_variable(valve.name, counter)), first=0)
+    for node in health_variables(valve.name):
+        yield _by_itself(node)
 
 
 class ResultBlocks:
-    """Writes what changes with each result; made once all variables are there."""
+    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any."""
 
-    def __init__(self, server: HardenedServer, valves: int, places: Iterable[Place]) -> None:
+    def __init__(
+        self, server: HardenedServer, valves: Sequence[ValveDescription], now: int
+    ) -> None:
         self._server = server
-        self._blocks: list[Block] = []
         self._where: dict[str, NDArray[np.intp]] = {}  # block and column by valve; -1: none
-        kinds: dict[tuple[ua.VariantType, int | None], list[Place]] = {}
-        for place in places:
-            kinds.setdefault((place.variable.type, place.length), []).append(place)
-        for (_, length), own in kinds.items():
-            for column, place in enumerate(own):
-                if place.name is None:
-                    continue
-                where = self._where.setdefault(place.name, np.full((valves, 2), -1))
-                where[place.valve] = len(self._blocks), column
-            self._blocks.append(server.add_block([place.variable for place in own], length))
+        alike: dict[ValveDescription, list[int]] = {}
+        for number, valve in enumerate(valves):
+            alike.setdefault(replace(valve, name=""), []).append(number)
+        sizes: dict[_Kind, int] = {}
+        for described, numbers in alike.items():
+            for kind, variables in _by_kind(changing_variables(described)).items():
+                begin = sizes.setdefault(kind, 0)
+                block, width = list(sizes).index(kind), len(variables)
+                for k in reversed(range(width)):  # side by side: the first one's place is theirs
+                    places = begin + k + width * np.arange(len(numbers))
+                    for name in {variables[k].name, variables[k].column}:
+                        where = self._where.setdefault(name, np.full((len(valves), 2), -1))
+                        where[numbers, 0], where[numbers, 1] = block, places
+                sizes[kind] += width * len(numbers)
+        self._blocks = [server.add_empty_block(*kind, n) for kind, n in sizes.items()]
+        for described, numbers in alike.items():
+            counters = (v for v in changing_variables(described) if v.first is not None)
+            self.write(np.array(numbers), [_at_first(v, len(numbers), now) for v in counters])
+
+    def show(self, valve: int, name: str, variable: Variable) -> None:
+        """Let a variable, by its name within its valve, show what is written here of it."""
+        where = self._where.get(name)
+        if where is not None and where[valve, 0] >= 0:
+            block, column = where[valve].tolist()
+            self._server.show(variable, self._blocks[block], column)
 
     def write(self, valves: Times, columns: Iterable[Column]) -> None:
         """Publish variables of valves that are treated alike; what is not there is passed over."""
@@ -62,6 +121,35 @@ class ResultBlocks:
             rows[number].put(places, column)
         for row in rows.values():
             self._server.write_block(row.block, row.values, row.t, row.codes, row.present)
+
+
+def _by_kind(variables: Iterable[Changing]) -> dict[_Kind, list[Changing]]:
+    kinds: dict[_Kind, list[Changing]] = {}
+    for variable in variables:
+        kinds.setdefault((variable.type, variable.length), []).append(variable)
+    return kinds
+
+
+def _by_itself(node: VariableNode, length: int | None = None) -> Changing:
+    name = _within_valve(node)
+    return Changing(name, node.kind, length, name)
+
+
+def _beside_others(node: VariableNode, column: str) -> Changing:
+    return Changing(_within_valve(node), node.kind, None, column)
+
+
+def _within_valve(node: VariableNode) -> str:
+    return node.id.partition(".")[2]
+
+
+def _at_first(changing: Changing, valves: int, now: int) -> Column:
+    return Column(
+        changing.column,
+        np.full(valves, changing.first),
+        np.full(valves, ua.StatusCodes.Good, np.uint32),
+        np.full(valves, now),
+    )
 
 
 class _Row:

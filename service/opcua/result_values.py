@@ -33,12 +33,14 @@ from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.opcua.information_model import (
     ARMED,
+    BASELINE,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
     INVERSE,
     LAG_Q,
     LAG_U,
     PARAMETERS,
+    SERVICE,
     SIGNALS,
 )
 from service.streaming.ports import (
@@ -47,6 +49,7 @@ from service.streaming.ports import (
     InverseResults,
     Results,
     SignalResults,
+    Version,
 )
 
 _Codes = ua.StatusCodes
@@ -88,12 +91,7 @@ def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Ite
     parameters are variables of their own, too.
     """
     for name, estimator in results.estimators.items():
-        yield from _estimator_columns(name, estimator, now)
-        if name in by_name:
-            codes = estimator_codes(estimator)
-            of_none = worse(codes, _Codes.UncertainInitialValue)
-            t = np.where(estimator.t, estimator.t, now)
-            yield _each(f"{name}.{PARAMETERS}", estimator.theta, codes, of_none, t)
+        yield from _estimator_columns(name, estimator, now, by_name=name in by_name)
     yield from _inverse_columns(results.inverse, now)
     if results.signals is not None:
         yield _signal_column(results.signals, now)
@@ -133,6 +131,16 @@ def lag_values(lags: tuple[float, float], own: int, t: int) -> Iterator[Shown]:
         yield Shown(f"{DIAGNOSTICS}.{name}", lag, code, t)
 
 
+def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
+    """The map that was approved as new, in the service's own words; when it was found so."""
+    code = int(_Codes.Good if found is not None else _Codes.BadNoData)
+    moment = None if found is None else datetime.fromtimestamp(found.t / 1e9, UTC)
+    version, digest = ("", "") if found is None else (found.version, found.digest)
+    yield Shown(f"{BASELINE}.Version", version, int(_Codes.Good), now)
+    yield Shown(f"{BASELINE}.Time", moment, code, now)
+    yield Shown(f"{BASELINE}.DataHash", digest, code, now)
+
+
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
     """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
     yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
@@ -143,7 +151,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
     """Identifier, value and StatusCode of what is shown of the service itself."""
     never = math.isnan(health.checkpoint_age_s)
     age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
-    yield "Service.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
+    yield f"{SERVICE}.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
     for name, count in (
         ("Checkpoint.Failures", health.checkpoint_failures),
         ("Checkpoint.Refused", health.checkpoints_refused),
@@ -152,8 +160,9 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.Overflows", health.source.overflows),
         ("Source.MissingMessages", health.source.missing_messages),
         ("Source.Undecodable", health.source.undecodable),
+        ("Source.FromHistory", health.source.from_history),
     ):
-        yield f"Service.{name}", count, int(_Codes.Good)
+        yield f"{SERVICE}.{name}", count, int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
@@ -184,7 +193,9 @@ def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
     return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
 
 
-def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterator[Column]:
+def _estimator_columns(
+    name: str, results: EstimatorResults, now: int, *, by_name: bool
+) -> Iterator[Column]:
     codes, own = estimator_codes(results), estimator_own_words(results)
     doubtful = worse(codes, _Codes.UncertainInitialValue)
     t = np.where(results.t, results.t, now)
@@ -200,9 +211,13 @@ def _estimator_columns(name: str, results: EstimatorResults, now: int) -> Iterat
         yield Column(
             f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
         )
+    stated = np.where(np.isfinite(results.systematic_std), codes, worse(codes, _Codes.BadNoData))
+    yield Column(f"{name}.SystematicStd", results.systematic_std, stated, t)
     yield Column(f"{name}.SampleCount", results.sample_count, own, t)
     yield Column(f"{name}.Status", results.status, own, t)
     yield Column(f"{name}.Adaptation", results.adaptation, own, t)
+    if by_name:
+        yield _each(f"{name}.{PARAMETERS}", results.theta, codes, doubtful, t)
 
 
 def _signal_column(signals: SignalResults, now: int) -> Column:

@@ -6,11 +6,11 @@ needs none of the compiled loops that take in every sample.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import ua
 
+from service.clock import utc_ns
 from service.errors import CommandRejected, SourceLost
 from service.opcua.connection import (
     Connection,
@@ -19,14 +19,11 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
-from service.opcua.source_nodes import OperationLimits, in_chunks, namespaces_of, operation_limits
+from service.opcua.requests import children_of, in_chunks, namespaces_of, read_values
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
 _METHODS_AT_ONCE = 50  # of one request: others want their turn
-_REFERENCES = 1_000  # of one node and answer; the rest by BrowseNext
-_MOST_REFERENCES = 100_000
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,6 @@ class ResultsClient:
         self._namespace = namespace
         self._connection: Connection | None = None
         self._index = 0
-        self._limits = OperationLimits(1, 1)
 
     @property
     def url(self) -> str:
@@ -89,8 +85,6 @@ class ResultsClient:
         connection = await open_connection(self._settings)
         try:
             self._index = await self._find_namespace(connection)
-            with connection.errors("reading the operation limits"):
-                self._limits = await operation_limits(connection)
         except BaseException:
             await connection.close()
             raise
@@ -112,21 +106,7 @@ class ResultsClient:
         connection = self._connected()
         start = ua.NodeId(ua.ObjectIds.ObjectsFolder) if id is None else self._node(id)
         with connection.errors(f"browsing {id or 'Objects'}"):
-            (result,) = await connection.session.browse(
-                ua.BrowseParameters(
-                    View=ua.ViewDescription(),
-                    RequestedMaxReferencesPerNode=_REFERENCES,
-                    NodesToBrowse=[_description(start)],
-                )
-            )
-            references = list(result.References or [])
-            while result.ContinuationPoint:
-                if len(references) > _MOST_REFERENCES:
-                    raise ValueError(f"more than {_MOST_REFERENCES} references")
-                (result,) = await connection.session.browse_next(
-                    ua.BrowseNextParameters(ContinuationPoints=[result.ContinuationPoint])
-                )
-                references += result.References or []
+            (references,) = await children_of(connection, [start])
         return [
             Child(
                 str(reference.NodeId.Identifier),
@@ -137,8 +117,10 @@ class ResultsClient:
             if reference.NodeId.NamespaceIndex == self._index
         ]
 
-    async def read(self, ids: Sequence[str]) -> list[Reading]:
+    async def read(self, ids: Sequence[str | int]) -> list[Reading]:
         """Values of variables, one reading each; what cannot be read has a Bad ``code``.
+
+        A number names one of the standard's variables.
 
         Raises
         ------
@@ -147,9 +129,7 @@ class ResultsClient:
         connection = self._connected()
         nodes = [self._node(id_) for id_ in ids]
         with connection.errors("reading"):
-            answers = await in_chunks(
-                nodes, self._limits.nodes_per_read, lambda chunk: _read(connection, chunk)
-            )
+            answers = await read_values(connection, nodes, ua.TimestampsToReturn.Source)
         return [_reading(answer) for answer in answers]
 
     async def call(
@@ -216,19 +196,8 @@ class ResultsClient:
             raise SourceLost(f"{self.url}: not connected")
         return self._connection
 
-    def _node(self, id_: str) -> ua.NodeId:
-        return ua.NodeId(id_, self._index)
-
-
-async def _read(connection: Connection, nodes: Sequence[ua.NodeId]) -> list[ua.DataValue]:
-    parameters = ua.ReadParameters(
-        TimestampsToReturn=ua.TimestampsToReturn.Source,
-        NodesToRead=[
-            ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value) for node in nodes
-        ],
-    )
-    answers: list[ua.DataValue] = await connection.session.read(parameters)
-    return answers
+    def _node(self, id_: str | int) -> ua.NodeId:
+        return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)
 
 
 def _reading(answer: ua.DataValue) -> Reading:
@@ -236,26 +205,8 @@ def _reading(answer: ua.DataValue) -> Reading:
     if isinstance(value, ua.LocalizedText):
         value = value.Text
     code = answer.StatusCode.value if answer.StatusCode is not None else 0
-    return Reading(value, int(code), _ns(answer.SourceTimestamp))
-
-
-def _ns(time: datetime | None) -> int:
-    if time is None:
-        return 0
-    known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
-    since = known - _EPOCH
-    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1_000
-
-
-def _description(start: ua.NodeId) -> ua.BrowseDescription:
-    return ua.BrowseDescription(
-        NodeId=start,
-        BrowseDirection=ua.BrowseDirection.Forward,
-        ReferenceTypeId=ua.NodeId(ua.ObjectIds.HierarchicalReferences),
-        IncludeSubtypes=True,
-        NodeClassMask=0,
-        ResultMask=ua.BrowseResultMask.NodeClass,
-    )
+    time = answer.SourceTimestamp
+    return Reading(value, int(code), 0 if time is None else utc_ns(time))
 
 
 def _variant(value: float | str) -> ua.Variant:

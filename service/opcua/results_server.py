@@ -1,12 +1,11 @@
 """The results server: what was identified, for any OPC UA client, and what operators may do."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from asyncua import ua
-from asyncua.common.node import Node
 from numpy.typing import NDArray
 
 from service.errors import CommandRejected
@@ -23,6 +22,7 @@ from service.hardened import (
     Variable,
     add_method,
     add_object,
+    add_property,
     add_variable,
     caller,
     many_nodes,
@@ -34,9 +34,9 @@ from service.identification.survey import axes
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
     ARMED,
+    BASELINE,
     DIAGNOSTICS,
     FEED_FORWARD_STATUS,
-    FRAME,
     INVERSE,
     LAST_ACTION,
     NAMESPACE,
@@ -49,8 +49,9 @@ from service.opcua.information_model import (
     U_RANGE,
     VariableNode,
     axis,
+    baseline_variables,
+    builds_on_variable,
     check_names,
-    counter_name,
     counter_variable,
     discovery_variables,
     estimator_variables,
@@ -64,11 +65,18 @@ from service.opcua.information_model import (
     signal_variables,
     survey_axes,
     survey_variables,
+    timing_variable,
     waiting_variable,
 )
-from service.opcua.result_blocks import Place, ResultBlocks
+from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.opcua.result_values import Column, columns_of, service_values
+from service.opcua.result_values import (
+    Column,
+    Shown,
+    baseline_values,
+    columns_of,
+    service_values,
+)
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     EstimatorDescription,
@@ -84,6 +92,7 @@ _PARTS = {
     f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
+_AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -114,6 +123,8 @@ class ResultsServer(Startable):
     scalars_interval_s
         Shortest time between two results of a valve in its single variables; its Frame has them
         all. What is Bad never waits.
+    on_reload
+        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
     """
 
     def __init__(
@@ -123,6 +134,7 @@ class ResultsServer(Startable):
         operator: Operator,
         clock: Clock | None = None,
         scalars_interval_s: float = 0.0,
+        on_reload: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -131,10 +143,12 @@ class ResultsServer(Startable):
         self._clock = clock or SystemClock()
         self._server: HardenedServer | None = None
         self._variables: dict[str, Variable] = {}
-        self._places: list[Place] = []
-        self._demands: dict[str, tuple[float, float]] = {}
+        self._not_shown: dict[str, Shown] = {}  # the newest of what has no node yet, by id
+        self._numbers = {valve.name: number for number, valve in enumerate(self._valves)}
+        self._demands = {valve.name: (np.nan, np.nan) for valve in self._valves}
         self._sequences = np.zeros(len(self._valves), np.int64)
         self._scalars_interval_s = scalars_interval_s
+        self._on_reload = on_reload
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
@@ -146,7 +160,9 @@ class ResultsServer(Startable):
         return self._settings.url if self._server is None else self._server.url
 
     async def start(self) -> None:
-        """Make all nodes, then listen.
+        """Make the nodes that lead to each valve, then listen.
+
+        What is below a valve is made when somebody first looks at it.
 
         Raises
         ------
@@ -159,11 +175,13 @@ class ResultsServer(Startable):
         root = await add_object(
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
+        self._blocks = ResultBlocks(server, self._valves, self._clock.now())
         with many_nodes():
             for number, valve in enumerate(self._valves):
-                await self._add_valve(server, root, number, valve)
+                words = f"The valve {valve.name} and what is known of it."
+                folder = await add_object(server, root, valve.name, description=words)
+                server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
-        self._blocks = ResultBlocks(server, len(self._valves), self._places)
         await server.start()
         self._server = server
 
@@ -189,9 +207,7 @@ class ResultsServer(Startable):
             columns = (column[due] for column in columns)
         self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
         for valve, new in self._changed.values(results, now):
-            variable = self._variables.get(f"{self._valves[valve].name}.{new.name}")
-            if variable is not None:
-                self._server.write([(variable, new.value, new.code, new.t)])
+            self._show(self._server, self._valves[valve].name, new)
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""
@@ -211,6 +227,15 @@ class ResultsServer(Startable):
             for name, value, code in service_values(health)
         )
 
+    def _show(self, server: HardenedServer, valve: str, new: Shown) -> None:
+        """Write a variable, or keep what is new of it until it has a node."""
+        id_ = f"{valve}.{new.name}"
+        variable = self._variables.get(id_)
+        if variable is None:
+            self._not_shown[id_] = new
+        else:
+            server.write([(variable, new.value, new.code, new.t)])
+
     def _due(self, results: Results) -> NDArray[np.bool_]:
         """Whose single variables are written now, (M,)."""
         now, valves = self._clock.monotonic(), results.valves
@@ -220,45 +245,54 @@ class ResultsServer(Startable):
         self._scalars_due[valves[due]] = now + self._scalars_interval_s
         return due
 
-    async def _add_valve(
-        self, server: HardenedServer, root: ua.NodeId, number: int, valve: ValveDescription
-    ) -> None:
-        folder = await add_object(
-            server, root, valve.name, description=f"The valve {valve.name} and what is known of it."
-        )
+    async def _add_valve(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
+        """Add what is below a valve's folder; what is in folders there is added later still."""
+        valve = self._valves[number]
         of_frame, of_names = frame_variables(valve)
-        names = frame_names(valve)
-        await self._add_variable(server, folder, of_names, names)
-        whole = await self._add_variable(server, folder, of_frame, None)
-        self._places.append(Place(number, FRAME, whole, len(names)))
+        await self._add_variable(server, folder, of_names, frame_names(valve))
+        await self._add_variable(server, folder, of_frame, None)
+        add_part = partial(self._add_part, server, folder, valve)
         for estimator in valve.estimators:
-            await self._add_estimator(server, folder, number, estimator)
-        await self._add_side_by_side(
-            server, folder, number, SIGNALS, signal_variables(valve), "The newest sample."
-        )
-        await self._add_inverse(server, folder, number)
-        diagnostics = await add_object(
-            server,
-            folder,
-            f"{valve.name}.{DIAGNOSTICS}",
-            description="What became of the valve's data on their way into the model.",
-        )
-        for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
-            await self._add_variable(server, diagnostics, node, middles.tolist())
-        await self._add_variable(server, diagnostics, waiting_variable(valve.name), [])
-        for node in lag_variables(valve):
-            await self._add_variable(server, diagnostics, node, None)
-        await self._add_variable(server, diagnostics, last_action(valve), "")
-        for counter in valve.counters:
-            node = counter_variable(valve.name, counter)
-            variable = await self._add_variable(server, diagnostics, node, 0)
-            self._places.append(Place(number, counter_name(counter), variable, None))
+            add_estimator = partial(self._add_estimator, estimator)
+            await add_part(estimator.name, estimator.description, add_estimator)
+        await add_part(SIGNALS, "The newest sample.", self._add_signals)
+        await add_part(INVERSE, "The control voltage that a flow demands.", self._add_inverse)
+        await add_part(BASELINE, "The map that was approved as new.", self._add_baseline)
+        words = "What became of the valve's data on their way into the model."
+        await add_part(DIAGNOSTICS, words, self._add_diagnostics)
 
-        for shown in health_variables(valve.name):
-            variable = await self._add_variable(server, diagnostics, shown, None)
-            self._places.append(
-                Place(number, shown.id.removeprefix(f"{valve.name}."), variable, None)
-            )
+    async def _add_part(
+        self,
+        server: HardenedServer,
+        folder: ua.NodeId,
+        valve: ValveDescription,
+        name: str,
+        description: str,
+        add: _AddPart,
+    ) -> None:
+        part = await add_object(server, folder, f"{valve.name}.{name}", description=description)
+        server.add_later(part, partial(add, server, part, valve))
+
+    async def _add_signals(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+    ) -> None:
+        for node in signal_variables(valve):
+            await self._add_variable(server, parent, node, None)
+
+    async def _add_diagnostics(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+    ) -> None:
+        for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
+            await self._add_variable(server, parent, node, middles.tolist())
+        await self._add_variable(server, parent, waiting_variable(valve.name), [])
+        await self._add_variable(server, parent, timing_variable(valve.name), [])
+        for node in lag_variables(valve):
+            await self._add_variable(server, parent, node, None)
+        await self._add_variable(server, parent, last_action(valve), "")
+        for counter in valve.counters:
+            await self._add_variable(server, parent, counter_variable(valve.name, counter), 0)
+        for node in health_variables(valve.name):
+            await self._add_variable(server, parent, node, None)
 
     async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
         folder = await add_object(
@@ -268,36 +302,41 @@ class ResultsServer(Startable):
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
                 await self._add_variable(server, parent, node, None)
+        if self._on_reload is not None:
+            await add_method(
+                server,
+                folder,
+                f"{SERVICE}.Reload",
+                partial(_refusing_later, self._on_reload),
+                required=Role.ENGINEER,
+                description="Read the configuration again. Valves that it leaves alone keep what "
+                "they know and miss nothing; a faulty one is refused, and the old one goes on.",
+            )
 
     async def _add_estimator(
         self,
-        server: HardenedServer,
-        folder: ua.NodeId,
-        number: int,
         estimator: EstimatorDescription,
+        server: HardenedServer,
+        parent: ua.NodeId,
+        valve: ValveDescription,
     ) -> None:
-        valve = self._valves[number]
         prefix = f"{valve.name}.{estimator.name}"
-        parent = await add_object(server, folder, prefix, description=estimator.description)
+        names = list(estimator.parameter_names)
         for node in estimator_variables(valve, estimator):
-            name = node.id.removeprefix(f"{valve.name}.")
-            if node.kind == ua.VariantType.String:
-                names = list(estimator.parameter_names)
-                await self._add_variable(server, parent, node, names)
-                continue
-            variable = await self._add_variable(server, parent, node, None)
-            length = None if node.dimensions is None else len(estimator.parameter_names)
-            if length != 0:
-                self._places.append(Place(number, name, variable, length))
+            value = names if node.kind == ua.VariantType.String else None
+            await self._add_variable(server, parent, node, value)
         for node in (
             *survey_variables(valve, estimator),
             *discovery_variables(valve, estimator),
         ):
             await self._add_variable(server, parent, node, None)
+        await self._add_variable(server, parent, builds_on_variable(valve.name, estimator.name), "")
         parameters = parameter_variables(valve, estimator)
         if parameters:
-            name, what = f"{estimator.name}.{PARAMETERS}", "The parameters, each by itself."
-            await self._add_side_by_side(server, parent, number, name, parameters, what)
+            words = "The parameters, each by itself."
+            each = await add_object(server, parent, f"{prefix}.{PARAMETERS}", description=words)
+            for node in parameters:
+                await self._add_variable(server, each, node, None)
         command = partial(self._add_command, server, parent, prefix)
         who = (valve.name, estimator.name)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
@@ -343,29 +382,10 @@ class ResultsServer(Startable):
             f"the structure cannot follow included. Status: {_numbered(Status)}.",
         )
 
-    async def _add_side_by_side(
-        self,
-        server: HardenedServer,
-        parent: ua.NodeId,
-        number: int,
-        name: str,
-        nodes: Sequence[VariableNode],
-        description: str,
+    async def _add_inverse(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
-        """Add an object whose variables are published together under ``name``."""
-        valve = self._valves[number].name
-        folder = await add_object(server, parent, f"{valve}.{name}", description=description)
-        for k, node in enumerate(nodes):
-            variable = await self._add_variable(server, folder, node, None)
-            self._places.append(Place(number, None if k else name, variable, None))
-
-    async def _add_inverse(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
-        valve = self._valves[number]
         prefix = f"{valve.name}.{INVERSE}"
-        parent = await add_object(
-            server, folder, prefix, description="The control voltage that a flow demands."
-        )
-        self._demands[valve.name] = (np.nan, np.nan)
         start: dict[str, Any] = {
             f"{prefix}.MapQ": list(valve.map_Q),
             f"{prefix}.MapDp": list(valve.map_dp),
@@ -377,12 +397,9 @@ class ResultsServer(Startable):
             f"{prefix}.PressureDrop": partial(self._demand_at, valve.name),
         }
         for node in inverse_variables(valve):
-            variable = await self._add_variable(
+            await self._add_variable(
                 server, parent, node, start.get(node.id), on_write.get(node.id)
             )
-            if node.dimensions is None and not node.writable and node.id not in start:
-                name = node.id.removeprefix(f"{valve.name}.")
-                self._places.append(Place(number, name, variable, None))
         if valve.map_Q and valve.map_dp:
             await self._add_map(server, parent, valve)
         command = partial(self._add_command, server, parent, prefix)
@@ -412,12 +429,50 @@ class ResultsServer(Startable):
             description=f"Control voltage for a flow. Status: {_numbered(InverseStatus)}.",
         )
 
+    async def _add_baseline(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+    ) -> None:
+        for node in baseline_variables(valve.name):
+            empty = "" if node.kind == ua.VariantType.String else None
+            await self._add_variable(server, parent, node, empty)
+        prefix = f"{valve.name}.{BASELINE}"
+        for name, action, description in (
+            ("Approve", self._approve, "Keep what is known now as the valve's map when new."),
+            ("RollBack", self._roll_back, "Have all estimators know what they knew when approved."),
+            (
+                "ValveReplaced",
+                self._replace_valve,
+                "Another valve is there: forget what was learnt, and the approved map.",
+            ),
+        ):
+            function = partial(action, valve.name)
+            await self._add_command(server, parent, prefix, name, function, description)
+        flow = Unit.LITRE_PER_MINUTE
+        await add_method(
+            server,
+            parent,
+            f"{prefix}.Compare",
+            partial(self._compare, valve.name),
+            inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String),),
+            outputs=(
+                Argument("Mean", "Now less then, over all points; NaN: none", unit=flow),
+                Argument("Largest", "The largest of them, with its sign", unit=flow),
+                Argument("U", "Where that is", unit=Unit.PERCENT),
+                Argument("dp", "Where that is", unit=Unit.BAR),
+                Argument("Points", "How many could be compared", type=ua.VariantType.UInt32),
+            ),
+            required=Role.OBSERVER,
+            description="By how much a map has moved away from the approved one, where both rest "
+            "on measurements.",
+        )
+
     async def _add_map(
         self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         """Add the map, and make it an ImageItemType: SCADA clients draw it without our help."""
-        variable = await self._add_variable(server, parent, map_variable(valve), None)
-        node = Node(server.session, variable.id)
+        variable = await self._add_variable(
+            server, parent, map_variable(valve), None, type_definition=_IMAGE_ITEM_TYPE
+        )
         scale = ua.Variant(ua.AxisScaleEnumeration.Linear, ua.VariantType.Int32)
         for name, value, kind in (
             ("Title", ua.LocalizedText(f"Inverse flow map of {valve.name}"), "LocalizedText"),
@@ -429,13 +484,8 @@ class ResultsServer(Startable):
                 "AxisInformation",
             ),
         ):
-            id_ = ua.NodeId(f"{variable.id.Identifier}.{name}", server.namespace_index)
             data_type = ua.NodeId(getattr(ua.ObjectIds, kind))
-            await node.add_property(id_, ua.QualifiedName(name, 0), value, datatype=data_type)
-        has_type = ua.NodeId(ua.ObjectIds.HasTypeDefinition)
-        old = await node.read_type_definition()
-        await node.delete_reference(old, has_type, forward=True, bidirectional=True)
-        await node.add_reference(_IMAGE_ITEM_TYPE, has_type, forward=True, bidirectional=False)
+            await add_property(server, variable.id, name, value, data_type)
 
     async def _add_variable(
         self,
@@ -444,6 +494,7 @@ class ResultsServer(Startable):
         node: VariableNode,
         value: Any,  # noqa: ANN401 - as the variable's type says
         on_write: Callable[[float], None] | None = None,
+        type_definition: ua.NodeId | None = None,
     ) -> Variable:
         variable = await add_variable(
             server,
@@ -459,8 +510,14 @@ class ResultsServer(Startable):
             writable_by=Role.OPERATOR if node.writable else None,
             on_write=on_write,
             or_nan=node.writable,  # NaN takes a demand back
+            type_definition=type_definition,
         )
         self._variables[node.id] = variable
+        valve, _, name = node.id.partition(".")
+        if node.id in self._not_shown:
+            self._show(server, valve, self._not_shown.pop(node.id))
+        if valve in self._numbers:
+            self._blocks.show(self._numbers[valve], name, variable)
         return variable
 
     def _demand_flow(self, valve: str, Q: float) -> None:
@@ -474,6 +531,31 @@ class ResultsServer(Startable):
         self._demands[valve] = (Q, dp)
         self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 
+    def _approve(self, valve: str) -> None:
+        self._operator.approve(valve)
+        self._show_baseline(valve)
+
+    def _roll_back(self, valve: str) -> None:
+        self._operator.roll_back(valve)
+
+    def _replace_valve(self, valve: str) -> None:
+        self._operator.replace_valve(valve)
+        self._show_baseline(valve)
+
+    def _show_baseline(self, valve: str) -> None:
+        """At once: who has called may read."""
+        found = self._operator.baseline(self._numbers[valve])
+        if self._server is not None:
+            for new in baseline_values(found, self._clock.now()):
+                self._show(self._server, valve, new)
+
+    def _compare(self, valve: str, estimator: str) -> tuple[float, float, float, float, int]:
+        try:
+            found = self._operator.compare(valve, estimator)
+        except CommandRejected as rejected:
+            raise Refused(str(rejected)) from rejected
+        return found.mean, found.largest, found.U, found.dp, found.points
+
     def _arm(self, valve: str) -> None:
         self._operator.arm(valve)
         self._show_armed(valve, armed=True)
@@ -485,8 +567,8 @@ class ResultsServer(Startable):
     def _show_armed(self, valve: str, *, armed: bool) -> None:
         """At once: who has called may read."""
         if self._server is not None:
-            variable = self._variables[f"{valve}.{INVERSE}.{ARMED}"]
-            self._server.write([(variable, armed, ua.StatusCodes.Good, self._clock.now())])
+            new = Shown(f"{INVERSE}.{ARMED}", armed, ua.StatusCodes.Good, self._clock.now())
+            self._show(self._server, valve, new)
 
     async def _add_command(
         self,
@@ -518,9 +600,9 @@ class ResultsServer(Startable):
     def _note(self, valve: str, action: str) -> None:
         """Show what was done to a valve, and by whom."""
         if self._server is not None:
-            variable = self._variables[f"{valve}.{LAST_ACTION}"]
             said = f"{caller()}: {action}"
-            self._server.write([(variable, said, ua.StatusCodes.Good, self._clock.now())])
+            new = Shown(LAST_ACTION, said, ua.StatusCodes.Good, self._clock.now())
+            self._show(self._server, valve, new)
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
         if not 0.0 < lam <= 1.0:
@@ -554,6 +636,14 @@ def _refusing(function: Callable[..., None]) -> Callable[..., None]:
             raise Refused(str(rejected)) from rejected
 
     return command
+
+
+async def _refusing_later(function: Callable[[], Awaitable[None]]) -> None:
+    """The same, for what takes its time."""
+    try:
+        await function()
+    except CommandRejected as rejected:
+        raise Refused(str(rejected)) from rejected
 
 
 def _first(values: Floats) -> float:

@@ -128,6 +128,13 @@ class BatchSession(UaSession):
         request = ua.ModifyMonitoredItemsRequest(Parameters=params)
         return (await self._ask(request, ua.ModifyMonitoredItemsResponse)).Results
 
+    @override
+    async def delete_monitored_items(
+        self, parameters: ua.DeleteMonitoredItemsParameters
+    ) -> list[ua.StatusCode]:
+        request = ua.DeleteMonitoredItemsRequest(Parameters=parameters)
+        return (await self._ask(request, ua.DeleteMonitoredItemsResponse)).Results
+
     async def _ask(self, request: object, kind: type[_T]) -> _T:
         return decode_response(kind, await self.request(request))
 

@@ -1,32 +1,28 @@
 """The nodes of a source server: their names, whether they exist, whether they hold numbers."""
 
 import re
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
-from typing import TypeVar
+from datetime import datetime
 from uuid import UUID
 
 from asyncua import ua
 
+from service.clock import utc_ns
 from service.errors import ConfigurationError, SourceRejected
 from service.opcua.connection import Connection, in_one_line, status_name
+from service.opcua.requests import namespaces_of, read_attributes, read_values
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
 from service.streaming.units import Measure
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
 
-_In = TypeVar("_In")
-_Out = TypeVar("_Out")
-
 _NODE_ID = re.compile(
     r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)"
 )
 _ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
 
-_DEFAULT_OPERATIONS = 1_000
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ATTRIBUTES = (
     ua.AttributeIds.NodeClass,
     ua.AttributeIds.DataType,
@@ -182,10 +178,7 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
     wanted = [node for number, valve in enumerate(valves) for node in _of_valve(number, valve)]
     ids = [parse_node_id(node.text, namespaces) for node in wanted]
     with connection.errors("reading the nodes"):
-        limit = (await operation_limits(connection)).nodes_per_read
-        answers = await in_chunks(
-            ids, max(limit // len(_ATTRIBUTES), 1), lambda chunk: _read(connection, chunk)
-        )
+        answers = await read_attributes(connection, ids, _ATTRIBUTES)
         return _checked(url, valves, wanted, ids, answers)
 
 
@@ -234,70 +227,14 @@ async def clock_of_source(connection: Connection) -> SourceClock:
         ua.ObjectIds.Server_ServerStatus_StartTime,
         ua.ObjectIds.Server_ServerStatus_CurrentTime,
     )
-    parameters = ua.ReadParameters(
-        NodesToRead=[
-            ua.ReadValueId(NodeId=ua.NodeId(number), AttributeId=ua.AttributeIds.Value)
-            for number in ids
-        ]
-    )
     with connection.errors("reading the source's time"):
-        started, now = await connection.session.read(parameters)
+        started, now = await read_values(connection, [ua.NodeId(number) for number in ids])
         return SourceClock(_ns_of(started), _ns_of(now))
-
-
-@dataclass(frozen=True)
-class OperationLimits:
-    """How many operations the server takes in one request."""
-
-    nodes_per_read: int
-    items_per_call: int
-
-
-async def operation_limits(connection: Connection) -> OperationLimits:
-    """Read the server's OperationLimits; 1,000 where it announces none."""
-    ids = (
-        ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead,
-        ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall,
-    )
-    parameters = ua.ReadParameters(
-        NodesToRead=[
-            ua.ReadValueId(NodeId=ua.NodeId(number), AttributeId=ua.AttributeIds.Value)
-            for number in ids
-        ]
-    )
-    values = [
-        answer.Value.Value if answer.Value is not None else None
-        for answer in await connection.session.read(parameters)
-    ]
-    found = [value if isinstance(value, int) and value > 0 else None for value in values]
-    nodes, items = (min(value or _DEFAULT_OPERATIONS, 10_000) for value in found)
-    return OperationLimits(nodes, items)
-
-
-async def in_chunks(
-    items: Sequence[_In], size: int, call: Callable[[Sequence[_In]], Awaitable[Sequence[_Out]]]
-) -> list[_Out]:
-    """Call with at most ``size`` items at a time, with fewer where the server wants fewer."""
-    results: list[_Out] = []
-    while len(results) < len(items):
-        try:
-            chunk = items[len(results) : len(results) + size]
-            answers = await call(chunk)
-            if len(answers) != len(chunk):
-                raise ValueError(f"{len(answers)} results for {len(chunk)} operations")
-            results += answers
-        except ua.uaerrors.BadTooManyOperations:
-            if size == 1:
-                raise
-            size //= 2
-    return results
 
 
 def _ns_of(answer: ua.DataValue) -> int:
     value = None if answer.Value is None else answer.Value.Value
-    if not isinstance(value, datetime):
-        return 0
-    return (value.replace(tzinfo=UTC) - _EPOCH) // timedelta(microseconds=1) * 1_000
+    return utc_ns(value) if isinstance(value, datetime) else 0
 
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
@@ -314,45 +251,6 @@ def _uint32(text: str) -> int:
     if not 0 <= number < 2**32:
         raise ValueError(text)
     return number
-
-
-async def namespaces_of(connection: Connection) -> list[str]:
-    """Read the server's NamespaceArray.
-
-    Raises
-    ------
-    SourceLost, SourceRejected
-    """
-    with connection.errors("reading the NamespaceArray"):
-        parameters = ua.ReadParameters(
-            NodesToRead=[
-                ua.ReadValueId(
-                    NodeId=ua.NodeId(ua.ObjectIds.Server_NamespaceArray),
-                    AttributeId=ua.AttributeIds.Value,
-                )
-            ]
-        )
-        (answer,) = await connection.session.read(parameters)
-        uris = [uri or "" for uri in answer.Value.Value]
-        if not all(isinstance(uri, str) for uri in uris):
-            raise ValueError("namespaces that are no strings")
-        return uris
-
-
-async def _read(connection: Connection, ids: Sequence[ua.NodeId]) -> list[list[ua.DataValue]]:
-    parameters = ua.ReadParameters(
-        TimestampsToReturn=ua.TimestampsToReturn.Neither,
-        NodesToRead=[
-            ua.ReadValueId(NodeId=node_id, AttributeId=attribute)
-            for node_id in ids
-            for attribute in _ATTRIBUTES
-        ],
-    )
-    answers = await connection.session.read(parameters)
-    width = len(_ATTRIBUTES)
-    if len(answers) != width * len(ids):
-        raise ValueError(f"{len(answers)} values for {width * len(ids)} attributes")
-    return [answers[i * width : (i + 1) * width] for i in range(len(ids))]
 
 
 def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> str | None:

@@ -9,15 +9,11 @@ from asyncua import ua
 
 from service.errors import SourceRejected
 from service.opcua.connection import Connection, in_one_line
-from service.opcua.source_nodes import (
-    REQUIRED_U,
-    CheckedNodes,
-    ValveNodes,
-    in_chunks,
-    operation_limits,
-)
+from service.opcua.requests import in_chunks, operation_limits, read_values
+from service.opcua.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.units import (
+    MEASURED,
     QUANTITY_OF,
     UNECE,
     Measure,
@@ -30,7 +26,6 @@ from service.streaming.units import (
 
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _PROPERTIES: Final = ("EngineeringUnits", "EURange")
-_SIGNALS: Final = ("U", "p1", "p2", "Q", "T")
 _SLACK: Final = 0.01  # of a range: rounding of who set it up
 _ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0), (0.0, 5.0))
 
@@ -42,7 +37,7 @@ class Scales:
         n = len(valves) * SIGNALS_PER_VALVE
         self._gain, self._offset = np.ones(n), np.zeros(n)
         for number, valve in enumerate(valves):
-            for place, name in enumerate(_SIGNALS):
+            for place, name in enumerate(MEASURED):
                 scaling = valve.measure(name).scaling(name)
                 item = number * SIGNALS_PER_VALVE + place
                 self._gain[item], self._offset[item] = scaling.gain, scaling.offset
@@ -153,21 +148,7 @@ async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list
             )
             targets = [_target(result) for result in found]
             there = [target for target in targets if target is not None]
-            answers = iter(
-                await in_chunks(
-                    there,
-                    limit,
-                    lambda some: session.read(
-                        ua.ReadParameters(
-                            TimestampsToReturn=ua.TimestampsToReturn.Neither,
-                            NodesToRead=[
-                                ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)
-                                for node in some
-                            ],
-                        )
-                    ),
-                )
-            )
+            answers = iter(await read_values(connection, there))
         except ua.UaStatusCodeError:
             return [SaidOfNode() for _ in nodes]
         values = [None if target is None else _value(next(answers)) for target in targets]
@@ -180,8 +161,8 @@ def _wanted(
 ) -> Iterator[tuple[int, str, ua.NodeId, str]]:
     for node in nodes.monitored:
         valve, signal = divmod(node.item, SIGNALS_PER_VALVE)
-        if signal < len(_SIGNALS):
-            yield valve, _SIGNALS[signal], node.node, node.label
+        if signal < len(MEASURED):
+            yield valve, MEASURED[signal], node.node, node.label
     for number in range(len(valves)):
         command = nodes.writable.get((number, REQUIRED_U))
         if command is not None:

@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 
 import numpy as np
@@ -28,7 +28,7 @@ from service.opcua.decoding import (
     decode_publish_response,
     decode_republish_response,
 )
-from service.opcua.monitored_items import Item, create_items, enlarge_queues
+from service.opcua.monitored_items import Item, create_items, delete_items, enlarge_queues
 from service.opcua.responses import Senseless
 from service.opcua.source_nodes import MonitoredNode
 from service.streaming.data_changes import DataChanges
@@ -62,6 +62,21 @@ class Tally:
     missing_messages: int = 0
     overflows: int = 0
     undecodable: int = 0
+    from_history: int = 0
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one message brought: the changes, which message, and what is known to be lost before.
+
+    ``behind_gap``: messages before it never came; ``overflows``: queues at the server were full.
+    """
+
+    changes: DataChanges
+    subscription: int
+    message: int
+    behind_gap: bool
+    overflows: int
 
 
 @dataclass(frozen=True)
@@ -77,30 +92,22 @@ class Left:
     acknowledgements
         What was to be acknowledged.
     buffer
-        Changes that nobody has taken yet.
+        What nobody has taken yet.
     items
         The monitored items: node, number at the server, queue granted.
     kept_back
         Messages that are not to be acknowledged before they are committed; None: all may be.
-    handed_out
-        The last message that was heard.
+    behind_gap
+        Whether messages before the next one never came.
     """
 
     created: ua.CreateSubscriptionResult
     next_message: int | None
     acknowledgements: tuple[ua.SubscriptionAcknowledgement, ...]
-    buffer: tuple[DataChanges, ...]
+    buffer: tuple[Part, ...]
     items: tuple[Item, ...]
     kept_back: tuple[int, ...] | None = None
-    handed_out: int | None = None
-
-
-@dataclass(frozen=True)
-class Mark:
-    """How far a subscription has been handed out: its number, and that of the last message."""
-
-    subscription: int
-    message: int
+    behind_gap: bool = False
 
 
 class Subscription:
@@ -115,11 +122,11 @@ class Subscription:
     ) -> None:
         self._created = created
         self._items: tuple[Item, ...] = ()
+        self._item_of_handle: NDArray[np.int32] | None = None  # None: they are the same
         self._asked = 0
         self._tidies = False
         self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
-        self._handed_out: int | None = None
-        self._accepted: int | None = None
+        self._behind_gap = False
         self._counted: NDArray[np.int64] | None = None  # changes by item, while they are measured
         self._connection = connection
         self._session = connection.session
@@ -134,7 +141,7 @@ class Subscription:
         self._next: int | None = None
         self._acknowledgements: list[ua.SubscriptionAcknowledgement] = []
         self._in_turn = asyncio.Lock()
-        self._buffer: list[DataChanges] = []
+        self._buffer: list[Part] = []
         self._buffered = 0
         self._arrived = asyncio.Event()
         self._room = asyncio.Event()
@@ -154,18 +161,18 @@ class Subscription:
             buffer,
             self._items,
             None if self._kept_back is None else tuple(self._kept_back),
-            self._accepted,
+            self._behind_gap,
         )
 
     def go_on_from(self, left: Left) -> None:
         """Begin where another one was left."""
         self._next = left.next_message
         self._acknowledgements = list(left.acknowledgements)
-        self._items = left.items
+        self.watch(left.items)
         self._tidies = True
         if left.kept_back is not None:
             self._kept_back = deque(left.kept_back, _MOST_KEPT_BACK)
-        self._handed_out = self._accepted = left.handed_out
+        self._behind_gap = left.behind_gap
 
     def hold_back(self) -> None:
         """Acknowledge from now on only what `commit` says."""
@@ -181,24 +188,36 @@ class Subscription:
         """Its monitored items."""
         return self._items
 
-    @property
-    def mark(self) -> Mark | None:
-        """How far it has been handed out; None before the first message."""
-        if self._handed_out is None:
-            return None
-        return Mark(self._created.SubscriptionId, self._handed_out)
-
-    def commit(self, mark: Mark) -> None:
-        """What was handed out up to a mark need not be had again."""
-        if self._kept_back is None or mark.subscription != self._id:
+    def commit(self, subscription: int, message: int) -> None:
+        """What was handed out up to a message need not be had again."""
+        if self._kept_back is None or subscription != self._id:
             return
-        while self._kept_back and (mark.message - self._kept_back[0]) % 2**32 < 2**31:
+        while self._kept_back and (message - self._kept_back[0]) % 2**32 < 2**31:
             number = self._kept_back.popleft()
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def watch(self, items: Sequence[Item]) -> None:
         """See to it from now on that the queues of these items hold what they must."""
         self._items = tuple(items)
+        self._item_of_handle = _items_by_handle(self._items)
+
+    async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
+        """Watch just these nodes: some more than before, and the surplus items no longer.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        watched = {item.node.item for item in self._items}
+        handle = max((item.handle for item in self._items), default=-1) + 1
+        missing = [node for node in nodes if node.item not in watched]
+        with self._connection.errors("changing what is subscribed to"):
+            if surplus:
+                await delete_items(self._connection, self._id, surplus)
+            if missing:
+                by_handle = dict(enumerate(missing, handle))
+                added = await create_items(self._connection, self._id, by_handle)
+                self.watch((*self._items, *added))
 
     async def catch_up(self, available: Sequence[int] = ()) -> bool:
         """Ask for all messages again that were sent over the connection before.
@@ -231,7 +250,7 @@ class Subscription:
         for _ in range(self._settings.publish_requests):
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
-    async def receive(self) -> DataChanges:
+    async def receive(self) -> list[Part]:
         """Wait for changes and take all there are; a failure comes after them."""
         listening = self._clock.monotonic()  # before, it was we who were silent
         while not self._buffer:
@@ -252,14 +271,12 @@ class Subscription:
                     listening = self._clock.monotonic()
                 continue
             self._arrived.clear()
-        changes = DataChanges.concatenate(self._buffer)
-        self._handed_out = self._accepted
-        self._buffer.clear()
+        parts, self._buffer = self._buffer, []
         self._buffered = 0
         if not self._room.is_set():
             self._heard = self._clock.monotonic()  # it was we who were silent
             self._room.set()
-        return changes
+        return parts
 
     async def stop(self) -> None:
         """Send no more publish requests; the session's end deletes the subscription."""
@@ -337,7 +354,6 @@ class Subscription:
     def _accept(self, message: Message) -> None:
         """Take a message in; whatever happens then, it is not asked for again."""
         self._keep(message)
-        self._accepted = message.sequence_number
         self._acknowledge(message.sequence_number)
         self._next = _after(message.sequence_number)
 
@@ -355,12 +371,16 @@ class Subscription:
         for _ in range(gap - beyond):
             message = await self._republish(self._next)
             if message is None or message.sequence_number != self._next:
-                self._tally.missing_messages += 1
+                self._miss(1)
                 self._next = _after(self._next)
             else:
                 self._accept(message)
-        self._tally.missing_messages += beyond
+        self._miss(beyond)
         self._next = number
+
+    def _miss(self, messages: int) -> None:
+        self._tally.missing_messages += messages
+        self._behind_gap |= messages > 0
 
     async def _republish(self, number: int) -> Message | None:
         request = ua.RepublishRequest()
@@ -370,7 +390,11 @@ class Subscription:
             return decode_republish_response(await self._session.request(request))
         except DecodeError as error:
             raise Senseless(f"a message again that is not understood: {error}") from error
-        except (ua.uaerrors.BadMessageNotAvailable, TimeoutError):
+        except (
+            ua.uaerrors.BadMessageNotAvailable,
+            ua.uaerrors.BadServiceUnsupported,
+            TimeoutError,
+        ):
             return None
 
     def _skip_to_oldest(self, available: Sequence[int]) -> None:
@@ -379,7 +403,7 @@ class Subscription:
         ahead = sorted((n - begin) % 2**32 for n in available)
         ahead = [steps for steps in ahead if steps < 2**31]
         if ahead and ahead[0]:
-            self._tally.missing_messages += ahead[0]
+            self._miss(ahead[0])
             self._next = _ahead(begin, ahead[0])
 
     def _acknowledge(self, number: int) -> None:
@@ -389,7 +413,7 @@ class Subscription:
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def _keep(self, message: Message) -> None:
-        changes = message.changes
+        changes = self._of_items(message.changes)
         if not len(changes):
             return
         if len(changes) > _MOST_CHANGES:
@@ -403,14 +427,23 @@ class Subscription:
             self._counted += np.bincount(
                 np.clip(changes.item, 0, len(self._counted) - 1), minlength=len(self._counted)
             )
-        self._hand_out(changes)
-
-    def _hand_out(self, changes: DataChanges) -> None:
-        self._buffer.append(changes)
+        number = message.sequence_number
+        part = Part(changes, self._id, number, self._behind_gap, message.overflows)
+        self._behind_gap = False
+        self._buffer.append(part)
         self._buffered += len(changes)
         if self._buffered >= self._settings.buffer_limit:
             self._room.clear()
         self._arrived.set()
+
+    def _of_items(self, changes: DataChanges) -> DataChanges:
+        """The changes that are ours, marked by item instead of handle."""
+        table = self._item_of_handle
+        if table is None or not len(changes):
+            return changes
+        known = (changes.item >= 0) & (changes.item < len(table))
+        item = np.where(known, table[np.where(known, changes.item, 0)], np.int32(-1))
+        return replace(changes, item=item)[item >= 0]
 
     async def _adapt_queues(self) -> None:
         """Measure how fast nodes change, and have queues that hold a minute of it."""
@@ -478,7 +511,8 @@ async def subscribe(
     subscription.start()
     try:
         with connection.errors("subscribing"):
-            items = await create_items(connection, result.SubscriptionId, nodes)
+            by_handle = {node.item: node for node in nodes}
+            items = await create_items(connection, result.SubscriptionId, by_handle)
         subscription.watch(items)
     except BaseException:
         await subscription.stop()
@@ -511,6 +545,15 @@ async def take_over(
     subscription = Subscription(connection, left.created, tally, clock)
     subscription.go_on_from(left)
     return subscription, available
+
+
+def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
+    if all(item.handle == item.node.item for item in items):
+        return None
+    table = np.full(1 + max(item.handle for item in items), -1, np.int32)
+    for item in items:
+        table[item.handle] = item.node.item
+    return table
 
 
 def _check_pace(created: ua.CreateSubscriptionResult) -> None:

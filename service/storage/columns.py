@@ -6,12 +6,13 @@ it into a sentence.
 
 import re
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from decimal import Decimal, InvalidOperation
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.clock import utc_ns
 from service.identification.samples import Codes, Floats, Quality, Samples, Times
 from service.storage.dates import DateForm, date_nanoseconds, is_ambiguous
 from service.storage.layout import REQUIRED
@@ -27,7 +28,6 @@ ALLOWED_NUMBER = "a number, nan or an empty cell"
 ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _FRACTION = re.compile(r"[.,](\d+)")
 _EXACT_SECONDS = 1e6  # below, the nearest double still tells one ns from the next
 _SMALLEST, _LARGEST = -(2**63) + 1, 2**63 - 1  # -2**63 is NaT elsewhere
@@ -200,12 +200,9 @@ def _nanoseconds(cell: str) -> int | None:
 
 def _iso_nanoseconds(cell: str) -> int:
     moment = datetime.fromisoformat(cell)  # cuts the fraction off after six digits
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    since = moment - _EPOCH
     fraction = _FRACTION.search(cell)
     rest = int(fraction[1][6:9].ljust(3, "0")) if fraction else 0
-    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000 + rest
+    return utc_ns(moment) + rest
 
 
 def _quality(cell: str) -> Quality | None:

@@ -21,7 +21,8 @@ from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
 from service.storage.dates import DateForm, date_form
-from service.storage.layout import NUMBERS, Layout, Part, find_columns
+from service.storage.layout import Layout, Part, find_columns
+from service.streaming.units import MEASURED
 
 PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 
@@ -247,7 +248,7 @@ def csv_rows(valve: str, samples: Samples) -> bytes:
     csv.writer(text, lineterminator="\n").writerows(
         zip(
             map(columns.time_text, samples.t.tolist()),
-            *(getattr(samples, name).tolist() for name in NUMBERS),
+            *(getattr(samples, name).tolist() for name in MEASURED),
             (valve,) * len(samples),
             samples.quality.tolist(),
             strict=True,

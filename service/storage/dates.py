@@ -3,17 +3,18 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from enum import Enum
 from itertools import pairwise
 from typing import Final
 
+from service.clock import utc_ns
+
 _DATE = re.compile(
     r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})"
     r"(?:[ ,T]\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*([AaPp]\.?[Mm]\.?)?)?"
 )
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _SERIAL_EPOCH_DAYS: Final = 25_569  # 1970-01-01 as Excel counts days
 _SERIALS: Final = (20_000, 80_000)  # days: 1954 to 2119
 _SHORTEST_STEP_S: Final = 5e-4  # seconds that step by less would be days: nothing samples at 2 kHz
@@ -94,8 +95,7 @@ def date_nanoseconds(cell: str, form: DateForm) -> int | None:
         )
     except ValueError:
         return None
-    since: timedelta = moment - _EPOCH
-    return (since.days * 86_400 + since.seconds) * 10**9 + int((match[8] or "").ljust(9, "0"))
+    return utc_ns(moment) + int((match[8] or "").ljust(9, "0"))
 
 
 def is_ambiguous(cell: str, form: DateForm) -> bool:

@@ -7,6 +7,7 @@ from typing import Final
 
 from service.errors import ConfigurationError, RecordingError
 from service.streaming.units import (
+    MEASURED,
     QUANTITY_OF,
     SYMBOLS,
     Measure,
@@ -16,7 +17,6 @@ from service.streaming.units import (
     unit_of,
 )
 
-NUMBERS: Final = ("U", "p1", "p2", "Q", "T")
 REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
 DEFAULT_VALVE: Final = "Valvistor"
 
@@ -140,7 +140,7 @@ class _Finder:
 
     def _part(self, own: ValveLayout, valve: str | None, *, selects: bool = False) -> Part:
         found: dict[str, int | None] = {"t": self._time()}
-        for signal in NUMBERS:
+        for signal in MEASURED:
             column = own.signals.get(signal, Measure()).column
             field = f"signals.{signal}.column of valve {own.valve}"
             named = self._named(column, field)
@@ -150,7 +150,7 @@ class _Finder:
             raise RecordingError(self._missing(missing))
         numbers = {
             signal: (number, self._scaling(own, signal, number))
-            for signal in NUMBERS
+            for signal in MEASURED
             if (number := found[signal]) is not None
         }
         t = found["t"]
@@ -287,4 +287,4 @@ def _heading(text: str) -> tuple[str, str | None]:
     return text, None
 
 
-_OWN_NAMES = {name.casefold() for name in NUMBERS}
+_OWN_NAMES = {name.casefold() for name in MEASURED}

@@ -11,7 +11,8 @@ from service.errors import NoRecording, RecordingError
 from service.identification.samples import Codes, Floats, Samples, Times
 from service.storage import columns
 from service.storage.columns import CellError
-from service.storage.layout import DEFAULT_VALVE, NUMBERS, Columns, Layout, Part, find_columns
+from service.storage.layout import DEFAULT_VALVE, Columns, Layout, Part, find_columns
+from service.streaming.units import MEASURED
 
 try:
     import pyarrow as pa
@@ -25,7 +26,7 @@ except ImportError as _error:
 _SCHEMA = pa.schema(
     [
         pa.field("t", pa.timestamp("ns", tz="UTC")),
-        *(pa.field(name, pa.float64()) for name in NUMBERS),
+        *(pa.field(name, pa.float64()) for name in MEASURED),
         pa.field("valve", pa.string()),
         pa.field("quality", pa.uint8()),
     ]
@@ -139,7 +140,7 @@ def stream_rows(valve: str, samples: Samples) -> bytes:
     batch = pa.record_batch(
         [
             pa.array(samples.t).cast(_SCHEMA.field("t").type),
-            *(pa.array(getattr(samples, name)) for name in NUMBERS),
+            *(pa.array(getattr(samples, name)) for name in MEASURED),
             pa.repeat(valve, len(samples)),
             pa.array(samples.quality),
         ],
@@ -210,7 +211,7 @@ def _is_quality(kind: pa.DataType) -> bool:
 
 _ALLOWED: dict[str, tuple[str, Callable[[pa.DataType], bool]]] = {
     "t": ("a timestamp, a number or text", _is_time),
-    **dict.fromkeys(NUMBERS, ("a number", _is_number)),
+    **dict.fromkeys(MEASURED, ("a number", _is_number)),
     "valve": ("text", _is_text),
     "quality": ("an integer or text", _is_quality),
 }
@@ -227,7 +228,8 @@ def _complete(column: pa.Array, name: str, allowed: str) -> pa.Array:
 
 
 def _array(column: pa.Array) -> NDArray[Any]:
-    array: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+    # Arrow's own arrays are read-only: a type of its own, for which all kernels were compiled anew
+    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
     return array
 
 

@@ -30,6 +30,7 @@ from service.identification.samples import (
     Times,
     Trace,
 )
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.support import Support
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
@@ -49,7 +50,7 @@ from service.streaming.score import Score, recent_rmse
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 
-COUNTER_NAMES = (*OF_GATE, "beyond_range")
+COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
 
 
 class Fleet:
@@ -67,7 +68,7 @@ class Fleet:
         self.plan = plan
         self._gate = plan.gate.initial_state(M)
         self._lanes = {
-            name: _Lanes(estimator, M, nothing_seen(plan))
+            name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
             for name, estimator in plan.estimators.items()
         }
         self._t = np.zeros(M, np.int64)
@@ -137,13 +138,16 @@ class Fleet:
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
-        return np.column_stack((self._gate.counts(), beyond))
+        too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
+        return np.column_stack((self._gate.counts(), beyond, too_fast))
 
 
 class _Lanes:
     """One estimator on M valves."""
 
-    def __init__(self, estimator: AnyEstimator, M: int, support: Support) -> None:
+    def __init__(
+        self, estimator: AnyEstimator, M: int, support: Support, accuracy: SensorAccuracy
+    ) -> None:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
@@ -151,6 +155,7 @@ class _Lanes:
         self._cells = np.tile(none.cells, (M, 1, 1))
         self._overall = np.tile(none.overall, (M, 1))
         self._support = support.of_many(M)
+        self._accuracy = accuracy
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
@@ -185,6 +190,10 @@ class _Lanes:
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
 
+    def too_fast(self) -> Times:
+        """How many samples moved too fast for the lags of their signals (M,)."""
+        return self._states.too_fast(len(self.beyond))
+
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
         """Which samples have a U that the estimator cannot describe (N,); they are counted."""
         low, high = U_range_of(self._estimator)
@@ -214,6 +223,7 @@ class _Lanes:
             score=Score(self._scores[m].copy()),
             spread=ResidualSpread(self._cells[m].copy(), self._overall[m].copy()),
             support=self._support.one(m),
+            accuracy=self._accuracy,
             frozen=bool(self._frozen[m]),
             count=int(count),
             t=int(t),
@@ -244,6 +254,7 @@ class _Lanes:
             structure=self._states.structures(chosen),
             lags=self._states.lags(chosen),
             adaptation=self._states.adaptations(chosen),
+            systematic_std=np.full(len(chosen), np.nan),
         )
 
     def put(self, m: int, lane: Lane) -> None:
@@ -309,6 +320,11 @@ class _Stacked:
     def adaptations(self, chosen: Times) -> Codes:
         return self._estimator.adaptation_many(members(self._all, chosen))
 
+    def too_fast(self, M: int) -> Times:
+        if isinstance(self._estimator, Auto):
+            return self._estimator.too_fast(self._all)
+        return np.zeros(M, np.int64)
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -352,6 +368,9 @@ class _Listed:
 
     def adaptations(self, chosen: Times) -> Codes:
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
+
+    def too_fast(self, M: int) -> Times:
+        return np.zeros(M, np.int64)
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

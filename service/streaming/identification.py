@@ -30,10 +30,12 @@ from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
+from service.streaming.baseline import Baseline, Difference, difference
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
+from service.streaming.kernels.waiting import NEVER
 from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
@@ -48,14 +50,19 @@ from service.streaming.ports import (
     ValveResult,
 )
 from service.streaming.quality_gate import QualityGate
+from service.streaming.timing import Timing, TimingSettings, TimingState
 from service.streaming.valve_memory import ValveMemory
+from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
 
 MAPS_AT_ONCE = 100
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
+TIMING = "Signals"  # nor so: how its signals come
+BASELINE = "Baseline"  # nor so: the map that was approved as new
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
+_MISSING = OF_ALIGNMENT.index("missing")
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 
 
@@ -69,10 +76,22 @@ class _Through:
     has_sequence: bool
 
 
+@dataclass(frozen=True)
+class _Comes:
+    """What it depends on how a valve's signals come."""
+
+    settings: TimingSettings
+    nodes: Mapping[str, str]
+    has_T: bool
+    has_sequence: bool
+
+
 class Identification:
     """All valves of one service; fulfils :class:`service.streaming.ports.Operator`."""
 
-    def __init__(self, plans: Sequence[ValvePlan], alignment: Alignment) -> None:
+    def __init__(
+        self, plans: Sequence[ValvePlan], alignment: Alignment, timing: Timing | None = None
+    ) -> None:
         self.plans = tuple(plans)
         self._fleets, self._fleet_of, self._member_of = _fleets(self.plans)
         self._keys = [
@@ -81,9 +100,13 @@ class Identification:
         ]
         self._alignment = alignment
         self._waiting = alignment.initial_state()
+        self._finds_timing = timing is not None
+        self._timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
         self._numbers = {plan.name: number for number, plan in enumerate(self.plans)}
         self._maps = self._first_maps()
         self._surveys: list[Mapping[str, Survey]] = [{} for _ in self.plans]
+        self._baselines: dict[int, Baseline] = {}
+        self._approved = np.zeros(len(self.plans), np.int64)  # how many of each valve
         self._armed = np.zeros(len(self.plans), np.bool_)
         self._feed_forward = np.array(
             [_DISARMED[plan.feed_forward is not None] for plan in self.plans], np.uint8
@@ -100,19 +123,25 @@ class Identification:
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
+        return self._align(self._timing.take(changes))
+
+    def _align(self, changes: DataChanges) -> ByValve:
         self._waiting, arrived = self._alignment.take(self._waiting, changes)
         return self._learn(arrived)
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
-        return self._alignment.waits(self._waiting)
+        return self._alignment.waits(self._waiting) | (self._timing.pending > 0)
 
     def pending(self) -> Times:
         """How many samples of each valve wait for signals or for earlier samples."""
-        return self._alignment.pending(self._waiting)
+        return self._alignment.pending(self._waiting) + self._timing.pending
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """Take what waits for earlier samples without them; return it as `take` does."""
+        unfinished = self._timing.flush(valves)
+        if len(unfinished):
+            return self._align(unfinished)
         self._waiting, arrived = self._alignment.flush(self._waiting, valves)
         return self._learn(arrived)
 
@@ -165,9 +194,31 @@ class Identification:
 
     def waited_for(self, valve: int) -> tuple[str, ...]:
         """Which signals keep a valve's samples from being made, and what would help."""
-        newest = self._alignment.newest(self._waiting, valve)
-        has_T = self._alignment.has_T[valve]
-        return waited_for(newest, self._alignment.settings, has_T=has_T)
+        timing, nodes = self._timing.valves[valve], self.plans[valve].nodes
+        newest = np.maximum(self._alignment.newest(self._waiting, valve), timing.newest[:-1])
+        has_T, settings = self._alignment.has_T[valve], self._alignment.settings
+        if timing.stands == IN_SCANS:
+            return (*timing.words.losses(nodes), *timing.words.still(nodes))
+        said = waited_for(newest, settings, has_T=has_T, nodes=nodes)
+        if timing.stands == LISTENING and (newest[: 4 + has_T] != NEVER).all():
+            return ("how the signals come is not found yet: it takes some seconds of changes",)
+        return said
+
+    def stand_still(self, valve: int) -> tuple[str, ...]:
+        """Which of a valve's signals, written on change, have not moved for long."""
+        return self._timing.valves[valve].words.still(self.plans[valve].nodes)
+
+    def timing(self, valve: int) -> tuple[str, ...]:
+        """How each of a valve's signals comes, in words."""
+        return self._timing.valves[valve].words.sentences(self.plans[valve].nodes)
+
+    def newly_timed(self) -> list[int]:
+        """Valves of which it was found since the last call that their signals come in scans."""
+        return self._timing.newly_found()
+
+    def holds(self) -> NDArray[np.bool_]:
+        """Which valves have signals that come on change: silence is no loss of theirs."""
+        return self._timing.holds
 
     def implausible(self) -> NDArray[np.bool_]:
         """Which valves are not learnt from, because their signals cannot be what they are called.
@@ -252,6 +303,7 @@ class Identification:
                 found,
                 quality=np.maximum(found.quality, at_best),
                 survey=[self._surveys[valve].get(name) for valve in valves],
+                systematic_std=self._systematic_std(fleet, valves, name),
             )
             for name, found in fleet.results(places).items()
         }
@@ -262,13 +314,27 @@ class Identification:
             counters=self._counts(fleet, valves),
             counter_names=COUNTERS,
             signals=self._signals(valves, at_best),
+            baselines=[self._baselines.get(int(valve)) for valve in valves],
+            timing=[self.timing(int(valve)) for valve in valves],
             waiting=[
-                self._reasons(int(valve)) if of_use else ()
+                self._reasons(int(valve)) if of_use else self.stand_still(int(valve))
                 for valve, of_use in zip(
                     valves, (at_best == Quality.BAD) | self._implausible[valves], strict=True
                 )
             ],
         )
+
+    def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
+        """What the sensors' errors make of the flow at the newest sample of each valve, l/min."""
+        found = np.full(len(valves), np.nan)
+        if not fleet.plan.accuracy.is_stated:
+            return found
+        for k, valve in enumerate(valves):
+            newest = dict(zip(SIGNALS, self._newest.values[valve], strict=True))
+            point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
+            lane = fleet.lane(int(self._member_of[valve]), name)
+            (found[k],) = pipeline.systematic(lane, *point)
+        return found
 
     def _inverse_results(
         self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
@@ -295,7 +361,9 @@ class Identification:
 
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._member_of[valves]]
-        return np.column_stack((self._waiting.counters[valves], rejected))
+        aligned = self._waiting.counters[valves]
+        aligned[:, _MISSING] += self._timing.not_made[valves]
+        return np.column_stack((aligned, rejected))
 
     def counters(self, valve: int) -> Mapping[str, int]:
         """What was aligned, lost and rejected of one valve since the start."""
@@ -392,6 +460,63 @@ class Identification:
         answer = pipeline.required(self.plans[valve], state)
         return answer, Status.WARMING_UP if status is None else status
 
+    def approve(self, valve: str) -> None:
+        """Keep what the estimators know as the valve's map when new."""
+        number = self._numbers[valve]
+        plan, state = self.plans[number], self.state(number)
+        inverse = state.lanes[plan.inverse]
+        if inverse.status not in (Status.OK, Status.UNEXCITED):
+            said = "nothing was learnt yet" if inverse.status is None else inverse.status.sentence
+            raise CommandRejected(
+                f"{valve}: the map of {plan.inverse} is not one to build on: {said}"
+            )
+        self._approved[number] += 1
+        keys = self._keys[self._fleet_of[number]]
+        count = int(self._approved[number])
+        self._baselines[number] = Baseline.of(count, state.t, state.lanes, keys)
+
+    def roll_back(self, valve: str) -> None:
+        """Have every estimator know what it knew when the baseline was approved."""
+        number, baseline = self._numbers[valve], self._baseline(valve)
+        for name, configured in self.plans[number].estimators.items():
+            now = self.lane(valve, name)
+            try:
+                then = baseline.lane(name, configured)
+            except StateMismatchError as error:
+                raise CommandRejected(f"{valve}.{name}: {error}") from None
+            if now.lam is not None:
+                then = pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(then, frozen=now.frozen))
+
+    def replace_valve(self, valve: str) -> None:
+        """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
+        number = self._numbers[valve]
+        for name in self.plans[number].estimators:
+            self.reset(valve, name)
+        self._baselines.pop(number, None)
+
+    def compare(self, valve: str, estimator: str) -> Difference:
+        """By how much an estimator's map has moved away from the baseline's."""
+        number, baseline = self._numbers[valve], self._baseline(valve)
+        plan = self.plans[number]
+        if estimator not in plan.estimators:
+            raise CommandRejected(f"{valve} has no estimator {estimator!r}")
+        try:
+            then = baseline.lane(estimator, plan.estimators[estimator])
+        except StateMismatchError as error:
+            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        return difference(plan, self.lane(valve, estimator), then, self._T(valve, np.nan))
+
+    def baseline(self, valve: int) -> Baseline | None:
+        """The map that was approved as new, if one was."""
+        return self._baselines.get(valve)
+
+    def _baseline(self, valve: str) -> Baseline:
+        found = self._baselines.get(self._numbers[valve])
+        if found is None:
+            raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
+        return found
+
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""
         number = self._numbers[valve]
@@ -454,7 +579,54 @@ class Identification:
                     frozen=False,
                 )
             )
+            if self._finds_timing:
+                kept.append(self._timing_of(valve, state.t))
+            if self._approved[valve]:
+                kept.append(self._baseline_of(valve))
         return kept
+
+    def _baseline_of(self, valve: int) -> Checkpoint:
+        """The baseline, or, as ``frozen``, that there is none any more."""
+        found = self._baselines.get(valve)
+        none = Baseline(int(self._approved[valve]), 0, Baseline.digest_of({}), {}, {})
+        packed = (found or none).to_bytes()
+        t = 0 if found is None else found.t
+        name = self.plans[valve].name
+        return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
+
+    def _take_baseline(self, kept: Checkpoint) -> bool:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            return False
+        try:
+            found = Baseline.from_bytes(kept.state)
+        except StateMismatchError:
+            return False
+        self._approved[number] = found.number
+        if not kept.frozen:
+            self._baselines[number] = found
+        return True
+
+    def _timing_of(self, valve: int, t: int) -> Checkpoint:
+        key = self._timing_key(valve)
+        packed = self._timing.valves[valve].state.to_bytes(key)
+        return Checkpoint(self.plans[valve].name, TIMING, key, t, packed, lam=None, frozen=False)
+
+    def _timing_key(self, valve: int) -> str:
+        alignment, nodes = self._alignment, self.plans[valve].nodes
+        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
+        return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
+
+    def _time_as_before(self, kept: Checkpoint) -> bool:
+        number = self._numbers.get(kept.valve)
+        if number is None or not self._finds_timing:
+            return False
+        try:
+            state = TimingState.from_bytes(kept.state, self._timing_key(number))
+            self._timing.put(number, state)
+        except StateMismatchError:
+            return False
+        return True
 
     def _memory_key(self, valve: int) -> str:
         alignment, plan = self._alignment, self.plans[valve]
@@ -493,8 +665,13 @@ class Identification:
         """
         restored: list[str] = []
         refused: list[str] = []
+        takers = {
+            MEMORY: self._remember,
+            TIMING: self._time_as_before,
+            BASELINE: self._take_baseline,
+        }
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
-            taken = self._remember(kept) if kept.estimator == MEMORY else self._restore(kept)
+            taken = takers.get(kept.estimator, self._restore)(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self.refresh_maps()
@@ -548,7 +725,8 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     places = np.zeros((2, len(plans)), np.int64)
     for valve, plan in enumerate(plans):
         estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
-        key = repr((plan.gate, estimators, pipeline.nothing_seen(plan).ranges.tolist()))
+        ranges = pipeline.nothing_seen(plan).ranges.tolist()
+        key = repr((plan.gate, estimators, ranges, plan.accuracy))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -120,10 +120,13 @@ class LiveService:
             if plan.feed_forward is not None
         }
 
-    async def start(self) -> None:
-        """Take up what was kept before, and show that nothing is known of the present yet."""
+    async def start(self, known: Sequence[Checkpoint] = ()) -> None:
+        """Take up what was kept before, and show that nothing is known of the present yet.
+
+        ``known`` is newer than what was kept, if there is something.
+        """
         kept = []
-        for one in self._store.load():
+        for one in known or self._store.load():
             if (one.valve, one.estimator) == POSITION:
                 self._source.resume_at(one.state)
             else:
@@ -162,13 +165,15 @@ class LiveService:
         self._newest[members] = samples.samples.t[stops - 1]
         self._newest_U[members] = samples.samples.U[stops - 1]
         ages = self._ages()
-        self._lost[members] = ages[members] > OLD * self._settings.stale_after_s
-        self._old[members] = ages[members] > self._settings.stale_after_s
+        steady = ~self.identification.holds()[members]
+        self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
+        self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
         self._unpublished.update(dict.fromkeys(samples))
         self._say_what_is_doubted()
+        self._say_what_was_found()
         await self._feed_forward()
         await self._publish_in_turn()
         if not self._under_way and len(samples):
@@ -192,18 +197,19 @@ class LiveService:
     async def _doubt(self, now: float) -> None:
         """Call old what has become it since the last sample."""
         ages, limit = self._ages(), self._settings.stale_after_s
-        stale = (now - self._last_sample > limit) | (ages > OLD * limit)
+        silent = self.identification.holds() & self._connected  # nothing has changed
+        stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
-        old = np.flatnonzero((ages > limit) & ~self._old)
+        old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
             self._unpublished.update(dict.fromkeys(old.tolist()))
 
-    def _ages(self) -> Floats:
+    def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
         now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
-        ages = np.maximum((now - self._newest) * 1e-9, 0.0)
-        return np.where(self._newest > 0, ages, np.nan)
+        newest = self._newest[valves]
+        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
@@ -250,8 +256,11 @@ class LiveService:
             naming the file; the states go on in memory.
         """
         await self.settle()
-        every = self._states(range(len(self._lost)))
-        await asyncio.to_thread(self._store.save, [*every, *self._position(self._mark)])
+        await asyncio.to_thread(self._store.save, [*self.states(), *self._position(self._mark)])
+
+    def states(self) -> list[Checkpoint]:
+        """All that is known of all valves."""
+        return self._states(range(len(self._lost)))
 
     async def settle(self) -> None:
         """Wait for what is being kept."""
@@ -305,6 +314,11 @@ class LiveService:
             why = [finding.sentence for finding in self.identification.findings(valve)]
             remedy = "mend the configuration, or insist = true for this valve"
             log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
+
+    def _say_what_was_found(self) -> None:
+        for valve in self.identification.newly_timed():
+            name = self.identification.plans[valve].name
+            log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
 
     async def _lose(self, valves: list[int]) -> None:
         for valve in valves:
@@ -373,7 +387,7 @@ class LiveService:
         if not (armed and self._connected):
             return Situation(armed, self._connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
-        behind = self._ages()[valve]
+        behind = float(self._ages(slice(valve, valve + 1))[0])
         answer, status = self.identification.required(valve)
         return Situation(
             armed=armed,

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
-from service.streaming.units import Quantity, Unit
+from service.streaming.units import MEASURED, Quantity, Unit
 
-ROLES: Final = ("U", "p1", "p2", "Q", "T")
 REQUIRED: Final = ("U", "p1", "p2", "Q")
 
 _PRESSURE = "pressure press druck pression presion pressione 压力 油压 pt pi pit cp p"
@@ -275,7 +274,7 @@ def _proposal(name: str, own: Sequence[_Judged]) -> ValveProposal:
                 questions.append(f"{role}: {_listed(left)}")
             nodes[role] = left.pop(0).candidate
     questions += [f"{role}: no node was found" for role in REQUIRED if role not in nodes]
-    return ValveProposal(name, {r: nodes[r] for r in ROLES if r in nodes}, tuple(questions))
+    return ValveProposal(name, {r: nodes[r] for r in MEASURED if r in nodes}, tuple(questions))
 
 
 def _best(own: Sequence[_Judged]) -> list[_Judged]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.identification.change import FindsChanges
 from service.identification.estimator import Estimator, State, StateMismatchError, key_of
-from service.identification.extrapolation import trusted
+from service.identification.extrapolation import U_range_of, trusted
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
@@ -16,6 +16,7 @@ from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import TWO_SIDED_95, ResidualSpread
 from service.identification.samples import Codes, Floats, Samples, Status
+from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
 from service.streaming.feedforward import FeedForward
@@ -64,7 +65,8 @@ class ValvePlan:
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
-    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called.
+    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
+    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing.
     """
 
     name: str
@@ -76,6 +78,8 @@ class ValvePlan:
     map_dp: tuple[float, ...] = tuple(float(dp) for dp in range(10, 201, 10))
     feed_forward: FeedForward | None = None
     insist: bool = False
+    accuracy: SensorAccuracy = EXACT
+    nodes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,7 @@ class Lane:
     predicted: float = np.nan
     residual: float = np.nan
     status: Status | None = None
+    accuracy: SensorAccuracy = EXACT
 
 
 @dataclass(frozen=True)
@@ -168,14 +173,34 @@ def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) 
     """U for one demand; where T is NaN the last measured temperature serves."""
     lane = state.lanes[plan.inverse]
     T = state.T if np.isnan(T) else T
-    return invert(lane.estimator, lane.state, [Q], [dp], [T], support=lane.support)
+    return invert(
+        *(lane.estimator, lane.state, [Q], [dp], [T]), support=lane.support, accuracy=lane.accuracy
+    )
 
 
 def predicted(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
     """Q and its standard deviation at N points, and how far they can be trusted, all (N,).
 
-    The status is that of the estimator, or EXTRAPOLATING where nothing was measured near.
+    What the sensors may be off by is in the standard deviation. The status is that of the
+    estimator, or EXTRAPOLATING where nothing was measured near.
     """
+    Q, std, status = _as_measured(lane, U, dp, T)
+    return Q, np.hypot(std, systematic(lane, U, dp, T)), status
+
+
+def systematic(lane: Lane, U: Floats, dp: Floats, T: Floats) -> Floats:
+    """What the sensors' errors make of the flow at N points, one standard deviation, l/min (N,)."""
+    if not lane.accuracy.is_stated:
+        return np.zeros(len(U))
+
+    def flow(*points: Floats) -> Floats:
+        return lane.estimator.predict(lane.state, *points)[0]
+
+    return systematic_std(lane.accuracy, flow, (U, dp, T), U_range_of(lane.estimator))
+
+
+def _as_measured(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
+    """The same, as the sensors would show it."""
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
     std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
     own = Status.WARMING_UP if lane.status is None else lane.status
@@ -187,9 +212,12 @@ def predicted(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Flo
 def predicted_measurement(
     lane: Lane, U: Floats, dp: Floats, T: Floats
 ) -> tuple[Floats, Floats, Codes]:
-    """Q̂, half the 95 % interval of a new measurement, l/min, and status (N,); NaN if unknown."""
+    """Q̂, half the 95 % interval of a new measurement, l/min, and status (N,); NaN if unknown.
+
+    The sensors that will measure it are off as they were before.
+    """
     _, own = lane.estimator.predict(lane.state, U, dp, T)
-    Q, std, status = predicted(lane, U, dp, T)
+    Q, std, status = _as_measured(lane, U, dp, T)
     with np.errstate(invalid="ignore"):
         beyond = np.where(status == Status.EXTRAPOLATING, np.maximum(std**2 - own**2, 0.0), 0.0)
         # the spread of the residuals holds the misfit already, and the network's own std, too

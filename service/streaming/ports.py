@@ -29,6 +29,7 @@ class SourceCounters:
     missing_messages: int = 0
     overflows: int = 0
     undecodable: int = 0
+    from_history: int = 0
 
 
 class Source(Protocol):
@@ -149,8 +150,9 @@ class EstimatorResult:
     severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
     the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
     ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
-    ``lags`` those of U's effect and of the flow meter, s; ``adaptation``
-    what the estimator makes of its residuals.
+    ``lags`` those of U's effect and of the flow meter, s; ``systematic_std`` what the sensors'
+    errors make of the flow at the newest sample, l/min, NaN where nothing is said of them;
+    ``adaptation`` what the estimator makes of its residuals.
     """
 
     t: int
@@ -168,6 +170,7 @@ class EstimatorResult:
     structure: str | None = None
     lags: tuple[float, float] | None = None
     adaptation: Adaptation = Adaptation.UNDECIDED
+    systematic_std: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -219,6 +222,7 @@ class EstimatorResults:
     structure: Sequence[str | None]
     lags: Sequence[tuple[float, float] | None]
     adaptation: Codes
+    systematic_std: Floats
 
 
 @dataclass(frozen=True)
@@ -250,12 +254,53 @@ class SignalResults:
     values: Floats
 
 
+class Version(Protocol):
+    """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
+
+    @property
+    def version(self) -> str:
+        """Its name."""
+
+    @property
+    def t(self) -> int:
+        """UTC ns."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256, hexadecimal."""
+
+
+class Compared(Protocol):
+    """A map against the approved one: now less then, l/min."""
+
+    @property
+    def mean(self) -> float:
+        """Over all points."""
+
+    @property
+    def largest(self) -> float:
+        """With its sign."""
+
+    @property
+    def U(self) -> float:
+        """Where that is, %."""
+
+    @property
+    def dp(self) -> float:
+        """Where that is, bar."""
+
+    @property
+    def points(self) -> int:
+        """How many could be compared."""
+
+
 @dataclass(frozen=True)
 class Results:
     """All that is published of M valves that are treated alike.
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
-    ``waiting`` says of each why nothing is learnt from it.
+    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
+    ``baselines`` names the approved map that its results build on.
     """
 
     valves: Times
@@ -265,6 +310,8 @@ class Results:
     counter_names: tuple[str, ...]
     signals: SignalResults | None = None
     waiting: Sequence[tuple[str, ...]] = ()
+    timing: Sequence[tuple[str, ...]] = ()
+    baselines: Sequence[Version | None] = ()
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -287,6 +334,7 @@ class Results:
                     structure=found.structure[m],
                     lags=found.lags[m],
                     adaptation=Adaptation(int(found.adaptation[m])),
+                    systematic_std=float(found.systematic_std[m]),
                 )
                 for name, found in self.estimators.items()
             },
@@ -375,6 +423,21 @@ class Operator(Protocol):
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
+
+    def approve(self, valve: str) -> None:
+        """Keep what is known of a valve as its map when new: its baseline."""
+
+    def roll_back(self, valve: str) -> None:
+        """Go back to the baseline."""
+
+    def replace_valve(self, valve: str) -> None:
+        """Another valve is there: forget all, the baseline too."""
+
+    def compare(self, valve: str, estimator: str) -> Compared:
+        """By how much an estimator's map has moved away from the baseline."""
+
+    def baseline(self, valve: int) -> Version | None:
+        """The baseline of a valve, by its number."""
 
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""

@@ -39,10 +39,12 @@ class SupervisorSettings:
 
     Until the first connection a source that cannot be reached within ``startup_timeout_s``, or
     that rejects us, ends the run with its error: it is a mistake of the set-up. Afterwards it is
-    trouble of the plant: everything is tried again, for ever.
+    trouble of the plant: everything is tried again, for ever. ``connected_before``: it is that from
+    the start.
     """
 
     startup_timeout_s: float = 10.0
+    connected_before: bool = False
     tick_s: float = 0.25
     longest_pause_while_held_s: float = 2.0
     pauses: Callable[[], Iterator[float]] = backoff
@@ -63,7 +65,7 @@ async def supervise(
         only before the first connection, see :class:`SupervisorSettings`.
     """
     started = clock.monotonic()
-    ever_connected = False
+    ever_connected = settings.connected_before
     pauses = settings.pauses()
     try:
         while not stop.is_set():
@@ -107,6 +109,8 @@ async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick
                 changes, receiving = receiving.result(), None
                 await consumer.take(changes)
             await consumer.tick()
+        if receiving is not None and receiving.done() and not receiving.exception():
+            await consumer.take(receiving.result())
     finally:
         for task in (stopped, receiving):
             if task is not None:

@@ -31,6 +31,8 @@ class Quantity(Enum):
         return self.name.lower()
 
 
+MEASURED: Final = ("U", "p1", "p2", "Q", "T")
+"""What a valve's samples consist of, in the order of :class:`data_changes.Signal`."""
 QUANTITY_OF: Final = {
     "U": Quantity.OPENING,
     "p1": Quantity.PRESSURE,

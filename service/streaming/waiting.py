@@ -1,5 +1,7 @@
 """Why no sample is made of a valve's signals: which is waited for, and what would help. Pure."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 from service.identification.samples import Times
@@ -12,7 +14,13 @@ TEMPERATURE: Final = (Signal.T, "T")
 SELDOM_NS: Final = 500_000_000  # behind the others by more: it comes on change, or no more
 
 
-def waited_for(newest: Times, settings: AlignmentSettings, *, has_T: bool) -> tuple[str, ...]:
+def waited_for(
+    newest: Times,
+    settings: AlignmentSettings,
+    *,
+    has_T: bool,
+    nodes: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[str, ...]:
     """A sentence for each signal that keeps samples from being made.
 
     Parameters
@@ -23,6 +31,8 @@ def waited_for(newest: Times, settings: AlignmentSettings, *, has_T: bool) -> tu
         How the signals find together.
     has_T
         Whether there is a temperature sensor.
+    nodes
+        What to call the signals: name and node, where that is known.
 
     Examples
     --------
@@ -37,17 +47,17 @@ def waited_for(newest: Times, settings: AlignmentSettings, *, has_T: bool) -> tu
     latest = max(int(newest[signal]) for signal, _ in signals)
     found = []
     for signal, name in signals:
-        behind = latest - int(newest[signal])
+        behind, said = latest - int(newest[signal]), nodes.get(name, name)
         if newest[signal] == NEVER:
-            found.append(f"{name} has sent no value: is nodes.{name} the right node?")
+            found.append(f"{said} has sent no value: is nodes.{name} the right node?")
         elif behind > max(SELDOM_NS, settings.hold_ns.get(signal, 0)):
             found.append(
-                f"{name} sent its last value {behind * 1e-9:.1f} s before the others: if it comes "
+                f"{said} sent its last value {behind * 1e-9:.1f} s before the others: if it comes "
                 f"on change, alignment.hold_s = {{ {name} = {max(10.0, behind * 5e-9):.0f} }}"
             )
         elif behind > settings.tolerance_ns and signal not in settings.hold_ns:
             found.append(
-                f"{name} is stamped {behind * 1e-6:.3g} ms before the others: "
+                f"{said} is stamped {behind * 1e-6:.3g} ms before the others: "
                 f"alignment.tolerance_ms = {-(-2 * behind // 1_000_000)}"
             )
     return tuple(found)

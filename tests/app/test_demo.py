@@ -116,7 +116,7 @@ async def test_nobody_without_a_name_writes_or_commands(service):
         )
 
 
-HARMLESS = {"Predict", "PredictMeasurement", "Invert"}
+HARMLESS = {"Predict", "PredictMeasurement", "Invert", "Compare"}
 
 
 @pytest.mark.parametrize("server", ["rig", "service"])

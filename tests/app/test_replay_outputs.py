@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.app.replay import as_json, replay
+from service.app.replay import MOST_TRIED, as_json, replay
 from service.cli import run
 
 STEP, N = 3_000, 4_000
@@ -24,8 +24,9 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
     return json.loads(json.dumps(as_json(replay([file])), allow_nan=False))["Valvistor"]
 
 
-def test_rls_says_when_the_valve_changed_and_how_much(figures):
-    change = figures["RLS"]["last_change"]
+@pytest.mark.parametrize("estimator", ["RLS", "Auto"])
+def test_an_estimator_says_when_the_valve_changed_and_how_much(figures, estimator):
+    change = figures[estimator]["last_change"]
     assert abs(change["sample"] - STEP) < 100
     assert abs(change["t"] / 1e9 - 0.1 * STEP) < 10.0
     assert change["size"] < -1.0
@@ -35,7 +36,15 @@ def test_rls_says_when_the_valve_changed_and_how_much(figures):
 def test_auto_names_the_structure_that_it_has_chosen_and_the_others_none(figures):
     assert figures["Auto"]["structure"]
     assert figures["RLS"]["structure"] is None
-    assert figures["Auto"]["last_change"] is None
+
+
+def test_the_inverse_is_tried_on_a_thousand_samples_at_most_and_the_score_is_of_all(figures):
+    for name in ("RLS", "Auto"):
+        assert 0 <= figures[name]["inverse"]["infeasible"] <= MOST_TRIED
+        assert figures[name]["inverse"]["round_trip_max"] < 0.1
+        assert figures[name]["one_step"]["n"] == pytest.approx(N, abs=50)
+    after_the_step = 1.0 - STEP / N  # they are spread over the whole of the last batch
+    assert figures["RLS"]["interval"]["covered"] == pytest.approx(after_the_step, abs=0.1)
 
 
 def test_samples_of_the_other_edge_are_counted_and_named(tmp_path, capsys):

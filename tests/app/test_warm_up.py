@@ -3,10 +3,17 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+
+from service.app import warm_up
+from service.config.models import Config
 
 # In a process of its own: there no other test has used a kernel before.
 LIFE = """
 import gc, sys
+from dataclasses import replace
 import numpy as np
 from numba.core.registry import CPUDispatcher
 from service.app.build import build_identification
@@ -19,7 +26,7 @@ def used():
     return {
         f"{kernel.__module__}.{kernel.__name__}{signature}"
         for kernel in everything
-        if isinstance(kernel, CPUDispatcher) and kernel.__module__.startswith("service.")
+        if issubclass(type(kernel), CPUDispatcher) and kernel.__module__.startswith("service.")
         for signature in kernel.signatures
     }
 
@@ -43,6 +50,14 @@ for estimator in identification.plans[0].estimators:
     identification.reset("Valvistor", estimator)
 identification.restore(identification.checkpoints())
 identification.take(as_changes(plant(2_000, first=20_000)))
+
+skewed = build_identification(config)  # signals that carry no common time
+for first in range(0, 1_000, 50):
+    changes = as_changes(plant(50, seed=first, first=first))
+    time = changes.source_time + changes.item % 6 * 500_000
+    skewed.take(replace(changes, source_time=time))
+assert skewed.result(0).estimators["RLS"].sample_count > 800
+skewed.wait_no_longer(np.zeros(1, np.int64))
 late = sorted(used() - before)
 print(*late, sep="\\n")
 sys.exit(bool(late))
@@ -60,3 +75,14 @@ def test_a_long_life_compiles_nothing_that_the_warm_up_did_not():
         env=env,
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
+    ran = []
+    parts = [partial(ran.append, number) for number in range(20)]
+    monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
+    taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda _: warm_up._take_parts(Config(), taken, done), range(2)))
+    assert sorted(ran) == list(range(20))
+    assert done.value == 20

@@ -1,7 +1,9 @@
 import pytest
 
+from service.app.build import build_plans
 from service.config.loading import load_config
 from service.errors import ConfigurationError
+from service.identification.sensor_accuracy import SensorAccuracy
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=p1'\np2 = 's=p2'\nQ = 's=Q'\n"
 FED = f"[[valves]]\n{NODES}required_U = 's=C'\n[valves.feed_forward]\n"
@@ -34,6 +36,15 @@ def test_a_named_valve_without_nodes_is_looked_for_under_its_name(tmp_path):
 def test_a_network_alone_may_be_given_both_edges_of_a_valve(tmp_path):
     text = "[[valves]]\nU_range_percent = [-100, 100]\n[[valves.estimators]]\nkind = 'RBF'\n"
     assert load_config(write(tmp_path, text)).valves[0].U_range_percent == (-100.0, 100.0)
+
+
+def test_the_accuracy_of_a_sensor_is_stated_in_its_own_unit(tmp_path):
+    text = "[[valves]]\n[valves.signals]\np1 = { unit = 'psi', accuracy = 15 }\n"
+    text += "T = { unit = '°F', accuracy = 9 }\n"
+    (plan,) = build_plans(load_config(write(tmp_path, text)))
+    assert plan.accuracy == SensorAccuracy(p1=pytest.approx(1.0342136), T=pytest.approx(5.0))
+    below = text.replace("15", "-15")
+    assert "accuracy" in complaint(tmp_path, below)
 
 
 def test_the_environment_overrides_the_file(tmp_path, monkeypatch):

@@ -108,7 +108,7 @@ async def test_whether_u_can_be_trusted_for_a_flow_by_keyboard():
             "V1.Inverse", "Invert", [(40.0, 100.0, float("nan"))]
         )
         told = await visitor.text(".inverse .answer")
-        assert f"{U:.1f} %" in told
+        assert f"{U:.2f} %" in told
         assert f"95 %: {lower:.2f} to {upper:.2f} %" in told
         assert "U delivers this flow." in told
         assert page.observer.client.writes == []

@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+from benchmarks import page
+
 PROGRAM = """
 import sys, service.app.dashboard, service.cli.dashboard
 heavy = {"numba", "scipy", "pandas", "matplotlib", "pydantic", "service.identification"}
@@ -15,3 +19,13 @@ def test_the_page_loads_no_kernels_and_no_configuration():
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stdout.split() == []
+
+
+@pytest.mark.soak  # two minutes, and figures of the machine
+@pytest.mark.timeout(600)
+def test_the_page_is_small_and_the_service_does_not_feel_it():
+    found = page.figures()
+    assert found["page above a bare asyncua import, MB"] <= 80.0
+    assert found["page with 1 viewers, % of a core"] <= 15.0
+    assert found["service, 20 viewers against none, %"] <= 5.0
+    assert found["samples lost"] == 0.0

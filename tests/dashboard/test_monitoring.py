@@ -31,9 +31,20 @@ async def figures():
     await page.observer._discover()
     await page.observer._look_at_all(thoroughly=True)
     page.observer.link = type(page.observer.link).UP
-    await page.observer.look_at_counters()
+    await page.observer.look_at_figures()
     text = page._metrics.exposition().decode()
     return set(re.findall(r"^(valvemap_\w+)", text, re.MULTILINE))
+
+
+async def test_the_guide_names_every_figure_and_no_other():
+    guide = (MONITORING.parents[1] / "docs" / "how-to" / "grafana.md").read_text(encoding="utf-8")
+    cells = re.findall(r"^\| (`valvemap_.*?) \|", guide, re.MULTILINE)
+    named = set()
+    for cell in cells:
+        first, *others = re.findall(r"`(\w+)`", cell)
+        stem = first.removesuffix("_age_seconds")
+        named |= {first, *(o if o.startswith("valvemap") else stem + o for o in others)}
+    assert named == {name for name in await figures() if not name.endswith("_created")}
 
 
 async def test_every_query_asks_for_figures_that_are_there():

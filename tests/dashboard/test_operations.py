@@ -1,15 +1,51 @@
 """Health and metrics, for those who run plants."""
 
 import asyncio
+import math
 
 import httpx
-from support.shown_service import ShownService
+from asyncua import ua
+from support.shown_service import Read, ShownService
 
-from service.clock import SystemClock
+from service.clock import ManualClock, SystemClock
+from service.dashboard.figures import SERVICE, SUMMARY, Figures
+from service.dashboard.layout import Valve
 from service.dashboard.settings import PageSettings
 from service.dashboard.web import Page
+from service.opcua.information_model import service_variables
 
 OWN = "http://127.0.0.1:8080"
+
+
+def test_the_server_s_own_counts_are_asked_by_the_standard_s_numbers():
+    prefix = "Server_ServerDiagnostics_ServerDiagnosticsSummary_"
+    assert {name: getattr(ua.ObjectIds, prefix + name) for name in SUMMARY} == SUMMARY
+
+
+def test_everything_that_the_service_shows_of_itself_is_asked_for():
+    there = {node.id for nodes in service_variables().values() for node in nodes}
+    assert {f"Service.{name}" for name in SERVICE} == there
+
+
+async def test_a_figure_that_is_bad_or_no_number_is_left_out():
+    shown = ShownService()
+    shown.values["V1.Diagnostics.SampleAge"] = Read(math.nan)
+    shown.values["Service.Checkpoint.Age"] = Read(0.0, 0x80320000)
+    figures = Figures(shown, SystemClock())
+    await figures.look([Valve("V1", ("RLS",), ())])
+    assert ("V1", "SampleAge") not in figures.valves
+    assert figures.valves["V1", "Pending"] == 3.0
+    assert "Checkpoint.Age" not in figures.service
+    assert "Checkpoint.Size" in figures.service
+
+
+async def test_however_often_figures_are_asked_for_the_service_is_asked_once_a_second():
+    shown, clock = ShownService(), ManualClock()
+    figures = Figures(shown, clock)
+    await figures.look([Valve("V1", ("RLS",), ())])
+    read = shown.reads
+    await figures.look([Valve("V1", ("RLS",), ())])
+    assert shown.reads == read
 
 
 async def test_alive_is_the_page_ready_is_the_service():
@@ -34,6 +70,15 @@ async def test_alive_is_the_page_ready_is_the_service():
         'valvemap_valve_severity{valve="V1"} 0.0',
         'valvemap_residual_rmse_litres_per_minute{valve="V1"} 0.2',
         'valvemap_diagnostics_total{valve="V1",what="Late"} 0.0',
+        'valvemap_pending_samples{valve="V1"} 3.0',
+        'valvemap_sample_age_seconds{valve="V1"} 0.05',
+        'valvemap_lag_seconds{of="Q",valve="V1"} 0.2',
+        "valvemap_checkpoint_age_seconds 4.0",
+        "valvemap_checkpoint_failures_total 1.0",
+        "valvemap_checkpoint_bytes 4096.0",
+        'valvemap_source_total{what="Overflows"} 2.0',
+        "valvemap_sessions 7.0",
+        'valvemap_refused_total{what="requests"} 18.0',
         'valvemap_page_refused_total{why="host"} 0.0',
     ):
         assert line in figures, line

@@ -95,6 +95,16 @@ def test_a_signal_that_stands_still_tells_no_lag():
     assert not known.any()
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_meters_lag_is_not_shared_out_to_u(seed):
+    samples = machine(seed, 0.0, 0.2, n=kernel.ROWS)
+    steps = np.full(len(samples), 0.01)
+    rows = np.stack([steps, samples.U, np.sqrt(samples.dp), samples.Q], axis=1)
+    found = look(rows, np.zeros(6), (None, None))
+    assert found[0] <= 0.01
+    assert found[1] == pytest.approx(0.2, rel=0.1)
+
+
 def test_without_a_lag_no_sample_is_too_fast():
     samples, auto = machine(6, n=4000), Auto()
     state, _ = auto.update(auto.initial_state(), samples)

@@ -6,6 +6,7 @@ import re
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import ua
@@ -18,6 +19,7 @@ from service.hardened import (
     Argument,
     HardenedServer,
     Pki,
+    Records,
     Role,
     ServerSettings,
     Unit,
@@ -89,8 +91,17 @@ async def server():
         outputs=[Argument("y")],
         required=Role.OBSERVER,
     )
+    made.add_history([made.flow], Remembered())
     async with made:
         yield made
+
+
+class Remembered:
+    """Fulfils Historian: two values, of now and of then."""
+
+    def raw(self, variable, span, skip, most):
+        at = np.array([span.low, span.high])
+        return Records(np.ones(2), np.zeros(2, np.uint32), at, at)
 
 
 @pytest_asyncio.fixture(loop_scope="module")
@@ -172,7 +183,10 @@ class Asker:
         request.Parameters.NodesToWrite = [ua.WriteValue(self.server.demand.id, VALUE, Value=value)]
 
     async def _HistoryRead(self, request):
-        request.Parameters.HistoryReadDetails = ua.ReadRawModifiedDetails()
+        request.Parameters.ReleaseContinuationPoints = False
+        request.Parameters.HistoryReadDetails = ua.ReadRawModifiedDetails(
+            IsReadModified=False, NumValuesPerNode=1
+        )
         request.Parameters.NodesToRead = [ua.HistoryReadValueId(self.server.flow.id)]
 
     async def _Call(self, request):

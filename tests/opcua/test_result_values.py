@@ -25,6 +25,7 @@ ESTIMATOR = EstimatorResult(
     sample_count=9,
     status=Status.OK,
     noise_std=0.3,
+    systematic_std=0.2,
 )
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, int(InverseStatus.OK), np.ones((3, 2)))
 

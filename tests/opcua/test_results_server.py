@@ -340,7 +340,9 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
     health = Health(
         age_s=np.array([0.25, np.nan, 2.0]),
         waiting=np.array([3, 0, 0]),
-        source=SourceCounters(100, 10, missing_messages=2, overflows=4, undecodable=1),
+        source=SourceCounters(
+            100, 10, missing_messages=2, overflows=4, undecodable=1, from_history=6
+        ),
         checkpoint_age_s=1.5,
         checkpoint_failures=7,
         checkpoint_bytes=4096,
@@ -358,6 +360,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
         "Source.Overflows": 4,
         "Source.MissingMessages": 2,
         "Source.Undecodable": 1,
+        "Source.FromHistory": 6,
     }
     for name, expected in shown.items():
         assert (await value(observer, f"Service.{name}"))[:2] == (expected, Codes.Good)

@@ -73,6 +73,18 @@ def test_what_is_written_reads_back_as_the_same_bits(tmp_path, form, chunk_rows)
     assert [file.name for file in tmp_path.iterdir()] == [f"rig.{form}"]
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_samples_are_of_the_types_that_kernels_are_compiled_for_ahead(tmp_path, form):
+    path = tmp_path / f"rig.{form}"
+    with RecordingWriter(path) as recording:
+        recording.append("V1", some_samples(7))
+    for _, samples in read_recording(path):
+        for name in FIELDS:
+            column = getattr(samples, name)
+            assert column.flags.writeable, name  # numba takes read-only arrays for another type
+            assert column.flags.c_contiguous, name
+
+
 any_float = st.floats().map(lambda x: np.nan if np.isnan(x) else x)
 
 

@@ -5,9 +5,11 @@ import pytest
 from support.plant import as_changes, plant
 
 from service.errors import CommandRejected
+from service.identification.auto import Auto
 from service.identification.inversion import InverseStatus
 from service.identification.rbf_network import RbfNetwork
 from service.identification.samples import Quality, Status
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.identification import SURVEYS_AT_ONCE, Identification
@@ -193,6 +195,37 @@ def test_a_U_that_an_estimator_cannot_describe_is_counted_and_teaches_nothing(id
     identification.take_samples(0, closed)
     assert identification.result(0).estimators["RLS"].status is Status.OK
     assert identification.counters(0)["beyond_range"] == 50
+
+
+def test_what_the_sensors_may_be_off_by_is_in_the_interval_of_the_true_flow_alone(plan):
+    doubted = replace(plan, accuracy=SensorAccuracy(p1=1.0, p2=1.0, Q=0.5))
+    one, other = (
+        Identification([each], Alignment(AlignmentSettings(), has_T=(True,)))
+        for each in (plan, doubted)
+    )
+    for identification in (one, other):
+        identification.take_samples(0, plant(500))
+        identification.demand("Valvistor", 60.0, 80.0)
+    point = "Valvistor", "RLS", 50.0, 100.0, 40.0
+    sure, doubtful = one.predict(*point), other.predict(*point)
+    slope = 0.1 * 50.0 / 20.0 - 0.02
+    off = np.sqrt((2 * slope**2 + 0.5**2) / 3)
+    assert (doubtful[0], doubtful[2]) == (sure[0], sure[2])
+    assert doubtful[1] == pytest.approx(np.hypot(sure[1], off), rel=0.05)
+    assert one.predict_measurement(*point) == other.predict_measurement(*point)
+    demand = "Valvistor", 60.0, 80.0, 40.0
+    widths = [float(i.invert(*demand).upper[0] - i.invert(*demand).lower[0]) for i in (one, other)]
+    assert widths[1] > 2 * widths[0]
+    published = [i.result(0).estimators["RLS"].systematic_std for i in (one, other)]
+    assert np.isnan(published[0])
+    assert 0.2886 < published[1] < 2.0  # that of Q at least
+
+
+def test_samples_too_fast_for_a_meter_are_counted_where_everybody_sees(plan):
+    slow = replace(plan, estimators={"Auto": Auto(lag_U=0.0, lag_Q=0.3)}, inverse="Auto")
+    identification = Identification([slow], Alignment(AlignmentSettings(), has_T=(True,)))
+    identification.take_samples(0, plant(500))  # U jumps from sample to sample
+    assert identification.counters(0)["too_fast_for_lag"] > 400
 
 
 def test_a_network_that_is_given_both_edges_learns_both_and_inverts_both(plan):

@@ -41,11 +41,19 @@ def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = REA
 
 
 @contextmanager
-def running(*arguments: str, env: dict[str, str] | None = None, stdin: str = "", log: Path):
+def running(
+    *arguments: str,
+    env: dict[str, str] | None = None,
+    stdin: str = "",
+    log: Path,
+    python: Path | str = sys.executable,
+    cwd: Path | None = None,
+):
     """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
     with log.open("wb") as out:
         process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "service", *arguments],
+            [python, "-u", "-m", "service", *arguments],
+            cwd=cwd,
             stdin=subprocess.PIPE,
             stdout=out,
             stderr=subprocess.STDOUT,

@@ -68,7 +68,7 @@ class ShownService:
                 *("SuggestedU", "SuggestedDp"),
             ),
             "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
-            "Diagnostics": ("Aligned", "Late"),
+            "Diagnostics": ("Aligned", "Late", "Pending", "SampleAge", "LagQ", "LastAction"),
             "Signals": ("U", "dp", "Q"),
         }[id.rpartition(".")[2]]
         return [Node(f"{id}.{name}", is_variable=True) for name in below]
@@ -100,6 +100,8 @@ class ShownService:
     def _one(self, id_):
         if id_ in self.values:
             return self.values[id_]
+        if isinstance(id_, int):
+            return Read(id_ - 2_270)
         name = id_.partition(".")[2]
         count = self.t / 1e7
         known = {
@@ -114,6 +116,16 @@ class ShownService:
             "Inverse.MapDp": [0.0, 100.0, 200.0],
             "Diagnostics.Aligned": int(count),
             "Diagnostics.Late": 0,
+            "Diagnostics.Pending": 3,
+            "Diagnostics.SampleAge": 0.05,
+            "Diagnostics.LagQ": 0.2,
+            "Diagnostics.LastAction": "",
+            "Checkpoint.Age": 4.0,
+            "Checkpoint.Failures": 1,
+            "Checkpoint.Refused": 0,
+            "Checkpoint.Size": 4_096,
+            "Source.Notifications": int(count),
+            "Source.Overflows": 2,
             "RLS.ChangeCount": 0,
             "RLS.PredictedFlow": 10.0,
         }

@@ -15,6 +15,7 @@ from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.supervisor import SupervisorSettings, supervise
+from virtual_rig.history import Ring
 
 RATE_HZ = 100
 
@@ -33,9 +34,11 @@ class NumberedServer:
         self.variables = variables
         self.written = 0
         self.sent = {}  # time and values of each sample, by number
+        self.memory = None
+        self.pace_ns = 0  # from sample to sample; 0: as time goes on
 
     @classmethod
-    async def create(cls, cache, **more):
+    async def create(cls, cache, *, remembers=0, **more):
         server = await HardenedServer.create(
             ServerSettings(
                 url="opc.tcp://127.0.0.1:0/plant/",
@@ -55,19 +58,38 @@ class NumberedServer:
             )
             for name in ("U", "p1", "p2", "Q", "T", "Sequence")
         ]
-        return cls(server, variables)
+        plant = cls(server, variables)
+        if remembers:
+            plant.memory = Ring(variables, remembers, np.float64)
+            server.add_history(variables, plant.memory)
+        return plant
 
     @property
     def port(self):
         return int(self.server.url.split(":")[2].split("/")[0])
 
+    def remember(self, n, t, step_ns, signals=None):
+        """Have had n samples from a time on that nobody was sent, but for the last one.
+
+        ``signals`` (n - 1, 5) are what they were.
+        """
+        k = np.arange(self.written, self.written + n - 1)
+        if signals is None:
+            signals = np.column_stack([(k % 97 + signal).astype(float) for signal in range(5)])
+        values = np.column_stack([signals, k])
+        times = (t + np.arange(n) * step_ns) // 100 * 100
+        self.memory.keep(values, np.repeat(times[:-1, None], 6, axis=1), time.time_ns())
+        self.written += n - 1
+        self.publish(int(times[-1]))
+
     async def play(self, rate_hz):
         """Publish samples for ever; after a standstill, all that were due."""
-        began, first = time.monotonic(), self.written
+        began, first, t0 = time.monotonic(), self.written, time.time_ns()
         while True:
             due = int((time.monotonic() - began) * rate_hz) + first
             while self.written < due:
-                self.publish(time.time_ns())
+                paced = t0 + (self.written - first) * self.pace_ns
+                self.publish(paced if self.pace_ns else time.time_ns())
             await asyncio.sleep(0.01)
 
     def sent_from(self, first):
@@ -87,6 +109,8 @@ class NumberedServer:
         self.server.write(
             (variable, value, 0, t) for variable, value in zip(self.variables, values, strict=True)
         )
+        if self.memory is not None:
+            self.memory.keep(np.array([values]), np.full((1, 6), t // 100 * 100), time.time_ns())
         self.written += 1
 
 
@@ -94,11 +118,13 @@ class NumberedServer:
 class Collector:
     """Fulfils Consumer: what came, how it aligns, and when."""
 
+    numbered: bool = True
     numbers: list = field(default_factory=list)
+    times: list = field(default_factory=list)  # of samples
     arrived: list = field(default_factory=list)
 
     def __post_init__(self):
-        self.align = Alignment(AlignmentSettings(), (True,), (True,))
+        self.align = Alignment(AlignmentSettings(), (True,), (self.numbered,))
         self.state = self.align.initial_state()
 
     async def connected(self, source_started):
@@ -107,8 +133,9 @@ class Collector:
     async def take(self, changes):
         number = changes.item % SIGNALS_PER_VALVE == SIGNALS_PER_VALVE - 1
         self.numbers += changes.value[number].astype(np.int64).tolist()
-        self.state, _ = self.align.take(self.state, changes)
-        if number.any():
+        self.state, samples = self.align.take(self.state, changes)
+        self.times += samples.samples.t.tolist()
+        if len(changes):
             self.arrived.append(time.monotonic())
 
     async def tick(self):
@@ -118,15 +145,23 @@ class Collector:
         pass
 
     @property
+    def longest_wait_s(self):
+        """Longest time without changes."""
+        return float(np.diff(self.arrived).max())
+
+    @property
     def counters(self):
         return {name: n for name, n in self.align.counters(self.state, 0).items() if n}
 
 
 @asynccontextmanager
-async def watching(served, *, named=False, rate_hz=RATE_HZ):
+async def watching(
+    served, *, named=False, rate_hz=RATE_HZ, supervision=None, nodes=None, **settings
+):
     """A source behind a proxy, and what comes of it."""
     plant, password = served
-    stop, collector = asyncio.Event(), Collector()
+    nodes = nodes or NODES
+    stop, collector = asyncio.Event(), Collector(numbered=nodes.sequence is not None)
     playing = asyncio.create_task(plant.play(rate_hz))
     try:
         async with Proxy(plant.port) as proxy:
@@ -134,13 +169,16 @@ async def watching(served, *, named=False, rate_hz=RATE_HZ):
                 f"opc.tcp://127.0.0.1:{proxy.port}/plant/",
                 user="operator" if named else None,
                 password=password if named else None,
+                **settings,
             )
-            source = OpcUaSource(settings, [NODES])
+            source = OpcUaSource(settings, [nodes])
             serving = asyncio.create_task(
-                supervise(source, collector, SystemClock(), stop, SupervisorSettings())
+                supervise(
+                    source, collector, SystemClock(), stop, supervision or SupervisorSettings()
+                )
             )
             try:
-                await until(lambda: len(collector.numbers) > rate_hz)
+                await until(lambda: len(collector.times) > rate_hz)
                 yield proxy, source, collector
             finally:
                 stop.set()

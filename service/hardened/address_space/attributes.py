@@ -99,26 +99,17 @@ class Attributes:
         self, request: ua.CallMethodRequest, role: Role, outside: Outside
     ) -> ua.CallMethodResult:
         """Call a method of our own."""
-        method = self._methods.get(request.MethodId)
         owner = self._aspace.get(request.ObjectId)
         if owner is None or request.MethodId not in self._aspace:
             return _no_call(_Codes.BadNodeIdUnknown)
         if not any(ref.IsForward and ref.NodeId == request.MethodId for ref in owner.references):
             return _no_call(_Codes.BadMethodInvalid)
+        method = self._methods.get(request.MethodId)
         if method is None:
             return _no_call(_Codes.BadNotImplemented)
         if role < method.required:
             return _no_call(_Codes.BadUserAccessDenied)
         return await call_method(method, request.InputArguments or [], outside)
-
-    def has_history(self, nodeid: ua.NodeId) -> bool:
-        """Whether a node's history can be read."""
-        level = self._aspace.read_attribute_value(nodeid, ua.AttributeIds.AccessLevel)
-        return bool(
-            level.Value is not None
-            and isinstance(level.Value.Value, int)
-            and level.Value.Value & (1 << ua.AccessLevel.HistoryRead)
-        )
 
     def _for_role(self, wanted: ua.ReadValueId, held: ua.DataValue, role: Role) -> ua.DataValue:
         if wanted.AttributeId == ua.AttributeIds.UserAccessLevel:

@@ -5,14 +5,14 @@ A block is written as arrays, and its monitored items are served as arrays by ``
 client sees no difference.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol, Self
 
 import numpy as np
 from asyncua import ua
-from asyncua.server.address_space import AddressSpace, AttributeValue
+from asyncua.server.address_space import AttributeValue
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
@@ -69,12 +69,12 @@ class Watcher(Protocol):
 
 
 class Block:
-    """n variables of one type, with their newest values (made by ``HardenedServer.add_block``).
+    """The newest values of n variables of one type, a column each.
+
+    Made by ``HardenedServer.add_block``. All wait for initial data; ``now`` is UTC ns.
 
     Attributes
     ----------
-    variables
-        In the order of the columns.
     type
         Their data type: a number of fixed width.
     length
@@ -82,44 +82,50 @@ class Block:
     """
 
     def __init__(
-        self,
-        variables: Sequence[Variable],
-        length: int | None,
-        aspace: AddressSpace,
-        ledger: Ledger,
+        self, type_: ua.VariantType, n: int, length: int | None, ledger: Ledger, now: int
     ) -> None:
-        if not variables:
-            raise ServerError("a block needs variables")
-        self.variables = tuple(variables)
-        self.type = variables[0].type
+        self.type = type_
         self.length = length
-        for variable in variables:
-            if variable.type != self.type or self.type not in DTYPES:
-                raise ServerError(f"{variable.id.Identifier}: a block is of numbers of one type")
-            if variable.array != (length is not None):
-                raise ServerError(f"{variable.id.Identifier}: a block is of scalars, or of arrays")
-        self.dtype = np.dtype(DTYPES[self.type])
-        n, width = len(variables), 1 if length is None else length
+        self.dtype = np.dtype(DTYPES.get(type_, np.float64))
+        width = 1 if length is None else length
         self.watchers: list[Watcher] = []
         self._ledger = ledger
         self._values = np.zeros((n, width), self.dtype)
-        self._codes = np.zeros(n, np.uint32)
+        self._codes = np.full(n, ua.StatusCodes.BadWaitingForInitialData, np.uint32)
         self._has = np.zeros(n, np.bool_)
-        self._source = np.zeros(n, np.int64)
-        self._server = np.zeros(n, np.int64)
-        self._held: list[AttributeValue] = []
+        self._source = np.full(n, ticks_of_ns(now), np.int64)
+        self._server = self._source.copy()
+        self._held: dict[int, AttributeValue] = {}  # of the columns that a variable shows
         self._watched: set[int] = set()  # columns that somebody watches one by one
-        for column, variable in enumerate(self.variables):
-            held = aspace[variable.id].attributes[ua.AttributeIds.Value]
-            self._values[column], *rest = self._content(held.value)
-            self._codes[column], self._has[column], self._source[column] = rest[:3]
-            self._server[column] = rest[3]
-            held.value_callback = self._reader(column)
-            held.datachange_callbacks = _Callbacks(held.datachange_callbacks, self._watched, column)
-            self._held.append(held)
 
     def __len__(self) -> int:
-        return len(self.variables)
+        return len(self._values)
+
+    def check(self, variable: Variable) -> None:
+        """See to it that a variable can show a column.
+
+        Raises
+        ------
+        ServerError
+            if it is of another type.
+        """
+        if variable.type != self.type or self.type not in DTYPES:
+            raise ServerError(f"{variable.id.Identifier}: a block is of numbers of one type")
+        if variable.array != (self.length is not None):
+            raise ServerError(f"{variable.id.Identifier}: a block is of scalars, or of arrays")
+
+    def adopt(self, column: int, data: ua.DataValue) -> None:
+        """Take a value over that a variable had before."""
+        self._values[column], *rest = self._content(data)
+        self._codes[column], self._has[column], self._source[column] = rest[:3]
+        self._server[column] = rest[3]
+
+    def show(self, column: int, variable: Variable, held: AttributeValue) -> None:
+        """Let a variable show a column: ``held`` is its attribute Value."""
+        self.check(variable)
+        held.value_callback = self._reader(column)
+        held.datachange_callbacks = _Callbacks(held.datachange_callbacks, self._watched, column)
+        self._held[column] = held
 
     @property
     def width(self) -> int:

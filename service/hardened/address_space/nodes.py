@@ -100,6 +100,7 @@ async def add_variable(
     writable_by: Role | None = None,
     on_write: OnWrite | None = None,
     or_nan: bool = False,
+    type_definition: ua.NodeId | None = None,
 ) -> Variable:
     """Add a variable.
 
@@ -132,6 +133,8 @@ async def add_variable(
         value is taken; raise :class:`~service.hardened.errors.CommandRejected` to refuse it.
     or_nan
         Peers may write NaN, too.
+    type_definition
+        Its VariableType; None: AnalogUnitRangeType with a unit, BaseDataVariableType without.
 
     Returns
     -------
@@ -140,7 +143,7 @@ async def add_variable(
     """
     item = _item(server, parent, id, ua.NodeClass.Variable)
     item.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasComponent)
-    item.TypeDefinition = _variable_type(unit, value_range)
+    item.TypeDefinition = type_definition or _variable_type(unit, value_range)
     access = 1 << ua.AccessLevel.CurrentRead
     if writable_by is not None:
         access |= 1 << ua.AccessLevel.CurrentWrite
@@ -166,13 +169,13 @@ async def add_variable(
         or_nan=or_nan,
     )
     if unit is not None and value_range is not None:
-        await _add_property(server, variable.id, "EngineeringUnits", unit.information)
-        await _add_property(server, variable.id, "EURange", _span(value_range))
+        await add_property(server, variable.id, "EngineeringUnits", unit.information)
+        await add_property(server, variable.id, "EURange", _span(value_range))
         if instrument_range is not None:
-            await _add_property(server, variable.id, "InstrumentRange", _span(instrument_range))
+            await add_property(server, variable.id, "InstrumentRange", _span(instrument_range))
     if enum_strings is not None:
         texts = [ua.LocalizedText(text) for text in enum_strings]
-        await _add_property(server, variable.id, "EnumStrings", texts)
+        await add_property(server, variable.id, "EnumStrings", texts)
     server.register_variable(variable, value)
     return variable
 
@@ -219,9 +222,24 @@ async def add_method(
     method = Method(await _add(server, item), function, tuple(inputs), tuple(outputs), required)
     for name, arguments in (("InputArguments", inputs), ("OutputArguments", outputs)):
         if arguments:
-            await _add_property(server, method.id, name, [_described(a) for a in arguments])
+            await add_property(server, method.id, name, [_described(a) for a in arguments])
     server.register_method(method)
     return method.id
+
+
+async def add_property(
+    server: NodeOwner,
+    parent: ua.NodeId,
+    name: str,
+    value: Value,
+    data_type: ua.NodeId | None = None,
+) -> None:
+    """Add a property; its type is the value's own if ``data_type`` is None."""
+    nodeid = ua.NodeId(f"{parent.Identifier}.{name}", server.namespace_index)
+    item = property_item(parent, nodeid, name, value)
+    if data_type is not None:
+        item.NodeAttributes.DataType = data_type
+    insert(server.address_space, item, server.utc())
 
 
 def _item(
@@ -237,11 +255,6 @@ def _item(
 
 async def _add(server: NodeOwner, item: ua.AddNodesItem) -> ua.NodeId:
     return insert(server.address_space, item, server.utc())
-
-
-async def _add_property(server: NodeOwner, parent: ua.NodeId, name: str, value: Value) -> None:
-    nodeid = ua.NodeId(f"{parent.Identifier}.{name}", server.namespace_index)
-    insert(server.address_space, property_item(parent, nodeid, name, value), server.utc())
 
 
 def _span(bounds: Range) -> ua.Range:

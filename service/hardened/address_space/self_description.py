@@ -53,6 +53,19 @@ _NOT_OFFERED = (
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateEvents,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerNodeManagement,
 )
+_NO_HISTORY_SERVICES = (
+    _Ids.HistoryServerCapabilities_AccessHistoryEventsCapability,
+    _Ids.HistoryServerCapabilities_DeleteAtTimeCapability,
+    _Ids.HistoryServerCapabilities_DeleteEventCapability,
+    _Ids.HistoryServerCapabilities_DeleteRawCapability,
+    _Ids.HistoryServerCapabilities_InsertAnnotationCapability,
+    _Ids.HistoryServerCapabilities_InsertDataCapability,
+    _Ids.HistoryServerCapabilities_InsertEventCapability,
+    _Ids.HistoryServerCapabilities_ReplaceDataCapability,
+    _Ids.HistoryServerCapabilities_ReplaceEventCapability,
+    _Ids.HistoryServerCapabilities_UpdateDataCapability,
+    _Ids.HistoryServerCapabilities_UpdateEventCapability,
+)
 _NOT_DIAGNOSED = (
     _Ids.Server_ServerDiagnostics_SubscriptionDiagnosticsArray,
     _Ids.Server_ServerDiagnostics_SamplingIntervalDiagnosticsArray,
@@ -115,7 +128,7 @@ class SelfDescription:
         self._started = 0
         self._task: asyncio.Task[None] | None = None
 
-    def announce(self) -> None:
+    def announce(self, *, has_history: bool) -> None:
         """Write what does not change while the server runs."""
         settings, limits = self._settings, self._settings.limits
         for node, name in _LIMIT_OF.items():
@@ -124,11 +137,22 @@ class SelfDescription:
             self._set(node, 1, _UINT32)
         points = limits.continuation_points
         self._set(_Ids.Server_ServerCapabilities_MaxBrowseContinuationPoints, points, _Types.UInt16)
-        for node in (
-            _Ids.Server_ServerCapabilities_MaxQueryContinuationPoints,
-            _Ids.Server_ServerCapabilities_MaxHistoryContinuationPoints,
+        self._set(_Ids.Server_ServerCapabilities_MaxQueryContinuationPoints, 0, _Types.UInt16)
+        points = limits.history_continuation_points
+        self._set(
+            _Ids.Server_ServerCapabilities_MaxHistoryContinuationPoints, points, _Types.UInt16
+        )
+        self._set(
+            _Ids.HistoryServerCapabilities_MaxReturnDataValues, limits.history_values, _UINT32
+        )
+        self._set(_Ids.HistoryServerCapabilities_MaxReturnEventValues, 1, _UINT32)
+        for node in _NO_HISTORY_SERVICES:
+            self._set(node, False, _Types.Boolean)  # noqa: FBT003 - a value
+        for node, there in (
+            (_Ids.HistoryServerCapabilities_AccessHistoryDataCapability, has_history),
+            (_Ids.HistoryServerCapabilities_ServerTimestampSupported, True),
         ):
-            self._set(node, 0, _Types.UInt16)
+            self._set(node, there, _Types.Boolean)
         self._set(
             _Ids.Server_ServerCapabilities_MinSupportedSampleRate,
             limits.publishing_interval_ms,

@@ -12,14 +12,20 @@ def notify(held: AttributeValue, data: ua.DataValue) -> None:
     for handle, callback in list(held.datachange_callbacks.items()):
         outcome = callback(handle, data)
         if isinstance(outcome, Coroutine):  # of the server's own session
-            _drive(outcome)
+            drive(outcome)
 
 
-def _drive(coroutine: Coroutine[Any, Any, Any]) -> None:
-    """Run a coroutine that never waits: the callbacks behind a write only queue."""
+def drive(coroutine: Coroutine[Any, Any, Any]) -> None:
+    """Run a coroutine that never waits: the callbacks behind a write only queue.
+
+    Raises
+    ------
+    RuntimeError
+        if it waits.
+    """
     try:
         coroutine.send(None)
     except StopIteration:
         return
     coroutine.close()
-    raise RuntimeError("a data change callback waits")
+    raise RuntimeError("a coroutine that must not wait waits")

@@ -35,6 +35,7 @@ DTYPES = {kind: f"<{letter}" for kind, letter in _FORMATS.items()}
 _PLAIN = {kind: struct.Struct(f"<BB{letter}qq") for kind, letter in _FORMATS.items()}
 _PLAIN_MASK = VALUE | SOURCE | SERVER
 
+HISTORY_DATA = 658
 DATA_CHANGE = 811
 EVENTS = 916
 STATUS_CHANGE = 820
@@ -209,6 +210,25 @@ def encode_browse_response(request_handle: int, now: int, results: Sequence[byte
     """Encode a BrowseResponse of encoded BrowseResults."""
     head = _response_head(530, request_handle, now)
     return b"".join((head, len(results).to_bytes(4, "little"), *results, _NO_DIAGNOSTICS))
+
+
+def encode_history_response(request_handle: int, now: int, results: Sequence[bytes]) -> bytes:
+    """Encode a HistoryReadResponse of encoded HistoryReadResults."""
+    head = _response_head(667, request_handle, now)
+    return b"".join((head, len(results).to_bytes(4, "little"), *results, _NO_DIAGNOSTICS))
+
+
+def encode_history_result(
+    code: int, continuation: bytes | None = None, values: bytes | None = None, count: int = 0
+) -> bytes:
+    """Encode a HistoryReadResult around ``count`` encoded DataValues; None: without data."""
+    point = b"\xff\xff\xff\xff"
+    if continuation is not None:
+        point = len(continuation).to_bytes(4, "little") + continuation
+    data = b"\x00\x00\x00"
+    if values is not None:
+        data = _extension_object(HISTORY_DATA, count.to_bytes(4, "little") + values)
+    return b"".join((code.to_bytes(4, "little"), point, data))
 
 
 def encode_structure(structure: object) -> bytes:

@@ -12,8 +12,8 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.hardened.address_space.blocks import Batch, Block, Bools
+from service.hardened.binary.records import Form, encode_records
 from service.hardened.monitoring.block_queue import BlockQueue, Counts, Notifications, Slots
-from service.hardened.monitoring.block_records import encode_records
 from service.hardened.monitoring.parameters import Monitoring, Queued, Reporter
 
 _FEWEST = 50  # variables: in a smaller block they are faster one by one
@@ -187,7 +187,19 @@ class BlockItems:
         taken = self.queue.take(front)
         self._subscription.holding.add(-len(taken))
         handles, stamps = self._handle[taken.slot], self._stamps[taken.slot]
-        return encode_records(taken, handles, stamps, self.block)
+        block = self.block
+        return encode_records(
+            Form(block.type, block.dtype.str, block.length, handle=True),
+            stamps,
+            {
+                "handle": handles,
+                "value": taken.values,
+                "status": taken.codes,
+                "has": taken.has,
+                "source": taken.source,
+                "server": taken.server,
+            },
+        )
 
     def release(self, item: BlockItem) -> tuple[list[Queued], ua.DataValue | None]:
         """Give an item away: what it had queued, with the moments, and what it reported last."""

@@ -7,7 +7,6 @@ from typing import Any, Protocol, TypeVar
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
-from asyncua.server.history import HistoryManager
 
 from service.hardened.address_space.attributes import Attributes
 from service.hardened.address_space.browse import View
@@ -15,6 +14,7 @@ from service.hardened.audit import Actor, Audit
 from service.hardened.binary.encoding import (
     encode_browse_response,
     encode_data_value,
+    encode_history_response,
     encode_read_response,
     encode_republish_response,
     encode_structure,
@@ -22,6 +22,7 @@ from service.hardened.binary.encoding import (
 )
 from service.hardened.caller import acting_for
 from service.hardened.clock import Clock
+from service.hardened.history.reading import Histories
 from service.hardened.sessions.session import Session
 from service.hardened.settings import Limits
 from service.hardened.subscriptions.publish_queue import PublishRequest
@@ -79,7 +80,7 @@ class Services:
         attributes: Attributes,
         view: View,
         subscriptions: Subscriptions,
-        history: HistoryManager,
+        histories: Histories,
         audit: Audit,
     ) -> None:
         self._limits = limits
@@ -87,7 +88,7 @@ class Services:
         self._attributes = attributes
         self._view = view
         self._subscriptions = subscriptions
-        self._history = history
+        self._histories = histories
         self._audit = audit
         self._handlers: dict[int, tuple[type, Handler]] = {
             _Ids.ReadRequest_Encoding_DefaultBinary: (ua.ReadParameters, self._read),
@@ -254,25 +255,19 @@ class Services:
             ]
         return result
 
-    async def _history_read(
-        self, request: Request, params: ua.HistoryReadParameters
-    ) -> ua.HistoryReadResponse:
+    async def _history_read(self, request: Request, params: ua.HistoryReadParameters) -> bytes:
+        if params.TimestampsToReturn not in tuple(ua.TimestampsToReturn)[:3]:
+            raise ServiceError(_Codes.BadTimestampsToReturnInvalid)
         self._check_count(params.NodesToRead, self._limits.history_reads)
-        results = []
+        rests, results = request.session.rests, []
         for wanted in params.NodesToRead:
-            if not self._attributes.has_history(wanted.NodeId):
-                code = ua.StatusCode(_Codes.BadHistoryOperationUnsupported)
-                results.append(ua.HistoryReadResult(StatusCode=code))
-                continue
-            one = ua.HistoryReadParameters(
-                params.HistoryReadDetails,
-                params.TimestampsToReturn,
-                params.ReleaseContinuationPoints,
-                [wanted],
-            )
-            results += await request.turn.outside(self._history.read_history(one))
+            if params.ReleaseContinuationPoints:
+                results.append(self._histories.release(wanted, rests))
+            else:
+                outside = request.turn.outside
+                results.append(await self._histories.read(params, wanted, rests, outside))
             await request.turn.breathe()
-        return ua.HistoryReadResponse(Results=results)
+        return encode_history_response(request.handle, self._ticks(), results)
 
     async def _browse(self, request: Request, params: ua.BrowseParameters) -> bytes:
         self._check_count(params.NodesToBrowse)

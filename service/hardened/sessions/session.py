@@ -12,6 +12,7 @@ from asyncua.common.utils import ServiceError
 
 from service.hardened.address_space.browse import Continuations
 from service.hardened.clock import Clock
+from service.hardened.history.reading import Rests
 from service.hardened.ledger import Holding, Ledger
 from service.hardened.logs import bounded_logger
 from service.hardened.security.identity import ANONYMOUS, Principal
@@ -77,6 +78,7 @@ class Session:
         self.max_response_bytes = 0
         self.subscriptions: dict[int, Subscription] = {}
         self.continuations: Continuations = OrderedDict()
+        self.rests: Rests = OrderedDict()
         self.holding = Holding(ledger)
         self.created = clock.now()
         self._clock = clock
@@ -209,6 +211,7 @@ class Session:
         self.closed = True
         self._queue.refuse_all(code)
         self.continuations.clear()
+        self.rests.clear()
 
     def _answer(self, request: PublishRequest, number: int, message: Message) -> None:
         if self.line is not None:

@@ -1,6 +1,7 @@
 """Requests for monitored items: checked and revised (Part 4, 5.13.2)."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from asyncua import ua
@@ -37,9 +38,9 @@ def data_item(
     number: int,
     request: ua.MonitoredItemCreateRequest,
     stamps: ua.TimestampsToReturn,
-    place: Place | None,
+    blocks: Mapping[ua.NodeId, Place],
 ) -> tuple[DataItem | BlockItem, ua.MonitoredItemCreateResult]:
-    """Make an item that monitors an attribute; ``place`` is the variable's in a block.
+    """Make an item that monitors an attribute; ``blocks`` says which variables are in one.
 
     Raises
     ------
@@ -52,6 +53,7 @@ def data_item(
         aspace, limits, subscription, wanted, request.RequestedParameters, stamps
     )
     item: DataItem | BlockItem
+    place = blocks.get(wanted.NodeId)  # not before the node is there
     if (
         place
         and wanted.AttributeId == ua.AttributeIds.Value

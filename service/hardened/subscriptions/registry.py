@@ -346,9 +346,8 @@ class Subscriptions:
         try:
             if wanted.AttributeId == ua.AttributeIds.EventNotifier:
                 return self._create_event_item(subscription, number, request)
-            place = self.blocks.get(wanted.NodeId)
             item, result = data_item(
-                self._aspace, limits, subscription, number, request, stamps, place
+                self._aspace, limits, subscription, number, request, stamps, self.blocks
             )
         except ItemRefused as refused:
             return _refused(refused.code)

@@ -10,8 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from service.identification.kernels import grid, lag
-from service.identification.kernels.compiled import inner, kernel
-from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_S, MEAN_T, MEAN_U, WEIGHT
+from service.identification.kernels.compiled import inner, kernel, spliced
+from service.identification.kernels.grid import (
+    DIRECTION,
+    MEAN_Q,
+    MEAN_S,
+    MEAN_T,
+    MEAN_TIME,
+    MEAN_U,
+    WEIGHT,
+)
 from service.identification.kernels.surface import T_REFERENCE, T_UNIT, Surface, value
 from service.identification.samples import Floats, Status, Times
 
@@ -20,8 +28,10 @@ LAST_U, TOWARDS = 0, 1
 NOISE, NOISE_WEIGHT, POWER, COLOUR, LAST_RESIDUAL, LEFT_U, LEFT_S = 2, 3, 4, 5, 6, 7, 8
 CHAMPION_SQUARES, CHALLENGER_SQUARES, EXCITATION, VARIANCE = 9, 10, 11, 12
 MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17, 18, 19
-GAIN_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY = 20, 21, 22, 23, 24
-LAGS = 25  # from here on see `lag`
+RATE_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY, RATE = 20, 21, 22, 23, 24, 25
+COLOUR_WEIGHT, RECKONED, STEADY = 26, 27, 28  # the last two: see `_news`
+REFERENCE = 29  # from here on, as wide as a cell: see `_watch`
+LAGS = REFERENCE + len(grid.COLUMNS)  # from here on see `lag`
 SCALARS = LAGS + lag.SCALARS
 
 # Places in `counters`.
@@ -29,8 +39,8 @@ USED, NEXT_FIT, OPENED, ALARMS, FITTED, NEW_CELLS = 0, 1, 2, 3, 4, 5
 SPENT, NEXT_LOOK, TOO_FAST = 6, 7, 8
 SUSPECT_SAMPLE, SUSPECT_TIME, CHANGE_SAMPLE, CHANGE_TIME, FRESH = 9, 10, 11, 12, 13
 MAY_ASK, FIT_AT, COMPARED, WATCHED = 14, 15, 16, 17
-TAKEN = 18
-LAGGING = 19  # from here on see `lag`
+TAKEN, CLOCK, ENTERED = 18, 19, 20  # CLOCK, ns: the time from which the cells' times count
+LAGGING = 21  # from here on see `lag`
 COUNTERS = LAGGING + lag.COUNTERS
 
 PLAY = 4  # place of the play in a shape
@@ -43,17 +53,22 @@ NEW = 0.02  # samples' weight below which a cell counts as new
 NOISE_KNOWN = 64.0  # samples held against their cells before a change is looked for
 NOISE_MEMORY = 1000.0  # samples over which noise is averaged
 COLOUR_MEMORY = 2000.0  # samples over which the noise's correlation is averaged
-GAIN_MEMORY = 4000.0  # samples over which a gain that drifts is looked at
+RATE_MEMORY = 10_000.0  # samples over which a gain that drifts is looked at
+OLDEST = 600.0  # s: a cell is carried on by no more than that, a machine may have stood still
 MOST_COLOUR = 0.97  # correlation of successive errors, at most
 SETTLED_CELL = 4.0  # samples in a cell from which on its error tells of colour and drift
 SMOOTH_U, SMOOTH_S = 15.0, 3.0  # %, √bar: over what ways a map says the same again
+KNOWN_MAP = 256  # samples from which on a map says enough to tell the colour of noise
 YOUNG = 1000  # samples for which a map is too young to say what the meter's lag makes of it
 PLAIN_S = 0.7  # √bar: below it the map is too steep in s for a cell to tell a change
-FITTING = 4.0  # σ that a cell may lie off the map and still tell a change
+FITTING = 4.0  # σ that a cell may lie off the map and still tell a change or the noise's colour
+OFFSET_DOUBT = 0.1  # share of what the map says of the meter's lag that may be wrong
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
 SLOW_MEMORY = 1000.0  # samples: what lies off for so long is drift, not a change
-MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm
+MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm ...
+LONG_STAY = 256  # samples of a stay after which what the cell holds now is taken for known
+SURE = 12.0  # samples in a cell from which on one stay may do so
 SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0  # σ: slack of the CUSUMs, cut, alarm
 ASKING = 1.5  # mean square of the residuals over the noise that asks for a fit
 KEPT = 0.01  # samples' weight that a cell keeps when the valve has changed
@@ -148,7 +163,7 @@ def surface(fleet: Fleet, m: int, which: int) -> Surface:
     )
 
 
-@inner
+@spliced
 def run(
     start: int, stop: int, batch: Batch, longest: float, memory: Memory, champion: Surface,
     challenger: Surface,
@@ -205,7 +220,7 @@ def _asks(scalars: Floats, counters: np.ndarray) -> bool:
     return bool(scalars[CHAMPION_SQUARES] > ASKING * scalars[NOISE] * samples)
 
 
-@inner
+@spliced
 def _take(
     i: int, batch: Batch, U: float, s: float, T: float, Q: float, longest: float, memory: Memory,
     champion: Surface, challenger: Surface, scratch: Floats,
@@ -223,6 +238,7 @@ def _take(
     lag.follow(batch.t[i], U, s, path, counters[LAGGING:])
     U, at_U, at_s = path[lag.U_EFFECT], path[lag.U_METERED], path[lag.S_METERED]
     direction = follow(U, champion.play, scalars)
+    clock = 1e-9 * (batch.t[i] - counters[CLOCK])
     weight = grid.known(grid.number(U, s, T, direction), memory.slots, memory.cells)
     if counters[USED] - counters[OPENED] < YOUNG:
         weight = 0.0
@@ -243,8 +259,10 @@ def _take(
     if not settled:
         counters[TOO_FAST] += 1
         return status
+    doubt = abs(path[lag.OFFSET]) if path[lag.LAG_Q] > 0.0 else 0.0
     if path[lag.FAMILIAR] > lag.WELL_KNOWN:
         Q -= path[lag.OFFSET]
+        doubt *= OFFSET_DOUBT
     here = grid.slot_of(
         grid.number(at_U, at_s, T, direction),
         champion.play,
@@ -256,11 +274,25 @@ def _take(
     near = abs(T - cell[MEAN_T]) <= NEAR_T
     if counters[FITTED] and cell[WEIGHT] >= KNOWN and near:
         Q = _compare(
-            champion, cell, Q, forecast, at_s, batch.t[i], here, scalars, counters, scratch
+            champion,
+            cell,
+            Q,
+            forecast,
+            at_s,
+            batch.t[i],
+            clock,
+            doubt,
+            here,
+            scalars,
+            counters,
+            scratch,
         )
     if cell[WEIGHT] < NEW:
         counters[NEW_CELLS] -= 1
-    grid.learn(cell, _news(at_U, at_s, scalars), longest, at_U, at_s, T, direction, Q)
+    news = _news(at_U, at_s, scalars)
+    if doubt > 0.0 and scalars[NOISE_WEIGHT] >= NOISE_KNOWN:
+        news *= scalars[NOISE] / max(scalars[NOISE] + doubt * doubt, 1e-30)
+    grid.learn(cell, news, longest, at_U, at_s, T, direction, Q, clock)
     return status
 
 
@@ -282,40 +314,58 @@ def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratc
 
 @inner
 def _compare(
-    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, here: int,
-    scalars: Floats, counters: np.ndarray, scratch: Floats,
+    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, clock: float,
+    doubt: float, here: int, scalars: Floats, counters: np.ndarray, scratch: Floats,
 ) -> float:  # fmt: skip
     """Hold a sample against its own cell: noise without misfit, change of the valve, outliers.
 
-    The model only carries the cell's mean over to the sample's point, so what it cannot represent
-    cancels (and where it is far off, as in a region that is new to it, no change is looked for).
+    The model only carries the cell's mean over to the sample's point, and a known drift to its
+    time, so what it cannot represent cancels (and where it is far off, as in a region that is new
+    to it, no change is looked for).
     What is taken in is clipped at 8 σ; a cell that stands farther off the model than the
     sample does was spoilt itself, and starts afresh.
     """
     at_mean: float = _of(model, cell[MEAN_U], cell[MEAN_S], cell[MEAN_T], cell[DIRECTION], scratch)
-    error = Q - (cell[MEAN_Q] + forecast - at_mean)
+    grown = min(clock - cell[MEAN_TIME], OLDEST) * forecast
+    error = Q - (cell[MEAN_Q] + forecast - at_mean) - scalars[RATE] * grown
     whitening = math.sqrt(cell[WEIGHT] / (cell[WEIGHT] + 1.0))
     sigma = math.sqrt(scalars[NOISE])
     if scalars[NOISE_WEIGHT] < NOISE_KNOWN:
         _know_noise(error * whitening, NOISE_MEMORY, scalars)
         return Q
-    if s >= PLAIN_S and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:
-        if counters[USED] - counters[OPENED] >= YOUNG:
-            _watch(error * whitening / max(sigma, 1e-9), error, t, here, scalars, counters)
-    if counters[USED] - counters[OPENED] >= YOUNG and cell[WEIGHT] >= SETTLED_CELL:
-        _know_colour(error, counters[USED] - counters[COMPARED], scalars)
-        _know_gain(error, forecast, scalars)
-        counters[COMPARED] = counters[USED]
+    if counters[USED] - counters[OPENED] >= YOUNG:
+        _enter(cell, here, scalars, counters)
+        known = scalars[REFERENCE : REFERENCE + len(cell)]
+        at_known = _of(
+            model, known[MEAN_U], known[MEAN_S], known[MEAN_T], known[DIRECTION], scratch
+        )
+        fits = abs(known[MEAN_Q] - at_known) <= FITTING * sigma
+        if s >= PLAIN_S and known[WEIGHT] >= KNOWN and fits:
+            off = Q - (known[MEAN_Q] + forecast - at_known)
+            off -= scalars[RATE] * min(clock - known[MEAN_TIME], OLDEST) * forecast
+            whitened = off * math.sqrt(known[WEIGHT] / (known[WEIGHT] + 1.0))
+            most = ALARM_LEVEL if known[WEIGHT] >= SURE else MOST_OF_A_STAY
+            _watch(whitened / max(math.hypot(sigma, doubt), 1e-9), off, t, most, scalars, counters)
+    calm = max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL
+    if counters[USED] - counters[OPENED] >= KNOWN_MAP and cell[WEIGHT] >= SETTLED_CELL:
+        _know_rate(error + scalars[RATE] * grown, grown, scalars)
+        if calm and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:  # neither change nor misfit
+            _know_colour(error, counters[USED] - counters[COMPARED], scalars)
+            counters[COMPARED] = counters[USED]
     bound = CLIP * sigma / whitening
-    if max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL:
+    if calm:
         limit = NOISE_CLIP * sigma
         since = counters[USED] - counters[OPENED]
         longest = min(max(0.25 * since, NOISE_KNOWN), NOISE_MEMORY)
         _know_noise(min(max(error * whitening, -limit), limit), longest, scalars)
+    plain = Q - cell[MEAN_Q]  # a map that is wild between few cells must not teach them itself
+    error = plain if abs(plain) < abs(error) else error
     if abs(error) <= bound:
         return Q
     if abs(Q - forecast) < 0.5 * abs(cell[MEAN_Q] - at_mean):
         cell[WEIGHT] = 0.0
+        return Q
+    if abs(cell[MEAN_Q] - at_mean) > bound:  # the map cannot judge here
         return Q
     taken: float = Q - error + math.copysign(bound, error)
     return taken
@@ -338,19 +388,21 @@ def _know_colour(error: float, ago: int, scalars: Floats) -> None:
     limit = NOISE_CLIP * math.sqrt(max(scalars[NOISE], scalars[POWER]))
     error = min(max(error, -limit), limit)
     if ago == 1:
-        scalars[POWER] += (error * error - scalars[POWER]) / COLOUR_MEMORY
-        scalars[COLOUR] += (error * scalars[LAST_RESIDUAL] - scalars[COLOUR]) / COLOUR_MEMORY
+        scalars[COLOUR_WEIGHT] = min(scalars[COLOUR_WEIGHT] + 1.0, COLOUR_MEMORY)
+        share = 1.0 / scalars[COLOUR_WEIGHT]
+        scalars[POWER] += (error * error - scalars[POWER]) * share
+        scalars[COLOUR] += (error * scalars[LAST_RESIDUAL] - scalars[COLOUR]) * share
     scalars[LAST_RESIDUAL] = error
 
 
 @inner
-def _know_gain(error: float, said: float, scalars: Floats) -> None:
-    """Mean of the error against a cell times the flow said, and of that flow's square."""
+def _know_rate(error: float, grown: float, scalars: Floats) -> None:
+    """Mean of the error against a cell times its age and the flow, and of their square."""
     limit = CLIP * math.sqrt(scalars[NOISE])
     error = min(max(error, -limit), limit)
-    scalars[GAIN_WEIGHT] = min(scalars[GAIN_WEIGHT] + 1.0, GAIN_MEMORY)
-    scalars[ERROR_Q] += (error * said - scalars[ERROR_Q]) / scalars[GAIN_WEIGHT]
-    scalars[SQUARE_Q] += (said * said - scalars[SQUARE_Q]) / scalars[GAIN_WEIGHT]
+    scalars[RATE_WEIGHT] = min(scalars[RATE_WEIGHT] + 1.0, RATE_MEMORY)
+    scalars[ERROR_Q] += (error * grown - scalars[ERROR_Q]) / scalars[RATE_WEIGHT]
+    scalars[SQUARE_Q] += (grown * grown - scalars[SQUARE_Q]) / scalars[RATE_WEIGHT]
 
 
 @kernel
@@ -367,31 +419,47 @@ def _news(U: float, s: float, scalars: Floats) -> float:
     """How much of a white sample's worth a sample is: coloured noise says the same again.
 
     A direction of regressors whose correlation from sample to sample is ρₓ, under noise of
-    correlation ρₑ, is learnt from N samples as well as from N·(1 - ρₓρₑ)/(1 + ρₓρₑ) white ones.
+    correlation ρₑ, is learnt from N samples as well as from N·(1 - ρₓρₑ)/(1 + ρₓρₑ) white ones. ρₑ
+    is what all weights are reckoned with (RECKONED), ρₓ on average STEADY.
     """
     way = max(abs(U - scalars[LEFT_U]) / SMOOTH_U, abs(s - scalars[LEFT_S]) / SMOOTH_S)
     scalars[LEFT_U], scalars[LEFT_S] = U, s
-    rho = colour(scalars)
-    if not (rho > 0.0 and math.isfinite(way)):
+    if not math.isfinite(way):
         return 1.0
-    again = rho * math.exp(-way)
+    near = math.exp(-way)
+    scalars[STEADY] += (near - scalars[STEADY]) / COLOUR_MEMORY
+    again: float = scalars[RECKONED] * near
     return (1.0 - again) / (1.0 + again)
 
 
 @inner
+def _enter(cell: Floats, here: int, scalars: Floats, counters: np.ndarray) -> None:
+    """Keep what a cell held when U and s came into it: it follows what it is held against."""
+    stayed = counters[USED] - counters[ENTERED]
+    if here != counters[WATCHED]:
+        scalars[STAY] = 0.0
+    elif stayed < LONG_STAY:
+        return
+    counters[WATCHED], counters[ENTERED] = here, counters[USED]
+    for column in range(len(cell)):
+        scalars[REFERENCE + column] = cell[column]
+
+
+@inner
 def _watch(
-    z: float, error: float, t: int, here: int, scalars: Floats, counters: np.ndarray
+    z: float, error: float, t: int, most: float, scalars: Floats, counters: np.ndarray
 ) -> None:
-    """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter."""
+    """CUSUM of the whitened error: more flow than the cells remember, less, or more scatter.
+
+    A stay in one cell adds ``most`` at most.
+    """
     rho = colour(scalars)
     white = (z - rho * scalars[LAST_Z]) / math.sqrt(1.0 - rho * rho)
     scalars[LAST_Z] = min(max(z, -FAR), FAR)
     clipped = min(max(white, -FAR), FAR)
     scalars[SLOW] += (clipped - scalars[SLOW]) / SLOW_MEMORY
     clipped -= scalars[SLOW]
-    if here != counters[WATCHED]:
-        counters[WATCHED], scalars[STAY] = here, 0.0
-    left = max(MOST_OF_A_STAY - scalars[STAY], 0.0)
+    left = max(most - scalars[STAY], 0.0)
     scalars[MORE] = max(0.0, scalars[MORE] + min(clipped - SHIFT, left))
     scalars[LESS] = max(0.0, scalars[LESS] + min(-clipped - SHIFT, left))
     scalars[WILDER] = max(0.0, scalars[WILDER] + min(abs(clipped) - WILD, left))
@@ -416,7 +484,8 @@ def _open(memory: Memory) -> None:
     samples = max(counters[USED] - counters[SUSPECT_SAMPLE], 1)
     scalars[CHANGE_SIZE] = scalars[SUSPECT_SUM] / samples
     scalars[MORE] = scalars[LESS] = scalars[WILDER] = scalars[SLOW] = scalars[SUSPECT_SUM] = 0.0
-    scalars[NOISE_WEIGHT] = scalars[COLOUR] = scalars[GAIN_WEIGHT] = scalars[ERROR_Q] = 0.0
+    scalars[NOISE_WEIGHT] = scalars[RATE_WEIGHT] = scalars[ERROR_Q] = 0.0
+    scalars[RATE] = 0.0
     counters[OPENED] = counters[USED]
     counters[SPENT] = 0
     counters[NEXT_FIT] = counters[USED] + SETTLE

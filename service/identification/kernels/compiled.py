@@ -31,12 +31,35 @@ def inner(function: F) -> F:
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def spliced(function: F) -> F:
+    """Write a function into the one kernel that calls it, before anything is compiled.
+
+    A callee that is compiled by itself is compiled once more with each of its callers. For what
+    has one caller; what has more is written into each.
+    """
+    return _compile(function, inline="always")
+
+
 def inlined(function: F) -> F:
     """Compile a function into every kernel that calls it: what is constant there is constant here.
 
     Only for what few kernels call: each gets a copy.
     """
     return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+
+
+def was_warmed_up() -> bool:
+    """Whether a warm-up came to its end here before, with the kernels as they are.
+
+    Private seam of numba: the dispatcher's ``_cache``, asked without compiling.
+    """
+    found = _end_of_warm_up._cache.load_overload((), _end_of_warm_up.targetctx)  # type: ignore[attr-defined]  # noqa: SLF001
+    return found is not None
+
+
+def note_warm_up() -> None:
+    """Have `was_warmed_up` say so from now on."""
+    _end_of_warm_up()
 
 
 def _load_numba_without_scipy() -> None:
@@ -56,10 +79,15 @@ def _nothing() -> None:
     pass
 
 
-def _compile(function: F, **options: bool) -> F:
+def _compile(function: F, **options: bool | str) -> F:
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
     compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]
     return compiled
 
 
 _load_numba_without_scipy()
+
+
+@kernel
+def _end_of_warm_up() -> None:
+    """Compiled last of all."""

@@ -15,11 +15,11 @@ from service.identification.samples import Floats
 CELLS_U, CELLS_S, CELLS_T = 32, 17, 3  # 3.1 % of U by 0.3 to 1.8 √bar by 20 K
 PLACES = CELLS_U * CELLS_S
 CELLS_OF_A_PLACE = 2 * CELLS_T
-SLOTS = 704  # more than there are places, so that each may have one; 17 kB
+SLOTS = 640  # more than there are places, so that each may have one; 18 kB
 S_TOP = 20.0  # √bar: the grid reaches to 400 bar
 COLD, WARM = 30.0, 50.0  # °C: where cells are divided
 OF_DIRECTION, OF_LOOP = 0.1, 100.0  # cost of merging both directions, of merging 20 K: 1
-COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q = 0, 1, 2, 3, 4, 5
+COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q, MEAN_TIME = 0, 1, 2, 3, 4, 5, 6
 
 
 @inner
@@ -68,7 +68,7 @@ def slot_of(number: int, play: float, slots: np.ndarray, cells: Floats, taken: n
 @inner
 def learn(
     cell: Floats, news: float, longest: float, U: float, s: float, T: float, direction: float,
-    Q: float,
+    Q: float, t: float,
 ) -> None:  # fmt: skip
     """Take a sample into a cell, whose weight ``longest`` bounds: then its mean is exponential."""
     weight = min(cell[WEIGHT] + news, longest)
@@ -79,6 +79,7 @@ def learn(
     cell[MEAN_T] += (T - cell[MEAN_T]) * share
     cell[DIRECTION] += (direction - cell[DIRECTION]) * share
     cell[MEAN_Q] += (Q - cell[MEAN_Q]) * share
+    cell[MEAN_TIME] += (t - cell[MEAN_TIME]) * share
 
 
 @inner

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.spline import basis
 from service.identification.samples import Floats
 
 # Places in this part of `scalars`.
@@ -31,9 +32,9 @@ SETTLED = 4.0  # lags from a start until the signals belong together
 FAST_U, FAST_S = 25.0, 4.0  # %, √bar within the meter's lag: faster samples are not learnt from
 FAST_WHERE_NEW = 0.15  # ... and that share of it where the map is not known all along the lag
 WELL_KNOWN = 0.95  # share of known places along the lag from which on it is
-NODES = np.array([0.0, 3.0, 8.0, 15.0, 25.0, 40.0, 60.0, 80.0, 100.0])  # %: a coarse map's breaks
-RIDGE = 1e-4  # samples' weight that keeps a node without samples determined
-TERMS = 2 * len(NODES) + 1
+KNOTS = np.array([0.0] * 4 + [4.0, 10.0, 20.0, 40.0, 70.0] + [100.0] * 4)  # %: of a coarse map
+RIDGE = 1e-4  # samples' weight that keeps a part of it without samples determined
+TERMS = 2 * (len(KNOTS) - 4) + 1
 LONGEST = 1.0  # s of a stretch that are left out, so that all lags tried are judged alike
 
 
@@ -101,14 +102,16 @@ def keep(t: int, U: float, s: float, Q: float, recent: Floats, counters: np.ndar
 
 
 @kernel
-def misfit(rows: Floats, lag_U: float, lag_Q: float) -> tuple[float, float]:
+def misfit(rows: Floats, lag_U: float, lag_Q: float, rho: float) -> tuple[float, float]:
     """What a coarse map leaves of the rows kept, behind such lags: squares, (l/min)²; and rows.
 
-    ``rows`` (N, 4) in the order of time; every other one counts. The map is piecewise linear in U,
-    between NODES, times s and s², and a constant; a little ridge keeps it determined.
+    ``rows`` (N, 4) in the order of time; every other one counts. The map is a cubic spline in U
+    times s and s², and a constant; a little ridge keeps it determined. Of each row, ``rho`` times
+    the row before is taken off, as noise of such a correlation asks for.
     """
     information, rhs = np.zeros(TERMS * TERMS), np.zeros(TERMS)
-    x, shown = np.zeros(TERMS), np.zeros(TERMS)
+    x, shown, scratch = np.zeros(TERMS), np.zeros(TERMS), np.empty((2, 4))
+    white, before, Q_before = np.zeros(TERMS), np.zeros(TERMS), 0.0
     U, total, since, counted = 0.0, 0.0, 0.0, 0.0
     known, share_U, share_Q = -1.0, 1.0, 1.0
     for i in range(len(rows)):
@@ -117,19 +120,22 @@ def misfit(rows: Floats, lag_U: float, lag_Q: float) -> tuple[float, float]:
         if step != known:
             known, share_U, share_Q = step, share(step, lag_U), share(step, lag_Q)
         U = rows[i, LEFT_U] if fresh else U + share_U * (rows[i, LEFT_U] - U)
-        _regressors(U, rows[i, LEFT_S], x)
+        _regressors(U, rows[i, LEFT_S], x, scratch)
         part = 1.0 if fresh else share_Q
         for k in range(TERMS):
             shown[k] += part * (x[k] - shown[k])
+            white[k] = shown[k] - rho * before[k]
+            before[k] = shown[k]
         since = 0.0 if fresh else since + step
+        Q = rows[i, LEFT_Q] - rho * Q_before
+        Q_before = rows[i, LEFT_Q]
         if since < LONGEST or i % 2:
             continue
-        Q = rows[i, LEFT_Q]
         for k in range(TERMS):
-            value = shown[k]
+            value = white[k]
             rhs[k] += value * Q
             for j in range(TERMS):
-                information[k * TERMS + j] += value * shown[j]
+                information[k * TERMS + j] += value * white[j]
         total += Q * Q
         counted += 2.0
     A = information.reshape((TERMS, TERMS))
@@ -139,16 +145,14 @@ def misfit(rows: Floats, lag_U: float, lag_Q: float) -> tuple[float, float]:
 
 
 @inner
-def _regressors(U: float, s: float, x: Floats) -> None:
+def _regressors(U: float, s: float, x: Floats, scratch: Floats) -> None:
     for k in range(TERMS):
         x[k] = 0.0
-    k = 0
-    while k < len(NODES) - 2 and NODES[k + 1] <= U:
-        k += 1
-    right = (U - NODES[k]) / (NODES[k + 1] - NODES[k])
     root = s / 10.0
-    x[2 * k], x[2 * k + 1] = (1.0 - right) * root, (1.0 - right) * root * root
-    x[2 * k + 2], x[2 * k + 3] = right * root, right * root * root
+    first = basis(KNOTS, U, scratch[0], scratch[1])
+    for k in range(4):
+        x[2 * (first + k)] = scratch[0, k] * root
+        x[2 * (first + k) + 1] = scratch[0, k] * root * root
     x[TERMS - 1] = 1.0
 
 

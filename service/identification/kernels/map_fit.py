@@ -65,14 +65,17 @@ def plan_of(shape: Floats, top: float) -> Plan:
     """What a fit must know of a shape whose spline reaches up to ``top`` bar."""
     knots_U, knots_s = ladder.knots_U(shape), ladder.knots_s(shape, top)
     sites_U, sites_s = ladder.sites(knots_U), ladder.sites(knots_s)
-    a, b, c = knots_s[1:-3], knots_s[2:-2], knots_s[3:-1]
+    squares = np.empty(len(sites_s))
+    for i in range(len(squares)):
+        a, b, c = knots_s[i + 1], knots_s[i + 2], knots_s[i + 3]
+        squares[i] = (a * b + b * c + c * a) / 300.0
     cells = shape[ladder.CELLS_OF] > 0.0
     return Plan(
         knots_U,
         knots_s,
-        sites_U / 100.0,
-        sites_s / 10.0,
-        (a * b + b * c + c * a) / 300.0,
+        _over(sites_U, 100.0),
+        _over(sites_s, 10.0),
+        squares,
         ladder.roughness(sites_U, shape[ladder.DEAD_BAND], shape[ladder.SATURATION]),
         ladder.roughness(sites_s, math.nan, math.nan),
         shape[ladder.PLAY],
@@ -80,6 +83,15 @@ def plan_of(shape: Floats, top: float) -> Plan:
         BORDER if shape[ladder.TREND] > 0.0 else FIVE_TERMS,
         ladder.size(shape),
     )
+
+
+@inner
+def _over(values: Floats, unit: float) -> Floats:
+    """Quotients, as a loop: an expression of arrays takes a second to compile."""
+    found = np.empty(len(values))
+    for i in range(len(values)):
+        found[i] = values[i] / unit
+    return found
 
 
 @kernel

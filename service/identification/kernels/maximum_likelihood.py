@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels import filtered_scores
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.factors import covariance, project, rank_one
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.stability import is_stable
@@ -174,7 +174,7 @@ def run_fleet(
         )  # fmt: skip
 
 
-@inner
+@spliced
 def _span(
     memory: Memory,
     rule: Rule,
@@ -341,7 +341,7 @@ def _regressors(memory: Memory, orders: Orders, scratch: _Scratch) -> None:
         sign = 1.0
 
 
-@inner
+@spliced
 def _step(
     memory: Memory,
     rule: Rule,

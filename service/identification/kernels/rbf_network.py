@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.samples import Codes, Floats, Segments
 
@@ -53,7 +53,7 @@ def update(
         )  # fmt: skip
 
 
-@inner
+@spliced
 def _train(
     y: Floats,
     x: Floats,

@@ -41,7 +41,21 @@ export function paced(draw) {
   };
 }
 
-export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const colours = new Map(); // asking the browser costs a layout each time
+addEventListener("theme", () => colours.clear());
+
+export function css(name) {
+  let colour = colours.get(name);
+  if (colour === undefined) colours.set(name, colour = getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return colour;
+}
+
+/** Draw again in the colours of another theme, once the page itself has them; what is returned ends that. */
+export function onTheme(draw) {
+  const after = () => requestAnimationFrame(() => setTimeout(draw));
+  addEventListener("theme", after);
+  return () => removeEventListener("theme", after);
+}
 
 export const lineColour = (k) => css(`--line-${(k % 6) + 1}`);
 export const lineVariable = (k) => `var(--line-${(k % 6) + 1})`;

@@ -21,6 +21,9 @@ export function count(value) {
   return Number.isFinite(value) ? Math.round(value).toLocaleString("en").replaceAll(",", " ") : NAN;
 }
 
+/** 1 alarm, 2 alarms. */
+export const counted = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
+
 /** A span of time in its own unit. */
 export function span(seconds) {
   if (!Number.isFinite(seconds)) return NAN;

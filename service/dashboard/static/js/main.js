@@ -109,8 +109,7 @@ document.querySelector(".theme").addEventListener("click", () => {
   const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
   document.documentElement.dataset.theme = next;
   localStorage.setItem("theme", next);
-  shown = null;
-  show();
+  dispatchEvent(new Event("theme"));
 });
 
 document.addEventListener("keydown", (event) => {

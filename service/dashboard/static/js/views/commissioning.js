@@ -1,6 +1,6 @@
 // What a new valve still lacks: rates, losses, what is not measured yet, the next test point.
 
-import { css, h, mark, pen, say } from "../dom.js";
+import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, span } from "../format.js";
 
 const REFRESH_MS = 1000;
@@ -8,7 +8,7 @@ const COUNTERS = {
   Aligned: "samples whose signals found together", Late: "signals that came too late", Missing: "samples given up: a signal did not come",
   Duplicates: "signals that came twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
   BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: beyond what a sensor can say",
-  Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range",
+  Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range", TooFastForLag: "not learnt from: too fast for the lags",
 };
 const FRESH_S = 600; // an older region wants another visit
 
@@ -59,7 +59,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
 
   function showChecks(of, counts, per) {
     const lost = ["Missing", "Late", "Gaps"].reduce((sum, name) => sum + (counts[name] || 0), 0), share = of("CoverageShare");
-    const rejected = ["BadStatus", "NotFinite", "OutOfRange", "Frozen", "TooFast", "Spike", "BeyondRange"].reduce((sum, name) => sum + (counts[name] || 0), 0);
+    const rejected = ["BadStatus", "NotFinite", "OutOfRange", "Frozen", "TooFast", "Spike", "BeyondRange", "TooFastForLag"].reduce((sum, name) => sum + (counts[name] || 0), 0);
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const lines = [
@@ -125,8 +125,9 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   }
 
   const timer = setInterval(update, REFRESH_MS);
+  const forget = onTheme(update);
   update();
-  return () => clearInterval(timer);
+  return () => { clearInterval(timer); forget(); };
 }
 
 /** Where a value lies between the middles of cells: 0 is the middle of the first. */

@@ -1,8 +1,8 @@
 // The map of one valve: surface, how sure it is where, a section, and which voltage a flow demands.
 
 import { lineChart } from "../charts.js";
-import { css, h, mark, say } from "../dom.js";
-import { fixed, INVERSE_STATUS } from "../format.js";
+import { css, h, mark, onTheme, say } from "../dom.js";
+import { counted, fixed, INVERSE_STATUS } from "../format.js";
 
 const COLOURINGS = [
   ["Q", "Flow", "l/min"], ["std", "Uncertainty", "± 2 σ, l/min"], ["status", "Extrapolated", ""], ["change", "Difference", "l/min"],
@@ -98,14 +98,14 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     ];
     const axis = (title, range) => ({ title: { text: title }, color: css("--soft"), gridcolor: css("--line"), zerolinecolor: css("--line"), backgroundcolor: css("--card"), showbackground: true, ...(range ? { range } : {}) });
     const layout = {
-      margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
-      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.72, y: -1.62, z: 0.9 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
+      margin: { l: 30, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", font: { family: "system-ui, sans-serif", size: 12, color: css("--ink") }, uirevision: "kept",
+      scene: { xaxis: axis("Δp in bar"), yaxis: axis("U in %"), zaxis: axis("Q in l/min"), camera: { eye: { x: -1.83, y: -1.72, z: 0.96 }, center: { x: 0.04, y: 0, z: -0.13 } }, aspectmode: "manual", aspectratio: { x: 1.15, y: 1.15, z: 0.75 } },
     };
     await Plotly.react(plot, traces, layout, { displayModeBar: false, responsive: true, displaylogo: false });
     plotted = Plotly;
     const all = found.status.flat(), far = all.filter((s) => s === EXTRAPOLATING).length;
     const reach = found.std.flat().filter(Number.isFinite).sort((a, b) => a - b);
-    say(words, `${rows.length ? `${rows.length} places measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${fixed(2 * (reach[reach.length >> 1] ?? NaN), 2)} l/min.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
+    say(words, `${rows.length ? `${counted(rows.length, "place")} measured. ` : ""}${far ? `${fixed((100 * far) / all.length, 0)} % of the surface is extrapolated. ` : "Nothing of the surface is extrapolated. "}Median uncertainty ± ${fixed(2 * (reach[reach.length >> 1] ?? NaN), 2)} l/min.${kept ? ` Compared with the map kept at ${kept.at ?? "this page's request"}.` : ""}`);
   }
 
   function colours(found) {
@@ -137,7 +137,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
       ...near.map(([u, p, q]) => [u, null, null, null, null, q - slope(found, u, p, section)])].sort((a, b) => a[0] - b[0]);
     const columns = [0, 1, 2, 3, 4, 5].map((k) => x.map((row) => (Number.isFinite(row[k]) ? row[k] : k ? undefined : row[0])));
     chart.chart.setData(columns);
-    say(sectionWords, `Δp ${fixed(section, 0)} bar · ${near.length} points within ± ${NEAR_BAR} bar`);
+    say(sectionWords, `Δp ${fixed(section, 0)} bar · ${counted(near.length, "point")} within ± ${NEAR_BAR} bar`);
   }
 
   function ask() {
@@ -155,7 +155,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
       say(answer, "–"); say(interval, ""); mark(verdict, "severity", 3); say(verdict, found.error);
     } else {
       const [severity, sentence] = INVERSE_STATUS[found.status] ?? [1, ""];
-      say(answer, `${fixed(found.U ?? NaN, 1)} %`);
+      say(answer, `${fixed(found.U ?? NaN, 2)} %`); // as finely as its interval
       say(interval, found.lower === null ? "" : `95 %: ${fixed(found.lower, 2)} to ${fixed(found.upper, 2)} %`);
       mark(verdict, "severity", severity);
       say(verdict, sentence);
@@ -190,7 +190,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   live.addEventListener("values", showStanding);
   user.addEventListener("change", showUser);
   const again = setInterval(ask, 1000); // the map moves on
-  closers.push(() => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
+  closers.push(onTheme(() => schedule(true)), () => clearInterval(again), () => live.removeEventListener("matrix", onMatrix), () => live.removeEventListener("values", showStanding),
     () => user.removeEventListener("change", showUser), () => plotted?.purge(plot));
   showUser();
   showStanding();

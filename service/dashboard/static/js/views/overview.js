@@ -1,7 +1,7 @@
 // All valves, worst first: why, and since when.
 
 import { h, mark, say } from "../dom.js";
-import { clock, count, fixed, REASON_SENTENCES, REASONS, span } from "../format.js";
+import { clock, count, counted, fixed, REASON_SENTENCES, REASONS, span } from "../format.js";
 
 const byName = new Intl.Collator("en", { numeric: true }).compare;
 const HEIGHT = 34; // px of a row; as in page.css
@@ -41,8 +41,8 @@ export function overviewView(root, { live }) {
     });
     const of = [0, 0, 0, 0];
     for (const row of live.rows.values()) of[row.severity] += 1;
-    const words_ = ["good", "notes", "warnings", "alarms"];
-    counts.replaceChildren(...[3, 2, 1, 0].filter((k) => of[k]).map((k) => h("span.badge", { "data-severity": k }, `${of[k]} ${words_[k]}`)));
+    const words_ = [null, "note", "warning", "alarm"];
+    counts.replaceChildren(...[3, 2, 1, 0].filter((k) => of[k]).map((k) => h("span.badge", { "data-severity": k }, k ? counted(of[k], words_[k]) : `${of[k]} good`)));
     draw();
   }
 

@@ -1,7 +1,7 @@
 // One valve, live: signals, measured and predicted flow, residuals, parameters, estimators side by side.
 
 import { History, timeChart } from "../charts.js";
-import { css, h, lineVariable, mark, paced, pen, say } from "../dom.js";
+import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
 import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, STATUS_SENTENCE, UNITS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
 
@@ -212,7 +212,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
   }
 
   live.addEventListener("values", take);
-  closers.push(() => live.removeEventListener("values", take));
+  closers.push(() => live.removeEventListener("values", take), onTheme(() => { drawnAt = 0; soon(); }));
   const slow = setInterval(standing, 1000);
   closers.push(() => clearInterval(slow));
   take();

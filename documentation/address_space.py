@@ -1,0 +1,166 @@
+"""The page of the address space, from a server that runs."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+from asyncua import Client, ua
+from asyncua.common.node import Node
+
+from documentation.tables import table
+from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.config.models import Config
+from service.hardened import ServerSettings
+from service.opcua.results_server import NAMESPACE, ResultsServer
+
+_HEAD = """# Address space
+
+Namespace `{namespace}`; everything lies below `Objects/Identification`. A NodeId is
+`s=<Valve>.<Estimator>.<Variable>`, and the browse path has the same names. `<Valve>` is a valve's
+name in the configuration, `<Estimator>` one of {estimators} unless others are configured. *(of …)*
+names those that have a node where not all do. Ids and paths never change.
+
+A result's SourceTimestamp is that of the sample behind it. Uncertain is what rests on poor
+excitation, Bad what rests on a lost sensor; a stale value is never Good.
+"""
+
+
+@dataclass
+class _Row:
+    """One variable or method, and which estimators have it."""
+
+    kind: str
+    unit: str
+    writable: bool
+    description: str
+    estimators: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One node of a server."""
+
+    id: str
+    kind: str
+    unit: str
+    writable: bool
+    description: str
+
+
+def address_space_page() -> str:
+    """Every node that a service with the default configuration shows."""
+    config = Config()
+    found = asyncio.run(nodes(config))
+    (valve,) = config.valves
+    estimators = [estimator.name for estimator in valve.estimators]
+    tables: dict[str, dict[str, _Row]] = {}
+    for one in found:
+        owner, _, name = one.id.rpartition(".")
+        owner, who = _general(owner, valve.name, estimators)
+        row = tables.setdefault(owner, {}).setdefault(
+            name, _Row(one.kind, one.unit, one.writable, one.description)
+        )
+        row.estimators += who
+    parts = [_HEAD.format(namespace=NAMESPACE, estimators=", ".join(estimators))]
+    for owner, rows in tables.items():
+        parts.append(f"## `{owner}`\n")
+        shown = [
+            [
+                f"`.{name}`{_of(row.estimators, estimators)}",
+                row.kind + (" (written by an operator)" if row.writable else ""),
+                row.unit,
+                row.description,
+            ]
+            for name, row in rows.items()
+        ]
+        parts.append(table(["node", "type", "unit", "meaning"], shown) + "\n")
+    return "\n".join(parts)
+
+
+async def nodes(config: Config) -> list[Found]:
+    """All variables and methods of a service with this configuration, as a client finds them."""
+    identification = build_identification(config)
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/service/",
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        none_on_loopback=True,
+    )
+    server = ResultsServer(settings, identification.descriptions(), identification)
+    async with server, Client(server.url) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        root = client.get_node(ua.NodeId("Identification", index))
+        return [one async for one in _below(root, index)]
+
+
+async def _below(node: Node, index: int) -> AsyncIterator[Found]:
+    for reference in await node.get_references(
+        ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward
+    ):
+        if reference.NodeId.NamespaceIndex != index:
+            continue
+        child = Node(node.session, ua.NodeId(reference.NodeId.Identifier, index))
+        match reference.NodeClass:
+            case ua.NodeClass.Variable:
+                yield await _variable(child)
+            case ua.NodeClass.Method:
+                yield await _method(child)
+            case _:
+                async for one in _below(child, index):
+                    yield one
+
+
+async def _variable(node: Node) -> Found:
+    type_, rank, description, access = (
+        one.Value.Value
+        for one in await node.read_attributes(
+            [
+                ua.AttributeIds.DataType,
+                ua.AttributeIds.ValueRank,
+                ua.AttributeIds.Description,
+                ua.AttributeIds.AccessLevel,
+            ]
+        )
+    )
+    kind = f"`{ua.ObjectIdNames[type_.Identifier]}{'[]' * max(rank, 0)}`"
+    writable = bool(access & ua.AccessLevel.CurrentWrite.mask)
+    return Found(_id(node), kind, await _unit(node), writable, description.Text or "")
+
+
+async def _method(node: Node) -> Found:
+    description = await node.read_attribute(ua.AttributeIds.Description)
+    sides = [await _arguments(node, name) for name in ("InputArguments", "OutputArguments")]
+    kind = f"method ({sides[0]})" + (f" → {sides[1]}" if sides[1] else "")
+    return Found(_id(node), kind, "", False, description.Value.Value.Text or "")  # noqa: FBT003
+
+
+async def _arguments(node: Node, name: str) -> str:
+    properties = {(await one.read_browse_name()).Name: one for one in await node.get_properties()}
+    if name not in properties:
+        return ""
+    return ", ".join(argument.Name for argument in await properties[name].read_value())
+
+
+async def _unit(node: Node) -> str:
+    for one in await node.get_properties():
+        if (await one.read_browse_name()).Name == "EngineeringUnits":
+            return str((await one.read_value()).DisplayName.Text)
+    return ""
+
+
+def _id(node: Node) -> str:
+    return str(node.nodeid.Identifier)
+
+
+def _general(owner: str, valve: str, estimators: list[str]) -> tuple[str, list[str]]:
+    """The same for every valve and estimator, and of which estimator it is."""
+    first, *rest = owner.split(".")
+    if first != valve:
+        return owner, []
+    who = [rest[0]] if rest and rest[0] in estimators else []
+    return ".".join(["<Valve>", *("<Estimator>" for _ in who), *rest[len(who) :]]), who
+
+
+def _of(who: list[str], estimators: list[str]) -> str:
+    return "" if not who or who == estimators else f" *(of {', '.join(who)})*"

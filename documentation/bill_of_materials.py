@@ -1,0 +1,97 @@
+"""What the image holds, as CycloneDX 1.6: ``python -m documentation.bill_of_materials``."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+from cyclonedx.contrib.license.factories import LicenseFactory
+from cyclonedx.model import HashAlgorithm, HashType
+from cyclonedx.model.bom import Bom
+from cyclonedx.model.component import Component, ComponentType
+from cyclonedx.output.json import JsonV1Dot6
+from packageurl import PackageURL
+
+ROOT = Path(__file__).parents[1]
+LOCK = ROOT / "requirements-image.lock"
+VENDOR = ROOT / "service" / "dashboard" / "static" / "vendor"
+OUT = ROOT / "sbom" / "valvemap.cdx.json"
+
+_PINNED = re.compile(r"^([\w.-]+)==([^\s;]+)")
+_HASH = re.compile(r"--hash=sha256:([0-9a-f]{64})")
+_VENDORED = re.compile(
+    r"^\| `([\w-]+)/` \| ([\d.]+) \| npm `([\w.-]+)`.*\| ([\w.-]+), ", re.MULTILINE
+)
+
+
+def main() -> None:
+    """Write the bill."""
+    OUT.parent.mkdir(exist_ok=True)
+    OUT.write_text(bill_of_materials(), encoding="utf-8")
+    print(OUT)  # noqa: T201
+
+
+def bill_of_materials() -> str:
+    """Every package of the image's lock file and every vendored script, as JSON."""
+    bom = Bom()
+    own = Component(
+        name="valvemap",
+        version=metadata.version("valvemap"),
+        type=ComponentType.APPLICATION,
+        bom_ref="valvemap",
+        purl=PackageURL("pypi", None, "valvemap", metadata.version("valvemap")),
+        licenses=[LicenseFactory().make_from_string("Apache-2.0")],
+    )
+    bom.metadata.component = own
+    parts = [*_packages(), *_scripts()]
+    for part in parts:
+        bom.components.add(part)
+    bom.register_dependency(own, parts)
+    return JsonV1Dot6(bom).output_as_string(indent=2) + "\n"
+
+
+def _packages() -> Iterator[Component]:
+    """Packages of the lock file; a release may be any of several files."""
+    for block in re.split(r"\n(?=\S)", LOCK.read_text(encoding="utf-8")):
+        if pinned := _PINNED.match(block):
+            name, version = pinned.groups()
+            yield _component(name, version, "pypi", _HASH.findall(block), _licence(name))
+
+
+def _scripts() -> Iterator[Component]:
+    """Scripts that lie beside the page, as its table has them."""
+    table = (VENDOR / "README.md").read_text(encoding="utf-8")
+    for folder, version, package, licence in _VENDORED.findall(table):
+        files = sorted((VENDOR / folder).glob("*.*"))
+        digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+        yield _component(package, version, "npm", digests, licence)
+
+
+def _component(
+    name: str, version: str, registry: str, digests: list[str], licence: str | None
+) -> Component:
+    purl = PackageURL(registry, None, name, version)
+    return Component(
+        name=name,
+        version=version,
+        type=ComponentType.LIBRARY,
+        bom_ref=purl.to_string(),
+        purl=purl,
+        hashes=[HashType(alg=HashAlgorithm.SHA_256, content=digest) for digest in digests],
+        licenses=[] if licence is None else [LicenseFactory().make_from_string(licence)],
+    )
+
+
+def _licence(package: str) -> str | None:
+    """What an installed package says of its licence, if it is short enough to be a name."""
+    try:
+        said = metadata.metadata(package)
+    except metadata.PackageNotFoundError:  # of another platform
+        return None
+    text = said.get("License-Expression") or said.get("License") or ""
+    return text if 0 < len(text) < 60 and "\n" not in text else None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,33 @@
+"""The page of the command line, from its commands."""
+
+import re
+
+import typer
+from typer.cli import get_docs_for_click
+from typer.main import get_command
+
+from service.cli import COMMANDS, application
+
+_OPTION = re.compile(r"^(\* `[^`]+`)(.*)$", re.MULTILINE)
+_HEAD = """# Commands
+
+Exit code 0; 1 if it could not be done, 2 if it was asked wrongly. A mistake is one line that names
+thing, place and remedy. `valvemap COMMAND --help` says the same.
+"""
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options."""
+    group = get_command(application())
+    parts = [_HEAD]
+    for name in COMMANDS:
+        command = group.commands[name]  # type: ignore[attr-defined]
+        context = typer.Context(command, info_name=name)
+        text = get_docs_for_click(obj=command, ctx=context, indent=1, call_prefix="valvemap")
+        parts.append(_OPTION.sub(_without_markup, text))
+    return "\n".join(part.strip() + "\n" for part in parts)
+
+
+def _without_markup(option: re.Match[str]) -> str:
+    """An option's words as they are: what stands in angle brackets is no HTML."""
+    return option[1] + option[2].replace("<", "&lt;")

@@ -1,0 +1,20 @@
+"""All reference pages that are made."""
+
+from pathlib import Path
+
+from documentation.address_space import address_space_page
+from documentation.commands import commands_page
+from documentation.configuration import configuration_page
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
+MADE_BY = "<!-- Made by `make reference`; do not edit. -->\n\n"
+
+
+def pages() -> dict[str, str]:
+    """File name and text of each page."""
+    made = {
+        "address_space.md": address_space_page(),
+        "commands.md": commands_page(),
+        "configuration.md": configuration_page(),
+    }
+    return {name: MADE_BY + text for name, text in made.items()}

@@ -1,0 +1,58 @@
+"""How far long work has come: a bar on the error stream, where somebody watches it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+
+@contextmanager
+def bars() -> Iterator[Progress]:
+    """Bars for work whose end is known; ``add_task`` adds one."""
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    ) as progress:
+        yield progress
+
+
+@contextmanager
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """A line for work whose end is not known; what is yielded changes its text."""
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as progress:
+        task = progress.add_task(what, total=None)
+
+        def say(text: str) -> None:
+            progress.update(task, description=text)
+
+        yield say
+
+
+def of_files(progress: Progress) -> Callable[[Path, float], None]:
+    """A bar for each file that is read."""
+    tasks = {}
+
+    def update(file: Path, fraction: float) -> None:
+        if file not in tasks:
+            tasks[file] = progress.add_task(file.name, total=1.0)
+        progress.update(tasks[file], completed=fraction)
+
+    return update

@@ -1,0 +1,225 @@
+"""HistoryRead of raw values (Part 11, 6.4.3.2), a page at a time."""
+
+import secrets
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+
+from service.hardened.address_space.declarations import Variable
+from service.hardened.binary.encoding import (
+    DTYPES,
+    TICKS_1970,
+    encode_history_result,
+    nanoseconds,
+)
+from service.hardened.binary.records import Form, encode_records
+from service.hardened.history.historian import EVER, Historian, Records, Span
+from service.hardened.settings import Limits
+
+_Codes = ua.StatusCodes
+_NO_TIME = -TICKS_1970 * 100  # DateTime 0, which stands for none
+_BAD = 0x8000_0000
+
+Outside = Callable[[Awaitable[Records]], Awaitable[Records]]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What of a variable's past is still to be read.
+
+    Attributes
+    ----------
+    node
+        The variable.
+    span, skip
+        Where to go on: so many records of the span have been read.
+    page
+        Most values in one answer, as the client wishes; 0: as many as go.
+    left
+        How many values are wanted in all; None: the span says it.
+    lead, tail
+        Where bounding values are wanted, UTC ns.
+    """
+
+    node: ua.NodeId
+    span: Span
+    skip: int = 0
+    page: int = 0
+    left: int | None = None
+    lead: int | None = None
+    tail: int | None = None
+
+
+Rests = OrderedDict[bytes, Rest]
+
+
+class Histories:
+    """The histories of a server's variables."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._kept: dict[ua.NodeId, tuple[Variable, Historian]] = {}
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def add(self, variable: Variable, historian: Historian) -> None:
+        """Have a variable's past answered for by somebody."""
+        self._kept[variable.id] = variable, historian
+
+    async def read(
+        self,
+        params: ua.HistoryReadParameters,
+        wanted: ua.HistoryReadValueId,
+        rests: Rests,
+        outside: Outside,
+    ) -> bytes:
+        """Read one variable: an encoded HistoryReadResult.
+
+        ``rests`` are the session's own: what does not fit waits there behind a continuation point.
+        """
+        rest = self._wanted(params, wanted, rests)
+        if isinstance(rest, int):
+            return encode_history_result(rest)
+        most = max(self._limits.history_values // len(params.NodesToRead), 1)
+        most = min(most, rest.page or most, most if rest.left is None else rest.left)
+        found, more = await self._page(rest, most, outside)
+        code, point = _Codes.Good if len(found) else _Codes.GoodNoData, None
+        if more is not None:
+            if len(rests) >= self._limits.history_continuation_points:
+                return encode_history_result(_Codes.BadNoContinuationPoints)
+            point = secrets.token_bytes(16)
+            rests[point] = more
+        variable, _ = self._kept[rest.node]
+        data, _ = _encoded(variable, found, params.TimestampsToReturn)
+        return encode_history_result(code, point, data, len(found))
+
+    def release(self, wanted: ua.HistoryReadValueId, rests: Rests) -> bytes:
+        """Forget a continuation point."""
+        known = rests.pop(wanted.ContinuationPoint or b"", None) is not None
+        return encode_history_result(_Codes.Good if known else _Codes.BadContinuationPointInvalid)
+
+    def _wanted(  # noqa: PLR0911 - one per reason
+        self, params: ua.HistoryReadParameters, wanted: ua.HistoryReadValueId, rests: Rests
+    ) -> Rest | int:
+        """What is to be read, or why it cannot be."""
+        if wanted.ContinuationPoint:
+            rest = rests.get(wanted.ContinuationPoint)
+            if rest is None or rest.node != wanted.NodeId:
+                return _Codes.BadContinuationPointInvalid
+            return rests.pop(wanted.ContinuationPoint)
+        details = params.HistoryReadDetails
+        if wanted.NodeId not in self._kept:
+            return _Codes.BadHistoryOperationUnsupported
+        if not isinstance(details, ua.ReadRawModifiedDetails) or details.IsReadModified:
+            return _Codes.BadHistoryOperationUnsupported
+        if wanted.IndexRange:
+            return _Codes.BadIndexRangeNoData
+        if wanted.DataEncoding is not None and wanted.DataEncoding.Name:
+            return _Codes.BadDataEncodingInvalid
+        return _beginning(wanted.NodeId, details) or _Codes.BadHistoryOperationInvalid
+
+    async def _page(self, rest: Rest, most: int, outside: Outside) -> tuple[Records, Rest | None]:
+        """The next values, and what is left then."""
+        variable, historian = self._kept[rest.node]
+
+        async def raw(span: Span, skip: int, count: int) -> Records:
+            found = historian.raw(variable.id, span, skip, count)
+            return found if isinstance(found, Records) else await outside(found)
+
+        found = await raw(rest.span, rest.skip, most + 1)
+        more = None
+        if len(found) > most:
+            found = found[:most]
+            more = _behind(rest, found)
+        parts = [found]
+        if rest.lead is not None and not (len(found) and found.source[0] == rest.lead):
+            parts.insert(0, await self._bound(rest.lead, raw, variable, rest.span, lead=True))
+        if rest.tail is not None and more is None:
+            parts.append(await self._bound(rest.tail, raw, variable, rest.span, lead=False))
+        return _joined(parts), more
+
+    @staticmethod
+    async def _bound(
+        at: int,
+        raw: Callable[[Span, int, int], Awaitable[Records]],
+        variable: Variable,
+        span: Span,
+        *,
+        lead: bool,
+    ) -> Records:
+        """The value beside a span, at a time or as near to it as there is one."""
+        older = span.backwards != lead
+        near = await raw(Span(EVER[0], at, backwards=True) if older else Span(at, EVER[1]), 0, 1)
+        if len(near):
+            return near
+        none = np.array([at])
+        code = np.array([_Codes.BadBoundNotFound], np.uint32)
+        return Records(np.zeros(1, DTYPES[variable.type]), code, none, none)
+
+
+def _beginning(node: ua.NodeId, details: ua.ReadRawModifiedDetails) -> Rest | None:
+    """What a request asks for; None if it says too little (two of start, end and number)."""
+    start, end = _time(details.StartTime), _time(details.EndTime)
+    n, bounds = details.NumValuesPerNode, bool(details.ReturnBounds)
+    if start is None or end is None:
+        if not n or start is end:
+            return None
+        if start is not None:
+            return Rest(node, Span(start, EVER[1]), left=n, lead=start if bounds else None)
+        assert end is not None  # noqa: S101 - one of the two is there
+        back = Span(EVER[0], end, backwards=True)
+        return Rest(node, back, left=n, lead=end if bounds else None)
+    if start == end:
+        return Rest(node, Span(start, start), page=n)
+    span = Span(start, end - 1) if start < end else Span(end + 1, start, backwards=True)
+    lead, tail = (start, end) if bounds else (None, None)
+    return Rest(node, span, page=n, lead=lead, tail=tail)
+
+
+def _behind(rest: Rest, read: Records) -> Rest | None:
+    """What is left once some of it is read; None if no more is wanted."""
+    left = None if rest.left is None else rest.left - len(read)
+    if left == 0:
+        return None
+    last = int(read.source[-1])
+    seen = int(np.count_nonzero(read.source == last))
+    skip = seen + (rest.skip if last == rest.span.first else 0)
+    back = rest.span.backwards
+    span = replace(rest.span, high=last) if back else replace(rest.span, low=last)
+    return replace(rest, span=span, skip=skip, left=left, lead=None)
+
+
+def _joined(parts: list[Records]) -> Records:
+    if len(parts) == 1:
+        return parts[0]
+    names = ("values", "codes", "source", "server")
+    return Records(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _encoded(
+    variable: Variable, found: Records, stamps: ua.TimestampsToReturn
+) -> tuple[bytes, Any]:
+    return encode_records(
+        Form(variable.type, DTYPES[variable.type], None, handle=False),
+        int(stamps),
+        {
+            "value": np.asarray(found.values)[:, None],
+            "status": found.codes,
+            "has": found.codes < _BAD,
+            "source": found.source // 100 + TICKS_1970,
+            "server": found.server // 100 + TICKS_1970,
+        },
+    )
+
+
+def _time(moment: Any) -> int | None:  # noqa: ANN401 - a datetime, or nothing
+    """UTC ns of a time that is given."""
+    if moment is None:
+        return None
+    found = nanoseconds(moment)
+    return None if found <= _NO_TIME else found

@@ -1,0 +1,66 @@
+"""`valvemap baseline` at a running service: an operator acts, everybody may compare."""
+
+import pytest
+from support.plant import as_changes, plant
+from support.results import results_settings
+
+from service.app.baseline import Action, Service, act
+from service.cli import run
+from service.errors import CommandRejected
+from service.hardened import Role, UserStore
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.opcua.connection import Security
+from service.opcua.results_server import ResultsServer
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.identification import Identification
+from service.streaming.pipeline import ValvePlan
+from service.streaming.quality_gate import QualityGate
+
+VALVE = "V7"
+
+
+@pytest.fixture
+async def served(tmp_path):
+    plan = ValvePlan(VALVE, QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
+    identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    settings = results_settings(users=users, none_on_loopback=True, cache=tmp_path)
+    described = identification.descriptions()
+    async with ResultsServer(settings, described, identification) as server:
+
+        def who(user=None):
+            word = None if user is None else password
+            return Service(server.url, Security.NONE, tmp_path, user, word)
+
+        yield identification, server, who
+
+
+async def test_an_operator_approves_compares_and_goes_back(served):
+    identification, server, who = served
+    operator = who("operator")
+    assert await act(who(), VALVE, Action.SHOW) == "V7: no map is approved"
+    with pytest.raises(CommandRejected, match="BadInvalidState"):
+        await act(operator, VALVE, Action.APPROVE)
+    identification.take(as_changes(plant(600)))
+    with pytest.raises(CommandRejected):
+        await act(who(), VALVE, Action.APPROVE)
+    said = await act(operator, VALVE, Action.APPROVE)
+    version = identification.baseline(0).version
+    assert said == f"V7: builds on {version}, SHA-256 {identification.baseline(0).digest}"
+    for results in identification.results([0]):
+        await server.publish(results)
+    theta = identification.result(0).estimators["RLS"].theta
+    identification.take_samples(0, plant(50, seed=9, first=600))
+    assert (await act(who(), VALVE, Action.COMPARE, "RLS")).startswith("V7.RLS: ")
+    assert await act(operator, VALVE, Action.ROLL_BACK) == said
+    assert identification.result(0).estimators["RLS"].theta.tolist() == theta.tolist()
+    assert await act(operator, VALVE, Action.REPLACED) == "V7: no map is approved"
+    identification.take_samples(0, plant(600, first=700))
+    identification.approve(VALVE)
+    with pytest.raises(CommandRejected, match="BadInvalidState"):
+        await act(who(), VALVE, Action.COMPARE, "RML")
+
+
+def test_an_action_that_is_none_is_refused(capsys):
+    assert run(["baseline", "aprove", "V7"]) == 2
+    assert "show, compare, approve, roll-back, replaced" in capsys.readouterr().err

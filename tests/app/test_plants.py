@@ -1,0 +1,109 @@
+"""Plants of others, without an editor: `connect --yes`, then `serve`, then a map that is right.
+
+Four valves: two that a server of asyncua shows in psi, gpm, mA and °F, their signals stamped one
+after the other; two that node-opcua writes when they change, one pressure held still.
+"""
+
+import asyncio
+import subprocess
+
+import numpy as np
+import pytest
+from support import node_peer
+from support.foreign import PLANT, Foreign
+from support.processes import free_port, run, service_url
+
+from service.app.build import build_identification
+from service.app.serve import serve
+from service.config.loading import load_config
+
+NOISE = 0.4  # l/min, one standard deviation of a flow meter
+WITHIN_S = 180.0
+POINTS = [(U, dp) for U in (20.0, 45.0, 70.0, 90.0) for dp in (60.0, 100.0, 140.0)]
+
+
+def smooth(k, valve, t):
+    """A plant that moves while it is read: each value is of its own stamp."""
+    U = 50 + 30 * np.sin(0.9 * t) + 12 * np.sin(2.3 * t + valve)
+    dp = 100 + 35 * np.sin(0.4 * t + 1) + 12 * np.sin(1.1 * t)
+    noise = np.random.default_rng(2 * k + valve).normal(0, NOISE)
+    return U, dp + 5, 5.0, GAINS["skewed"][valve] * U * dp**0.5 + noise
+
+
+GAINS = {"skewed": (0.1, 0.07), "on change": (0.1, 0.08)}
+
+
+@pytest.fixture
+def skewed():
+    server = Foreign(PLANT, ("Ventil 1", "Ventil 2"), smooth)
+    server.start()
+    assert server.ready.wait(60)
+    yield server.url
+    server.over.set()
+    server.join(30)
+
+
+@pytest.fixture
+def on_change(request):
+    node, script = node_peer.program(request.config.cache.mkdir("node_peer"), "plant.cjs")
+    port = free_port()
+    with subprocess.Popen(
+        [node, script, str(port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert "ready\n" in iter(process.stdout.readline, "")  # behind warnings of node-opcua's
+        yield f"opc.tcp://127.0.0.1:{port}/plc/"
+        process.stdin.close()
+        process.wait(20)
+
+
+def errors(identification, names, gains):
+    """How far each valve's map is off at the points, l/min."""
+    return [
+        max(
+            abs(identification.predict(name, "Auto", U, dp, 40.0)[0] - gain * U * dp**0.5)
+            for U, dp in POINTS
+        )
+        for name, gain in zip(names, gains, strict=True)
+    ]
+
+
+async def learnt(url, names, gains, tmp_path, *, still=False):
+    """Commission as a newcomer would; return what is said once every map is within 1 sigma."""
+    out, data = tmp_path / "plant.toml", tmp_path / "data"
+    asked = ("connect", url, "--out", str(out), "--data", str(data), "--watch", "5", "--yes")
+    done = await asyncio.to_thread(run, *asked)
+    assert done.returncode == 0, done.stdout + done.stderr
+    config = load_config(out)
+    server = config.server.model_copy(update={"url": service_url(free_port())})
+    config = config.model_copy(update={"server": server})
+    identification, stop = build_identification(config), asyncio.Event()
+    serving = asyncio.create_task(serve(config, stop, None, identification))
+    try:
+        off, waiting = [np.inf], []
+        for _ in range(int(WITHIN_S)):
+            await asyncio.wait({serving}, timeout=1.0)
+            assert not serving.done(), serving.exception()
+            off = errors(identification, names, gains)
+            waiting = [identification.waited_for(number) for number in range(len(names))]
+            if max(off) <= NOISE and (all(waiting) or not still):
+                return [identification.timing(number) for number in range(len(names))], waiting
+        raise AssertionError(f"{off} l/min off; {waiting}")
+    finally:
+        stop.set()
+        await serving
+
+
+@pytest.mark.node
+async def test_signals_stamped_one_after_the_other_in_psi(skewed, tmp_path):
+    timing, _ = await learnt(skewed, ("Ventil_1", "Ventil_2"), GAINS["skewed"], tmp_path)
+    assert all("after the scan's first" in str(said) for said in timing)
+
+
+@pytest.mark.node
+async def test_tags_that_are_written_when_they_change(on_change, tmp_path):
+    names, gains = ("Ventil1", "Ventil2"), GAINS["on change"]
+    timing, waiting = await learnt(on_change, names, gains, tmp_path, still=True)
+    for said in timing:
+        assert any(one.startswith("p1 (") and one.endswith("held") for one in said)
+    for said in waiting:
+        assert any(one.startswith("p1 (nsu=urn:plc") and "still at 200 " in one for one in said)

@@ -1,0 +1,44 @@
+"""What a recording holds is what the running service would have learnt from."""
+
+import numpy as np
+import pytest
+from support.plant import as_changes, plant
+
+from service.app.record import _Recorder
+from service.config.loading import load_config
+
+
+class Writer:
+    def __init__(self):
+        self.t = []
+
+    def append(self, _valve, samples):
+        self.t += samples.t.tolist()
+
+
+@pytest.fixture
+def writer():
+    return Writer()
+
+
+@pytest.fixture
+def recorder(writer):
+    return _Recorder(load_config(), writer, lambda _count: None)
+
+
+async def test_what_waits_behind_a_hole_is_written_at_the_end(recorder, writer):
+    samples = plant(40)
+    changes = as_changes(samples)
+    await recorder.take(changes[np.repeat(np.arange(40) != 20, 6)])
+    recorder.finish()
+    assert writer.t == np.delete(samples.t, 20).tolist()
+
+
+async def test_a_restarted_source_counts_its_samples_anew(recorder, writer):
+    before, after = plant(40), plant(40, first=500)
+    await recorder.connected(1)
+    await recorder.take(as_changes(before))
+    await recorder.connected(2)
+    await recorder.take(as_changes(after))
+    recorder.finish()
+    assert writer.t == [*before.t.tolist(), *after.t.tolist()]

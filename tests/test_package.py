@@ -1,0 +1,141 @@
+"""What is installed is whole: the public door, the wheel, what editors and machines need."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from support.processes import free_port, rig_url, running, service_url, wait_for
+
+import valvemap
+from service.cli import run
+from service.config.models import Config
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = Path(sys.executable).with_name("valvemap")
+
+
+def test_every_documented_name_is_there_and_no_other():
+    for name in valvemap.__all__:
+        assert getattr(valvemap, name) is not None
+        assert name == "__version__" or f"`{name}`" in valvemap.__doc__
+    assert set(dir(valvemap)) == set(valvemap.__all__)
+    assert valvemap.__version__ == version("valvemap")
+    with pytest.raises(AttributeError, match="no name 'kalman'"):
+        _ = valvemap.kalman
+
+
+def test_the_door_opens_at_once():
+    loaded = "import valvemap, sys; print('numba' in sys.modules, 'pydantic' in sys.modules)"
+    asked = [sys.executable, "-c", loaded]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    assert done.stdout == "False False\n"
+
+
+def test_the_schema_knows_every_field_of_a_configuration(capsys):
+    assert run(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["properties"].keys() == Config.model_fields.keys()
+    shipped = tomllib.loads((ROOT / "config" / "service.toml").read_text(encoding="utf-8"))
+    for name, section in shipped.items():
+        kind = schema["properties"][name]
+        kind = kind.get("items", kind).get("$ref", "").split("/")[-1]
+        known = schema["$defs"][kind]
+        assert known["additionalProperties"] is False
+        for part in section if isinstance(section, list) else [section]:
+            assert part.keys() <= known["properties"].keys()
+
+
+def test_the_unit_serves_the_configuration_by_its_whole_path(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("plant.toml").write_text("[source]\nurl = 'opc.tcp://plc:4840'\n", encoding="utf-8")
+    assert run(["unit", "--config", "plant.toml"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(rf"^ExecStart=\S+ serve --config {tmp_path}/plant.toml$", text, re.MULTILINE)
+    assert f"\nWorkingDirectory={tmp_path}\n" in text
+    assert "\nKillSignal=SIGINT\n" in text
+    assert run(["unit", "--config", "plant.toml", "--user", "a b"]) == 2
+    assert run(["unit", "--config", "nowhere.toml"]) == 2
+
+
+def test_a_shell_completes_commands():
+    asked = {"_VALVEMAP_COMPLETE": "complete_bash", "COMP_WORDS": "valvemap con", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [SCRIPT], env={**os.environ, **asked}, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["connect"]
+
+
+def test_the_readme_stands_alone_on_one_screen():
+    """An index of packages shows it without the repository around it."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#\s]+)", text)
+    assert [target for target in targets if not target.startswith("http")] == []
+    assert len(text.splitlines()) <= 60
+    for page in re.findall(r"`(docs/[\w/.]+|[A-Z]+\.md)`", text):
+        assert (ROOT / page).exists(), page
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Wheel and sdist, as they would be published."""
+    folder = tmp_path_factory.mktemp("dist")
+    tool = folder / "tool"
+    subprocess.run([sys.executable, "-m", "venv", tool], check=True)
+    pip = [tool / "bin" / "python", "-m", "pip", "install", "--quiet", "hatchling"]
+    subprocess.run(pip, check=True)
+    hatchling = [tool / "bin" / "python", "-m", "hatchling", "build", "-d", folder]
+    subprocess.run(hatchling, cwd=ROOT, check=True, capture_output=True)
+    (wheel,), (sdist,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
+    return wheel, sdist
+
+
+@pytest.mark.image
+def test_wheel_and_sdist_are_whole(built):
+    wheel, sdist = built
+    tracked = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    with zipfile.ZipFile(wheel) as archive:
+        inside = set(archive.namelist())
+    packages = ("service/", "virtual_rig/", "valvemap/")
+    assert {file for file in tracked if file.startswith(packages)} <= inside
+    licences = {name for name in inside if "/licenses/" in name}
+    assert len(licences) == 3, licences
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {file for file in tracked if not file.startswith((".ci/", ".git"))} <= names
+
+
+@pytest.mark.image
+@pytest.mark.timeout(900)  # nothing is compiled there yet
+def test_the_demo_runs_from_the_wheel_alone(built, tmp_path):
+    """In an environment that has what the wheel depends on, and nothing of the repository."""
+    home = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", home], check=True)
+    (packages,) = home.glob("lib/python*/site-packages")
+    here = [path for path in sys.path if path.endswith("site-packages")]
+    (packages / "others.pth").write_text("\n".join(here), encoding="utf-8")
+    python = home / "bin" / "python"
+    pip = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall", built[0]]
+    subprocess.run(pip, check=True)
+    where = "import service, virtual_rig, valvemap; print(service.__file__)"
+    asked = [python, "-c", where]
+    found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert found.startswith(str(home))
+    rig, service, log = free_port(), free_port(), tmp_path / "demo.log"
+    env = {
+        "VALVEMAP_SOURCE__URL": rig_url(rig),
+        "VALVEMAP_SERVER__URL": service_url(service),
+        "PYTHONPATH": "",
+    }
+    with running("demo", env=env, log=log, python=python, cwd=tmp_path) as process:
+        wait_for(log, "samples; RMSE", process, timeout=600.0)
+    assert process.returncode == 0

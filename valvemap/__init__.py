@@ -1,0 +1,98 @@
+"""valvemap in scripts and notebooks: what is named here stays; the rest of the code may move.
+
+Each name is loaded when it is first used.
+
+Estimators on arrays:
+
+`recursive_least_squares`, `recursive_maximum_likelihood`
+    theta, its history, innovations, covariance of X (N, n) and y (N,), or of y and u.
+`FlowMapRegressor`
+    The flow map as a scikit-learn estimator (extra ``sklearn``).
+
+Recordings and maps:
+
+`read_recording`
+    The samples of a CSV or Parquet file, valve by valve, a batch at a time.
+`replay`
+    Recordings through the service's own pipeline: what each estimator knows at the end.
+`load_config`, `Config`
+    Configurations (TOML) and their schema.
+`open_model`, `Model`
+    A saved map, or one identified from a recording.
+`invert`
+    The control voltage that passes a flow at a pressure drop, with its interval.
+`Samples`
+    Aligned samples: U (%), p1, p2 (bar), Q (l/min), T (°C), t (UTC ns).
+`ValvemapError`
+    What all of it raises, a sentence for the user.
+
+Examples
+--------
+>>> import numpy as np
+>>> import valvemap
+>>> X = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
+>>> found = valvemap.recursive_least_squares(X, X @ [2.0, 3.0])
+>>> found.theta.round(9)
+array([2., 3.])
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from service.app.models import open_model
+    from service.app.replay import replay
+    from service.config.loading import load_config
+    from service.config.models import Config
+    from service.errors import ValvemapError
+    from service.identification import recursive_least_squares, recursive_maximum_likelihood
+    from service.identification.inverse_map import invert
+    from service.identification.samples import Samples
+    from service.sklearn import FlowMapRegressor
+    from service.storage.models import Model
+    from service.storage.recordings import read_recording
+
+__all__ = [
+    "Config",
+    "FlowMapRegressor",
+    "Model",
+    "Samples",
+    "ValvemapError",
+    "__version__",
+    "invert",
+    "load_config",
+    "open_model",
+    "read_recording",
+    "recursive_least_squares",
+    "recursive_maximum_likelihood",
+    "replay",
+]
+
+__version__ = version("valvemap")
+
+_HOMES = {
+    "Config": "service.config.models",
+    "FlowMapRegressor": "service.sklearn",
+    "Model": "service.storage.models",
+    "Samples": "service.identification.samples",
+    "ValvemapError": "service.errors",
+    "invert": "service.identification.inverse_map",
+    "load_config": "service.config.loading",
+    "open_model": "service.app.models",
+    "read_recording": "service.storage.recordings",
+    "recursive_least_squares": "service.identification",
+    "recursive_maximum_likelihood": "service.identification",
+    "replay": "service.app.replay",
+}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'valvemap' has no name {name!r}")
+    return getattr(import_module(home), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
