@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, suppress
 
 import numpy as np
 import pytest
+import structlog
 from asyncua import Client, ua
 from support.processes import free_port, rig_url, running, service_url, wait_for
 
@@ -157,6 +158,7 @@ async def test_valves_left_alone_miss_nothing_and_keep_every_bit(served):
 
 
 async def test_a_faulty_configuration_is_refused_and_the_old_one_goes_on(served, capsys):
+    structlog.reset_defaults()  # another test may have had errors logged alone
     assert await served.call("operator") == ua.StatusCodes.BadUserAccessDenied
     served.wrong = ConfigurationError("plant.toml: valves[0].name = 7: a text is needed")
     assert await served.call("engineer") == ua.StatusCodes.BadInvalidState
