@@ -1,14 +1,9 @@
 """What an operator does about a valve's approved map, at a running service."""
 
-from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 
-from service.app.identities import PAGE_NAME, PAGE_URI
-from service.hardened.security.certificates import Pki, ensure_certificate
-from service.opcua.results_client import ResultsClient, Security, SourceSettings
-
-_NAMESPACE = "urn:valvemap:service"
+from service.app.page_access import SERVICE_NAMESPACE, Watched, settings_of
+from service.opcua.results_client import ResultsClient
 
 
 class Action(StrEnum):
@@ -28,18 +23,7 @@ _METHODS = {
 }
 
 
-@dataclass(frozen=True)
-class Service:
-    """The running service and who we are there; ``pki`` is that of the page."""
-
-    url: str
-    security: Security
-    pki: Path
-    user: str | None = None
-    password: str | None = None
-
-
-async def act(service: Service, valve: str, action: Action, estimator: str = "Auto") -> str:
+async def act(service: Watched, valve: str, action: Action, estimator: str = "Auto") -> str:
     """Do it, and say how the valve stands then, in a line.
 
     Raises
@@ -48,7 +32,7 @@ async def act(service: Service, valve: str, action: Action, estimator: str = "Au
         if the service refuses it: in its words.
     SourceLost, SourceRejected
     """
-    client, node = ResultsClient(_settings(service), _NAMESPACE), f"{valve}.Baseline"
+    client, node = ResultsClient(settings_of(service), SERVICE_NAMESPACE), f"{valve}.Baseline"
     await client.connect()
     try:
         if action is Action.COMPARE:
@@ -65,19 +49,3 @@ async def act(service: Service, valve: str, action: Action, estimator: str = "Au
         return f"{valve}: builds on {version.value}, SHA-256 {digest.value}"
     finally:
         await client.close()
-
-
-def _settings(service: Service) -> SourceSettings:
-    own = None
-    if service.security is not Security.NONE:
-        names = ("localhost", "127.0.0.1")
-        own = ensure_certificate(Pki(service.pki), PAGE_URI, names, PAGE_NAME.replace(" ", "-"))
-    return SourceSettings(
-        url=service.url,
-        security=service.security,
-        pki=None if own is None else Pki(service.pki),
-        own=own,
-        user=service.user,
-        password=service.password,
-        application_uri=None if own is not None else PAGE_URI,
-    )

@@ -30,7 +30,7 @@ from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
-from service.streaming.units import MEASURED, QUANTITY_OF, Measure
+from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
 
 APPLICATION_URI = "urn:valvemap:service"
 APPLICATION_NAME = "valvemap service"
@@ -199,7 +199,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
-        nodes={name: f"{name} ({valve.nodes.of(name)})" for name in _READ if valve.nodes.of(name)},
+        nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=SensorAccuracy(
             **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}
         ),
@@ -221,8 +221,7 @@ def _feed_forward(valve: ValveConfig) -> FeedForward | None:
     )
 
 
-_READ = ("U", "p1", "p2", "Q", "T", "sequence")
-_GATES = dict(zip(SENSORS, ("U", "p1", "p2", "Q", "T"), strict=True))
+_GATES = dict(zip(SENSORS, MEASURED, strict=True))
 
 
 def _axis(low: float, high: float) -> tuple[float, ...]:

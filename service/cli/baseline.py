@@ -33,7 +33,8 @@ def baseline(
     data: FolderOption = Path("data"),
 ) -> None:
     """Approve a valve's map as that of the new valve, compare with it, go back to it."""
-    from service.app.baseline import Action, Service, act
+    from service.app.baseline import Action, act
+    from service.app.page_access import Watched
     from service.opcua.connection import Security
 
     if action not in set(Action):
@@ -44,5 +45,5 @@ def baseline(
     if user is not None:
         password = os.environ.get(_PASSWORD) or typer.prompt(f"password of {user}", hide_input=True)
     pki = data / "pki" / "dashboard"
-    service = Service(url, Security(security), pki, user, password)
+    service = Watched(url, Security(security), pki, user, password)
     typer.echo(asyncio.run(act(service, valve, Action(action), estimator)))

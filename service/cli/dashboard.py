@@ -52,13 +52,14 @@ def dashboard(
 ) -> None:
     """Serve the live page, until Ctrl-C."""
     try:
-        from service.app.dashboard import Watched, run_dashboard
+        from service.app.dashboard import run_dashboard
         from service.dashboard.settings import PageSettings
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             f"the page needs {error.name}: pip install 'valvemap[dashboard]'"
         ) from None
     from service.app.identities import PAGE_USER
+    from service.app.page_access import Watched
     from service.app.signals import stop_on_signal, stop_with_parent
     from service.opcua.connection import Security
 

@@ -14,7 +14,7 @@ from service.opcua.connection import Connection, in_one_line, status_name
 from service.opcua.requests import namespaces_of, read_attributes, read_values
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
-from service.streaming.units import Measure
+from service.streaming.units import READ, Measure
 
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
 
@@ -74,7 +74,7 @@ class ValveNodes:
 
     def signals(self) -> Iterator[tuple[Signal, str, str]]:
         """Signal, name and NodeId of all that is to be read."""
-        named = zip(Signal, ("U", "p1", "p2", "Q", "T", "sequence"), strict=True)
+        named = zip(Signal, READ, strict=True)
         for signal, name in named:
             text = getattr(self, name)
             if text is not None:

@@ -588,7 +588,7 @@ class Identification:
     def _baseline_of(self, valve: int) -> Checkpoint:
         """The baseline, or, as ``frozen``, that there is none any more."""
         found = self._baselines.get(valve)
-        none = Baseline(int(self._approved[valve]), 0, Baseline.digest_of({}), {}, {})
+        none = Baseline.none(int(self._approved[valve]))
         packed = (found or none).to_bytes()
         t = 0 if found is None else found.t
         name = self.plans[valve].name

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from service.streaming.data_changes import Signal
 from service.streaming.kernels.scans import NEVER, NEWEST, Scans
 from service.streaming.scan_search import Comes, Found
+from service.streaming.units import READ
 
 STILL_NS: Final = 30_000_000_000  # a held signal that has not moved for so long is named
-_NAMES: Final = ("U", "p1", "p2", "Q", "T", "sequence")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Words:
         for j in np.flatnonzero(self.there):
             ms = self.found.offset[j] * 1e-6
             said.append(
-                f"{labels.get(_NAMES[j], _NAMES[j])}: "
+                f"{labels.get(READ[j], READ[j])}: "
                 + {
                     Comes.HELD: "on change, its last value is held",
                     Comes.INTERPOLATED: f"{ms:.3g} ms after the scan's first, interpolated",
@@ -47,12 +47,12 @@ class Words:
         """Why scans were no samples: signal, reason, setting."""
         said = []
         for j in np.flatnonzero(self.there):
-            name = labels.get(_NAMES[j], _NAMES[j])
+            name = labels.get(READ[j], READ[j])
             lacking, moved = int(self.scans.lacking[j]), int(self.scans.moved[j])
             if lacking:
                 said.append(
                     f"{name} was not in {lacking} scans: if it comes on change, "
-                    f"alignment.hold_s = {{ {_NAMES[j]} = 10 }}"
+                    f"alignment.hold_s = {{ {READ[j]} = 10 }}"
                 )
             if moved and self.found is not None:
                 ms = self.found.offset[j] * 1e-6
@@ -72,7 +72,7 @@ class Words:
             seen = int(self.scans.seen[j])
             if j != Signal.SEQUENCE and seen != NEVER and newest - seen > STILL_NS:
                 said.append(
-                    f"{labels.get(_NAMES[j], _NAMES[j])} has stood still at "
+                    f"{labels.get(READ[j], READ[j])} has stood still at "
                     f"{self.scans.now_value[j]:.4g} for {(newest - seen) * 1e-9:.0f} s"
                 )
         return tuple(said)

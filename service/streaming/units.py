@@ -32,7 +32,9 @@ class Quantity(Enum):
 
 
 MEASURED: Final = ("U", "p1", "p2", "Q", "T")
-"""What a valve's samples consist of, in the order of :class:`data_changes.Signal`."""
+"""What a valve's samples consist of."""
+READ: Final = (*MEASURED, "sequence")
+"""All that is read of a valve, in the order of :class:`data_changes.Signal`."""
 QUANTITY_OF: Final = {
     "U": Quantity.OPENING,
     "p1": Quantity.PRESSURE,

@@ -4,7 +4,8 @@ import pytest
 from support.plant import as_changes, plant
 from support.results import results_settings
 
-from service.app.baseline import Action, Service, act
+from service.app.baseline import Action, act
+from service.app.page_access import Watched
 from service.cli import run
 from service.errors import CommandRejected
 from service.hardened import Role, UserStore
@@ -30,7 +31,7 @@ async def served(tmp_path):
 
         def who(user=None):
             word = None if user is None else password
-            return Service(server.url, Security.NONE, tmp_path, user, word)
+            return Watched(server.url, Security.NONE, tmp_path, user, word)
 
         yield identification, server, who
 
