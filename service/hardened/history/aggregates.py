@@ -79,21 +79,24 @@ class Aggregation:
         values = records.values.astype(np.float64)
         if self._aggregate in (Aggregate.INTERPOLATIVE, Aggregate.TIME_AVERAGE):
             self._line.take(t, values, records.codes)
-        edges, n = self._intervals.edges, len(self._intervals)
-        inside = (t >= edges[0]) & (t < edges[-1])
-        t, values, codes = t[inside], values[inside], records.codes[inside]
-        place = np.searchsorted(edges, t, side="right") - 1
-        bad = codes >= BAD
-        uncertain = ~bad & (codes >= UNCERTAIN)
-        good = ~bad & ~uncertain
-        self._good += np.bincount(place[good], minlength=n)
-        self._bad += np.bincount(place[bad], minlength=n)
-        self._uncertain += np.bincount(place[uncertain], minlength=n)
+        bad = records.codes >= BAD
+        doubtful = ~bad & (records.codes >= UNCERTAIN)
+        good = ~bad & ~doubtful
+        edges = self._intervals.edges
+        self._bad += np.diff(np.searchsorted(t[bad], edges))
+        self._uncertain += np.diff(np.searchsorted(t[doubtful], edges))
+        t, values = t[good], values[good]
+        cuts = np.searchsorted(t, edges)
+        self._good += np.diff(cuts)
+        touched = np.flatnonzero(np.diff(cuts))
+        if not len(touched):
+            return
+        begins = t[cuts[touched]] == edges[touched]
+        starts, values = cuts[touched] - cuts[0], values[cuts[0] : cuts[-1]]
         if self._aggregate is Aggregate.AVERAGE:
-            self._sum += np.bincount(place[good], values[good], minlength=n)
+            self._sum[touched] += np.add.reduceat(values, starts)
         elif self._aggregate in (Aggregate.MINIMUM, Aggregate.MAXIMUM):
-            at_start = t == edges[place]
-            self._extreme.take(place[good], values[good], at_start[good])
+            self._extreme.take(touched, values, starts, begins)
 
     def records(self) -> Records:
         """The aggregate of each interval, stamped with its beginning."""
@@ -176,16 +179,24 @@ class _Extreme:
         self.count = np.zeros(n, np.int64)
         self.at_start = np.zeros(n, np.bool_)
 
-    def take(self, place: _Times, values: _Floats, at_start: NDArray[np.bool_]) -> None:
+    def take(
+        self, touched: _Times, values: _Floats, starts: _Times, begins: NDArray[np.bool_]
+    ) -> None:
+        """Take values in: those of interval ``touched[k]`` begin at ``starts[k]``.
+
+        ``begins[k]``: the first of them is at the interval's own beginning.
+        """
         values = self._sign * values
-        before = self._best.copy()
-        np.maximum.at(self._best, place, values)
-        larger = self._best > before
-        self.count[larger] = 0
-        self.at_start[larger] = False
-        is_best = values == self._best[place]
-        self.count += np.bincount(place[is_best], minlength=len(self.count))
-        self.at_start[place[is_best & at_start]] = True
+        best = np.maximum.reduceat(values, starts)
+        own = np.repeat(best, np.diff(np.append(starts, len(values))))
+        count = np.add.reduceat((values == own).astype(np.int64), starts)
+        at_start = begins & (values[starts] == best)
+        larger, as_large = best > self._best[touched], best == self._best[touched]
+        anew, too = touched[larger], touched[as_large]
+        self._best[anew], self.count[anew] = best[larger], count[larger]
+        self.at_start[anew] = at_start[larger]
+        self.count[too] += count[as_large]
+        self.at_start[too] |= at_start[as_large]
 
     def values(self) -> _Floats:
         return np.where(np.isfinite(self._best), self._sign * self._best, 0.0)
