@@ -481,3 +481,28 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Successive rows of one series, to be kept.
+
+    Times ``t`` (n,) in UTC ns, OPC UA status ``codes`` (n,), and columns (n,) by name.
+    """
+
+    series: str
+    t: Times
+    codes: NDArray[np.uint32]
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Past:
+    """What one column of a series was: times (n,) in UTC ns, values (n,), status codes (n,)."""
+
+    t: Times
+    values: Floats
+    codes: NDArray[np.uint32]
+
+    def __getitem__(self, rows: slice) -> "Past":
+        return Past(self.t[rows], self.values[rows], self.codes[rows])
