@@ -2,7 +2,7 @@
 
 import sqlite3
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -115,7 +115,7 @@ class HistoryFile:
             self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
             self._series = self._known_series()
 
-    def save(self, pieces: Iterable[Piece]) -> int:
+    def save(self, pieces: Sequence[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer."""
         with self._writing, naming(self.path), transaction(self._writer):
             return sum([self._append(piece) for piece in pieces])

@@ -506,3 +506,36 @@ class Past:
 
     def __getitem__(self, rows: slice) -> "Past":
         return Past(self.t[rows], self.values[rows], self.codes[rows])
+
+
+class PastStore(Protocol):
+    """Keeps what signals and results were, and gives it back; from any thread, one at a time."""
+
+    def save(self, pieces: Sequence[Piece]) -> int:
+        """Keep all pieces or none; return how many values were left out as not newer.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
+    def forget(self, now: int) -> int:
+        """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
+
+    def read(
+        self,
+        series: str,
+        column: str,
+        low: int,
+        high: int,
+        *,
+        backwards: bool = False,
+        skip: int = 0,
+        most: int,
+    ) -> Past:
+        """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+
+    @property
+    def size(self) -> int:
+        """Bytes that all of it takes."""
