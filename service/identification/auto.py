@@ -323,6 +323,11 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
+    def largest_lags(self, states: AutoState) -> Floats:
+        """The larger of the two `lags` of each of M valves, s (M,)."""
+        path = states.scalars[..., memory.LAGS :]
+        return np.maximum(path[..., lag.LAG_U], path[..., lag.LAG_Q])
+
     def too_fast(self, states: AutoState) -> Counts:
         """How many samples of each of M valves moved too fast for the lags to be learnt from."""
         return np.asarray(states.counters[..., memory.TOO_FAST])
