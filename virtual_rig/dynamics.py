@@ -38,8 +38,8 @@ def changing_lag(u: Floats, time_constants: Floats, period: float, memory: float
     >>> changing_lag(np.array([0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0]), 1.0, 0.0).round(3)
     array([0.   , 0.632, 1.   ])
     """
-    with np.errstate(divide="ignore"):
-        steps = -np.expm1(-period / time_constants)
+    found, which = np.unique(time_constants, return_inverse=True)
+    steps = np.array([-math.expm1(-period / x) if x else 1.0 for x in found.tolist()])[which]
     return np.asarray(_changing_lag(np.ascontiguousarray(u), steps, memory))
 
 

@@ -5,8 +5,7 @@ kind                size                                  what happens
 ==================  ====================================  ========================================
 wear                % of the main edge's flow             drifts there over the duration, and stays
 damage              % of the main edge's flow             at once; a duration of 0 = for good
-edge                l/min per √bar                        at once: a gap worn into the main edge, open
-                                                          at any signal; a duration of 0 = for good
+edge                l/min per √bar                        a gap worn into the main edge, at once
 lag                 s                                     the signal lags so much more, first order
 temperature_ramp    K                                     tank drifts there over the duration, stays
 frozen              not used                              the signal keeps its last value
@@ -229,6 +228,7 @@ def sensor_faults(
 ) -> SensorFaults:
     """What the faults do to one signal."""
     added, lag_s = np.zeros((2, *index.shape))
+    sums = {FaultKind.OFFSET: added, FaultKind.LAG: lag_s}
     frozen = np.zeros(index.shape, dtype=np.bool_)
     status = np.full(index.shape, GOOD, dtype=np.uint32)
     present = np.ones(index.shape, dtype=np.bool_)
@@ -242,15 +242,13 @@ def sensor_faults(
         # One draw per kind for all signals of a valve: a sample drops out as a whole.
         dice = uniform(seed, f"{valve}.{fault.kind}", int(index[0]), index.size)
         match fault.kind:
-            case FaultKind.LAG:
-                lag_s = lag_s + fault.size * on
             case FaultKind.FROZEN:
                 frozen |= on
             case FaultKind.SPIKES:
                 sign = np.where(dice < 0.5 * SPIKE_SHARE, 1.0, -1.0)
-                added = added + np.where(on & (dice < SPIKE_SHARE), fault.size * sign, 0.0)
-            case FaultKind.OFFSET:
-                added = added + fault.size * on
+                added += np.where(on & (dice < SPIKE_SHARE), fault.size * sign, 0.0)
+            case FaultKind.OFFSET | FaultKind.LAG:
+                sums[fault.kind] += fault.size * on
             case FaultKind.BAD_QUALITY:
                 status[on & (dice < fault.size)] = BAD_SENSOR_FAILURE
             case FaultKind.UNCERTAIN_QUALITY:

@@ -135,9 +135,7 @@ def throttling_heat(heat_capacity: N, dp: N, rho: N) -> N:
 
 
 @numba.njit(cache=True)
-def _valve(
-    v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N, gap: N
-) -> tuple[N, N, N, N]:
+def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N, gap: N) -> tuple[N, N, N, N]:
     dp = p1 - p2
     if not dp > 0.0:
         return 0.0, 0.0, 0.0, p1

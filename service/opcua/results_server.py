@@ -332,11 +332,7 @@ class ResultsServer(Startable):
                 each,
                 f"{prefix}.Acknowledge",
                 partial(self._acknowledge, valve, alarm.name),
-                inputs=(
-                    Argument(
-                        "Comment", "What was done about it", type=ua.VariantType.String
-                    ),
-                ),
+                inputs=(Argument("Comment", "What was done about it", type=ua.VariantType.String),),
                 required=Role.OPERATOR,
                 description="Say that the alarm was seen. A change of the valve goes with it.",
             )
@@ -362,7 +358,7 @@ class ResultsServer(Startable):
         parent = await add_object(
             server, folder, f"{SERVICE}.{ALARMS}", description="What the service itself needs."
         )
-        await self._add_alarms_of(server, parent, None)
+        server.add_later(parent, partial(self._add_alarms_of, server, parent, None))
         if self._on_reload is not None:
             await add_method(
                 server,

@@ -127,7 +127,7 @@ class _Kept(State):
     value: Any
     detail: Any
     causes: Any
-    count: Any
+    came: Any
     version: Any
     last: Any
     still: Any
@@ -135,6 +135,7 @@ class _Kept(State):
     moves: Any
     others: Any
     weight: Any
+    bias: Any
     square: Any
     sums: Any
     memory: Any
@@ -188,9 +189,7 @@ class Alarms:
             trace.residual,
             trace.status,
         )
-        kernel.watch(
-            seen, self._patient, self._limits, self._conditions, self._senses, segments
-        )
+        kernel.watch(seen, self._patient, self._limits, self._conditions, self._senses, segments)
 
     def be_patient(self, chosen: Times, patient: Flags) -> None:
         """Say whose signals come on change: their silence is no loss."""
@@ -225,13 +224,14 @@ class Alarms:
         """Take up how many samples of K valves were lost, and how many came, since the start."""
         memory, times = self._senses.memory[chosen], self._senses.times[chosen]
         now, before = times[:, kernel.NEWEST], times[:, kernel.LOSS_TIME]
-        before = np.where(before == kernel.NEVER, now, before)
+        first = before == kernel.NEVER
+        before = np.where(first, now, before)
         share = np.exp(-np.clip((now - before) * 1e-9, 0.0, 1e6) / LOSS_MEMORY_S)
         for sum_, last, count in (
             (kernel.LOST, kernel.LOST_BEFORE, lost),
             (kernel.TAKEN, kernel.TAKEN_BEFORE, taken),
         ):
-            new = np.maximum(count - memory[:, last], 0.0)
+            new = np.where(first, 0.0, np.maximum(count - memory[:, last], 0.0))
             memory[:, sum_] = share * memory[:, sum_] + new
             memory[:, last] = count
         self._senses.memory[chosen] = memory
@@ -268,12 +268,17 @@ class Alarms:
             conditions.active[m, alarm], conditions.over[m, alarm] = False, 0
         return True
 
+    def was_away(self) -> None:
+        """Take up that nobody listened: silence until now is no loss, and no standstill."""
+        times = self._senses.times
+        times[:, [kernel.NEWEST, kernel.USABLE, kernel.LOSS_TIME]] = kernel.NEVER
+
     def forget_map(self, m: int) -> None:
         """Forget what residuals usually are: the map they are of is forgotten, too."""
         fresh = _nothing_seen(1)
-        kept = [kernel.T_USUAL, kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
+        kept = [kernel.T_USUAL, *_LOSSES]
         fresh.memory[0, kept] = self._senses.memory[m, kept]
-        for name in ("memory", "weight", "square", "sums"):
+        for name in ("memory", "weight", "bias", "square", "sums"):
             getattr(self._senses, name)[m] = getattr(fresh, name)[0]
         one = np.array([m])
         self._move_on(one, Alarm.RESIDUAL, np.zeros(1))
@@ -284,9 +289,11 @@ class Alarms:
         return _reports(ALARM_NAMES, self._rules, self._conditions, m)
 
     def to_bytes(self, m: int) -> bytes:
-        """Pack what one valve's alarms are and rest on."""
+        """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
         arrays = {**self._conditions._asdict(), **self._senses._asdict()}
-        return _Kept(**{name: array[m] for name, array in arrays.items()}).to_bytes(_KEY)
+        kept = {name: array[m].copy() for name, array in arrays.items()}
+        kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
+        return _Kept(**kept).to_bytes(_KEY)
 
     def from_bytes(self, m: int, data: bytes) -> None:
         """Unpack it.
@@ -304,22 +311,14 @@ class Alarms:
                 raise StateMismatchError(f"alarms are kept in another way today: {name}")
         for f in fields(kept):
             arrays[f.name][m] = getattr(kept, f.name)
-        # how long we were away ourselves is no loss of the sensors, nor a standstill
-        self._senses.times[m, [kernel.NEWEST, kernel.USABLE, kernel.LOSS_TIME]] = kernel.NEVER
 
-    def _move_on(
-        self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None
-    ) -> Flags:
+    def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
         t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)
         return self._step(chosen, alarm, x, t, t if began is None else began)
 
-    def _step(
-        self, chosen: Times, alarm: Alarm, x: Floats, t: Times, began: Times
-    ) -> Flags:
+    def _step(self, chosen: Times, alarm: Alarm, x: Floats, t: Times, began: Times) -> Flags:
         x = np.ascontiguousarray(x, np.float64)
-        return kernel.move_on(
-            chosen, t, began, x, int(alarm), self._limits, self._conditions
-        )
+        return kernel.move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions)
 
 
 class ServiceAlarms:
@@ -390,10 +389,11 @@ class _KeptOfService(State):
     value: Any
     detail: Any
     causes: Any
-    count: Any
+    came: Any
     version: Any
 
 
+_LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
 _KEY = f"alarms 1: {' '.join(ALARM_NAMES)}"
 _KEY_OF_SERVICE = f"alarms 1: {' '.join(SERVICE_ALARM_NAMES)}"
 
@@ -412,7 +412,7 @@ def _nothing_wrong(M: int, A: int) -> Conditions:
         value=np.zeros((M, A)),
         detail=np.zeros((M, A, 2)),
         causes=np.zeros((M, A, 3), np.uint8),
-        count=np.zeros((M, A), np.int64),
+        came=np.zeros((M, A), np.int64),
         version=np.zeros(M, np.int64),
     )
 
@@ -430,6 +430,7 @@ def _nothing_seen(M: int) -> Senses:
         moves=np.zeros(signals, np.int64),
         others=np.zeros(signals, np.int64),
         weight=np.zeros(places, np.float32),
+        bias=np.zeros(places, np.float32),
         square=np.zeros(places, np.float32),
         sums=np.zeros((M, sums, sums)),
         memory=memory,
@@ -448,7 +449,7 @@ def _reports(
             severity=rule.severity,
             since=int(conditions.since[m, a]),
             at=int(conditions.at[m, a]),
-            count=int(conditions.count[m, a]),
+            count=int(conditions.came[m, a]),
             text=text_of(
                 name,
                 Measured(

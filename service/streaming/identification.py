@@ -574,6 +574,11 @@ class Identification:
         fleet, m = self._at(self._numbers[valve])
         return fleet.alarms.reports(m)
 
+    def was_away(self) -> None:
+        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        for fleet in self._fleets:
+            fleet.alarms.was_away()
+
     def say_overdue(self, valves: Times, now: int) -> list[int]:
         """Some valves have sent nothing until ``now``, UTC ns by the source's clock.
 
@@ -662,8 +667,9 @@ class Identification:
                 kept.append(self._timing_of(valve, state.t))
             if self._approved[valve]:
                 kept.append(self._baseline_of(valve))
-        packed, name = self._service_alarms.to_bytes(), OF_SERVICE
-        kept.append(Checkpoint(name, ALARMS, "", 0, packed, lam=None, frozen=False))
+        if self._service_alarms.version:
+            packed, name = self._service_alarms.to_bytes(), OF_SERVICE
+            kept.append(Checkpoint(name, ALARMS, "", 0, packed, lam=None, frozen=False))
         return kept
 
     def _alarms_of(self, valve: int, t: int) -> Checkpoint:

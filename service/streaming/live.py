@@ -145,6 +145,7 @@ class LiveService:
                 kept.append(one)
         self._source.hold_back()
         restored, refused = self.identification.restore(kept)
+        self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:

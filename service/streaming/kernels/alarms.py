@@ -35,12 +35,14 @@ OIL_MEMORY_S = 1_800.0  # memory of the oil's usual temperature
 CAUSE_MEMORY = 1.0 - 1.0 / 1000.0  # of the sums by which causes are told apart, per sample
 LEAST_DP = 1.0  # bar
 
-# Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt, (T - usual T)·Q̂.
-CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, OIL, DIRECTIONS = range(7)
+# Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
+CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, DIRECTIONS = range(6)
 
 # What can be the cause, in the order of `streaming.alarm_words.Cause`.
 NO_CAUSE, EDGE, METER, SIGNAL, LAG, HOT_OIL, CAUSES = range(7)
 TELLING = 0.15  # share of the squares by which a cause must explain less to be ruled out
+CLEAR = 0.1  # share that a lag must explain more to be named: what is constant looks like one
+LEAST_SHARE = 1e-6  # what an edge, a meter or an offset always may be
 OTHER_OIL_K = 3.0  # K: so far from usual the oil is named, whatever else explains the residual
 
 # Places in `Senses.memory` and `Senses.times`.
@@ -56,7 +58,7 @@ class Conditions(NamedTuple):
     ``over`` is since when the limit is exceeded, 0 while it is not; ``since`` since when the alarm
     was there last, ``at`` when it last came, went or was acknowledged, both UTC ns; ``value`` the
     largest that was measured meanwhile; ``detail`` (M, A, 2) and ``causes`` (M, A, 3) say more of
-    it; ``count`` how often it came; ``version`` (M,) counts what changed of any of them.
+    it; ``came`` how often it did; ``version`` (M,) counts what changed of any of them.
     """
 
     over: Times
@@ -67,7 +69,7 @@ class Conditions(NamedTuple):
     value: Floats
     detail: Floats
     causes: NDArray[np.uint8]
-    count: Times
+    came: Times
     version: Times
 
 
@@ -76,8 +78,9 @@ class Senses(NamedTuple):
 
     ``last``, ``still``, ``longest``, ``moves``, ``others`` (M, 5): value of each signal, since when
     it is the same, its longest standstill (ns), how often it moved, how often another one did
-    meanwhile; ``weight``, ``square`` (M, 120): samples and mean square residual of each place;
-    ``sums`` (M, 7, 7): products of the directions and, last, the residual.
+    meanwhile; ``weight``, ``bias``, ``square`` (M, 120): samples of each place, mean and mean
+    square of the residuals there, l/min;
+    ``sums`` (M, 6, 6): products of the directions and, last, the residual.
     """
 
     last: Floats
@@ -86,6 +89,7 @@ class Senses(NamedTuple):
     moves: Times
     others: Times
     weight: NDArray[np.float32]
+    bias: NDArray[np.float32]
     square: NDArray[np.float32]
     sums: Floats
     memory: Floats
@@ -184,7 +188,7 @@ def _step(
     conditions.acked[m, a] = False
     conditions.since[m, a] = conditions.over[m, a]
     conditions.at[m, a] = t
-    conditions.count[m, a] += 1
+    conditions.came[m, a] += 1
     conditions.version[m] += 1
     return True
 
@@ -288,7 +292,8 @@ def _look_at_residual(
         return
     if status > 2 and status != 4:  # Status: OK, WARMING_UP, UNEXCITED, FROZEN
         return
-    memory, square, weight = senses.memory[m], senses.square[m], senses.weight[m]
+    memory, weight = senses.memory[m], senses.weight[m]
+    bias, square = senses.bias[m], senses.square[m]
     _add_up(m, i, seen, senses)
     memory[SQUARES] += (e * e - memory[SQUARES]) / (BLOCK * RECENT_BLOCKS)
     row = min(max(U / WIDTH_U, 0.0), CELLS_U - 1.0)
@@ -298,7 +303,7 @@ def _look_at_residual(
         memory[CELL], memory[KNOWN] = c, weight[c] >= KNOWN_PLACE
     usual_now = memory[RATIO] <= rules[RESIDUAL, 1]
     if memory[KNOWN] and square[c] > 0.0:
-        memory[BLOCK_SUM] += e / np.sqrt(square[c])
+        memory[BLOCK_SUM] += (e - bias[c]) / np.sqrt(square[c])
         memory[BLOCK_N] += 1.0
         if memory[BLOCK_N] >= BLOCK:
             _take_block(memory, usual_now)
@@ -311,6 +316,7 @@ def _look_at_residual(
     if usual_now or weight[c] < KNOWN_PLACE:
         weight[c] = min(weight[c] + 1.0, PLACE_MEMORY)
         most = OUTLIER * square[c] if weight[c] >= KNOWN_PLACE else 1e30
+        bias[c] += (min(max(e, -np.sqrt(most)), np.sqrt(most)) - bias[c]) / weight[c]
         square[c] += (min(e * e, most) - square[c]) / weight[c]
     memory[Q_BEFORE] = predicted
 
@@ -335,10 +341,9 @@ def _take_block(memory: Floats, usual_now: bool) -> None:  # noqa: FBT001 - numb
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
     """Sum up how the residual goes with what each cause would do to it."""
     memory, sums = senses.memory[m], senses.sums[m]
-    e, Q, T, dp = seen.residual[i], seen.predicted[i], seen.T[i], seen.p1[i] - seen.p2[i]
+    e, Q, dp = seen.residual[i], seen.predicted[i], seen.p1[i] - seen.p2[i]
     rate = Q - memory[Q_BEFORE] if np.isfinite(memory[Q_BEFORE]) else 0.0
-    oil = T - memory[T_USUAL] if np.isfinite(T) else 0.0
-    row = (1.0, np.sqrt(max(dp, 0.0)), Q, Q / max(dp, LEAST_DP), rate, oil * Q, e)
+    row = (1.0, np.sqrt(max(dp, 0.0)), Q, Q / max(dp, LEAST_DP), rate, e)
     for j in range(DIRECTIONS + 1):
         for k in range(DIRECTIONS + 1):
             sums[j, k] = CAUSE_MEMORY * sums[j, k] + row[j] * row[k]
@@ -362,9 +367,12 @@ def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> 
     shares[METER] = _explained(sums, FLOW, CONSTANT)
     shares[SIGNAL] = _explained(sums, ROOT_DP, FLOW_BY_DP)
     shares[LAG] = _explained(sums, FLOW_RATE, FLOW_RATE)
-    shares[HOT_OIL] = _explained(sums, OIL, OIL)
-    T, usual = senses.last[m, 4], senses.memory[m, T_USUAL]
-    if abs(T - usual) > OTHER_OIL_K:
+    if abs(shares[EDGE] - shares[METER]) < TELLING:  # 5 % less flow is 5 % less shown
+        shares[EDGE] = shares[METER] = max(shares[EDGE], shares[METER], LEAST_SHARE)
+    shares[SIGNAL] = max(shares[SIGNAL], LEAST_SHARE)
+    if shares[LAG] < CLEAR + max(shares[EDGE], shares[METER], shares[SIGNAL]):
+        shares[LAG] = 0.0
+    if abs(senses.last[m, 4] - senses.memory[m, T_USUAL]) > OTHER_OIL_K:
         shares[HOT_OIL] = 2.0
     causes[:] = NO_CAUSE
     best = 0.0
