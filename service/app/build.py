@@ -18,6 +18,7 @@ from service.hardened import (
     ServerSettings,
     UserStore,
     ensure_certificate,
+    load_certificate,
 )
 from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
@@ -27,7 +28,7 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
 from service.streaming.identification import Identification
-from service.streaming.live import LiveSettings
+from service.streaming.live import KEPT_PER_S, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.supervisor import SupervisorSettings
@@ -44,7 +45,13 @@ _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 def build_identification(config: Config) -> Identification:
     """All valves with their estimators, before the first sample."""
-    return Identification(build_plans(config), build_alignment(config), build_timing(config))
+    interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
+    return Identification(
+        build_plans(config),
+        build_alignment(config),
+        build_timing(config),
+        config.alarms.rules(interval_s),
+    )
 
 
 def build_alignment(config: Config) -> Alignment:
@@ -166,9 +173,14 @@ def load_users(file: Path) -> UserStore:
     return UserStore.load(file)
 
 
-def build_live_settings(config: Config) -> LiveSettings:
-    """When results are stale, when states are kept."""
+def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:
+    """When results are stale, when states are kept, until when the certificate is valid."""
+    until_ns = 0
+    if certificate is not None:
+        until = load_certificate(certificate.certificate).not_valid_after_utc
+        until_ns = int(until.timestamp()) * 1_000_000_000
     return LiveSettings(
+        certificate_until_ns=until_ns,
         stale_after_s=config.alignment.stale_after_s,
         reorder_s=config.alignment.reorder_ms * 1e-3,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
@@ -209,6 +221,7 @@ def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
+        alarms=valve.alarms.rules(),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=SensorAccuracy(
             **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}

@@ -12,6 +12,7 @@ from service.app.build import (
     build_server_settings,
     build_source,
     build_supervisor_settings,
+    own_certificate,
 )
 from service.app.reload import Reload, check_what_stays, in_one_line
 from service.app.warm_up import warm_up
@@ -154,7 +155,7 @@ async def _live(
         server,
         store,
         clock,
-        build_live_settings(config),
+        build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
     )
     ended = asyncio.Event()

@@ -324,6 +324,11 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
+    def largest_lags(self, states: AutoState) -> Floats:
+        """The larger of the two `lags` of each of M valves, s (M,)."""
+        path = states.scalars[..., memory.LAGS :]
+        return np.maximum(path[..., lag.LAG_U], path[..., lag.LAG_Q])
+
     def too_fast(self, states: AutoState) -> Counts:
         """How many samples of each of M valves moved too fast for the lags to be learnt from."""
         return np.asarray(states.counters[..., memory.TOO_FAST])
@@ -347,11 +352,23 @@ class Auto:
     def _attend(self, state: AutoState) -> None:
         """Do what is due of one valve; its state is written in place."""
         kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+        self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
             state.counters[memory.NEXT_LOOK] = 2 * kept
         if memory.is_due(state.counters):
             self._refit(state)
+
+    def _doubt_lags(self, state: AutoState, kept: int) -> None:
+        """After a change look for lags soon, and as if for the first time: it may be one."""
+        counters = state.counters
+        looked_for = self.lag_U is None or self.lag_Q is None
+        is_new = counters[memory.ALARMS] and (
+            counters[memory.USED] - counters[memory.CHANGE_SAMPLE] < lag.ROWS
+        )
+        if looked_for and is_new and counters[memory.NEXT_LOOK] > kept + lag.ROWS:
+            counters[memory.NEXT_LOOK] = kept + lag.ROWS
+            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""

@@ -24,7 +24,14 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import MAPS_AT_ONCE, Identification
-from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
+from service.streaming.ports import (
+    AlarmReport,
+    Checkpoint,
+    CheckpointStore,
+    Health,
+    ResultSink,
+    Source,
+)
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
@@ -34,6 +41,7 @@ KEPT_IN_ONE_GO = 32  # of them: what a standstill has made late is caught up bit
 MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+DAY_NS = 86_400_000_000_000
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -61,6 +69,8 @@ class LiveSettings:
     publish_share : float
         Most of the time that goes into publishing as long as there is more to publish than that:
         samples that come in go before results that go out.
+    certificate_until_ns : int
+        End of the service's own certificate, UTC ns; 0: it has none that lasts.
     """
 
     stale_after_s: float = 2.0
@@ -69,6 +79,7 @@ class LiveSettings:
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
     publish_share: float = 0.25
+    certificate_until_ns: int = 0
 
 
 class LiveService:
@@ -100,6 +111,7 @@ class LiveService:
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
+        self._worked_s, self._worked_since = 0.0, now
         self._kept_at = math.nan
         self._failures = 0
         self._refused = 0
@@ -135,6 +147,7 @@ class LiveService:
                 kept.append(one)
         self._source.hold_back()
         restored, refused = self.identification.restore(kept)
+        self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
@@ -160,7 +173,9 @@ class LiveService:
         """Identify, publish, feed forward."""
         self._connected = True
         self._mark = self._source.mark
+        began = self._clock.monotonic()
         await self._use(self.identification.take(changes))
+        self._worked_s += self._clock.monotonic() - began
 
     async def _use(self, samples: ByValve) -> None:
         members, _, stops = samples.segments
@@ -205,6 +220,8 @@ class LiveService:
         silent = self.identification.holds() & self._connected  # nothing has changed
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        overdue = self.identification.say_overdue(np.flatnonzero(stale), self._source_now())
+        self._unpublished.update(dict.fromkeys(overdue))
         old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
@@ -212,14 +229,19 @@ class LiveService:
 
     def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
-        now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
         newest = self._newest[valves]
-        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
+        ages = np.maximum((self._source_now() - newest) * 1e-9, 0.0)
+        return np.where(newest > 0, ages, np.nan)
+
+    def _source_now(self) -> int:
+        """Time by the source's clock, UTC ns."""
+        return self._clock.now() + round(self._source.clock_offset_s * 1e9)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S
+        alarms = self._watch_service(now)
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
@@ -229,7 +251,20 @@ class LiveService:
                 checkpoint_failures=self._failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
+                alarms=alarms,
             )
+        )
+
+    def _watch_service(self, now: float) -> Sequence[AlarmReport]:
+        passed, worked = now - self._worked_since, self._worked_s
+        self._worked_s, self._worked_since = 0.0, now
+        until, utc = self._settings.certificate_until_ns, self._clock.now()
+        kept_at = self._began if math.isnan(self._kept_at) else self._kept_at
+        return self.identification.watch_service(
+            utc,
+            checkpoint_age_s=now - kept_at,
+            days_left=(until - utc) / DAY_NS if until else math.nan,
+            load=min(worked / passed, 1.0) if passed > 0.0 else math.nan,
         )
 
     async def _wait_no_longer(self, now: float) -> None:

@@ -19,6 +19,7 @@ from service.identification.samples import Codes, Floats, Samples, Status
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
+from service.streaming.alarms import RULES, Alarm, AlarmRule
 from service.streaming.feedforward import FeedForward
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
@@ -66,7 +67,8 @@ class ValvePlan:
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
     valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
-    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing.
+    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing,
+    ``alarms`` when each comes and goes.
     """
 
     name: str
@@ -80,6 +82,7 @@ class ValvePlan:
     insist: bool = False
     accuracy: SensorAccuracy = EXACT
     nodes: Mapping[str, str] = field(default_factory=dict)
+    alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
 
 
 @dataclass(frozen=True)

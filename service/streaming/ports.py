@@ -4,7 +4,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 :mod:`service.errors`, and the supervisor decides.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -254,6 +254,37 @@ class SignalResults:
     values: Floats
 
 
+@dataclass(frozen=True)
+class AlarmReport:
+    """How one alarm stands.
+
+    ``since`` is when it came last, ``at`` when it last came, went or was acknowledged, both UTC ns,
+    0 if it never did; ``count`` is how often it came; ``text`` says what was measured, since when,
+    and what it may be.
+    """
+
+    name: str
+    active: bool
+    acked: bool
+    severity: int
+    since: int
+    at: int
+    count: int
+    text: str
+
+
+@dataclass(frozen=True)
+class AlarmResults:
+    """The alarms of M valves.
+
+    ``version`` (M,) grows with whatever changes of any of a valve's alarms; ``reports`` says how
+    all of the m-th one's stand, and is asked before anything else is done.
+    """
+
+    version: Times
+    reports: Callable[[int], Sequence[AlarmReport]]
+
+
 class Version(Protocol):
     """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
 
@@ -300,7 +331,7 @@ class Results:
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
     ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
-    ``baselines`` names the approved map that its results build on.
+    ``baselines`` names the approved map that its results build on, ``alarms`` how those stand.
     """
 
     valves: Times
@@ -312,6 +343,7 @@ class Results:
     waiting: Sequence[tuple[str, ...]] = ()
     timing: Sequence[tuple[str, ...]] = ()
     baselines: Sequence[Version | None] = ()
+    alarms: AlarmResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -368,6 +400,8 @@ class Health:
     checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
         How often they could not be, how much room they take, and how many were found at the start
         that could not be used.
+    alarms
+        How those of the service stand.
     """
 
     age_s: Floats
@@ -377,6 +411,7 @@ class Health:
     checkpoint_failures: int = 0
     checkpoint_bytes: int = 0
     checkpoints_refused: int = 0
+    alarms: Sequence[AlarmReport] = ()
 
 
 class ResultSink(Protocol):
@@ -444,6 +479,12 @@ class Operator(Protocol):
 
     def disarm(self, valve: str) -> None:
         """Write nothing to the valve any more."""
+
+    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service; UTC ns."""
+
+    def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
+        """How all alarms of a valve, or (None) of the service, stand."""
 
 
 class CheckpointStore(Protocol):
