@@ -478,15 +478,16 @@ class Identification:
     def roll_back(self, valve: str) -> None:
         """Have every estimator know what it knew when the baseline was approved."""
         number, baseline = self._numbers[valve], self._baseline(valve)
+        before = {}
         for name, configured in self.plans[number].estimators.items():
-            now = self.lane(valve, name)
             try:
-                then = baseline.lane(name, configured)
+                before[name] = baseline.lane(name, configured)
             except StateMismatchError as error:
                 raise CommandRejected(f"{valve}.{name}: {error}") from None
-            if now.lam is not None:
-                then = pipeline.with_forgetting(then, now.lam)
-            self._put(valve, name, replace(then, frozen=now.frozen))
+        for name, then in before.items():
+            now = self.lane(valve, name)
+            known = then if now.lam is None else pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(known, frozen=now.frozen))
 
     def replace_valve(self, valve: str) -> None:
         """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
@@ -594,18 +595,12 @@ class Identification:
         name = self.plans[valve].name
         return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
 
-    def _take_baseline(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
-        try:
-            found = Baseline.from_bytes(kept.state)
-        except StateMismatchError:
-            return False
+    def _take_baseline(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        found = Baseline.from_bytes(kept.state)
         self._approved[number] = found.number
         if not kept.frozen:
             self._baselines[number] = found
-        return True
 
     def _timing_of(self, valve: int, t: int) -> Checkpoint:
         key = self._timing_key(valve)
@@ -617,33 +612,25 @@ class Identification:
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
 
-    def _time_as_before(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or not self._finds_timing:
-            return False
-        try:
-            state = TimingState.from_bytes(kept.state, self._timing_key(number))
-            self._timing.put(number, state)
-        except StateMismatchError:
-            return False
-        return True
+    def _time_as_before(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        if not self._finds_timing:
+            raise StateMismatchError("how signals come is configured")
+        self._timing.put(number, TimingState.from_bytes(kept.state, self._timing_key(number)))
 
     def _memory_key(self, valve: int) -> str:
         alignment, plan = self._alignment, self.plans[valve]
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
 
-    def _remember(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
+    def _remember(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
         fleet, m = self._at(number)
-        try:
-            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
-            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
-            fleet.remember(m, memory.gate, memory.t, memory.T)
-        except (StateMismatchError, ValueError):
-            return False
+        memory = ValveMemory.from_bytes(
+            kept.state, self._memory_key(number), self.plans[number].gate, self._alignment
+        )
+        self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+        fleet.remember(m, memory.gate, memory.t, memory.T)
         fleet.demand(m, *memory.demand)
         for name, notes in memory.notes.items():
             known = name in self.plans[number].estimators and notes.status in (-1, *Status)
@@ -653,43 +640,48 @@ class Identification:
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
             fleet.count_beyond(m, name, notes.beyond)
-        return True
 
-    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
+    def _number(self, kept: Checkpoint) -> int:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            raise StateMismatchError("no such valve is configured")
+        return number
+
+    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Take up what was kept, where the configuration still fits.
 
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; what is refused starts afresh.
+            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
         """
         restored: list[str] = []
-        refused: list[str] = []
+        refused: dict[str, str] = {}
         takers = {
             MEMORY: self._remember,
             TIMING: self._time_as_before,
             BASELINE: self._take_baseline,
         }
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
-            taken = takers.get(kept.estimator, self._restore)(kept)
-            (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
+            name = f"{kept.valve}.{kept.estimator}"
+            try:
+                takers.get(kept.estimator, self._restore)(kept)
+            except StateMismatchError as error:
+                refused[name] = str(error)
+            else:
+                restored.append(name)
         self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
         self.refresh_maps()
         return restored, refused
 
-    def _restore(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or kept.estimator not in self.plans[number].estimators:
-            return False
-        configured = self.plans[number].estimators[kept.estimator]
-        try:
-            lane = pipeline.lane_from_bytes(
-                kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
-            )
-        except StateMismatchError:
-            return False
+    def _restore(self, kept: Checkpoint) -> None:
+        configured = self.plans[self._number(kept)].estimators.get(kept.estimator)
+        if configured is None:
+            raise StateMismatchError("no such estimator is configured")
+        lane = pipeline.lane_from_bytes(
+            kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
+        )
         self._put(kept.valve, kept.estimator, lane)
-        return True
 
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""

@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -32,6 +32,7 @@ POSITION = "Service", "Position"  # under this name, which no valve has, the sou
 KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+NAMED = 8  # valves and estimators in one line, until the rest are counted
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -125,14 +126,16 @@ class LiveService:
 
         ``known`` is newer than what was kept, if there is something.
         """
-        kept = []
+        kept, lost_place = [], False
         for one in known or self._store.load():
-            if (one.valve, one.estimator) == POSITION:
-                self._source.resume_at(one.state)
-            else:
+            if (one.valve, one.estimator) != POSITION:
                 kept.append(one)
+            elif not self._source.resume_at(one.state):
+                lost_place = True
         self._source.hold_back()
         restored, refused = self.identification.restore(kept)
+        if lost_place:
+            refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
@@ -140,7 +143,7 @@ class LiveService:
         if restored:
             log.info("states restored", estimators=restored)
         if refused:
-            log.warning("states of another configuration left aside", estimators=refused)
+            log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
@@ -405,6 +408,16 @@ class LiveService:
         self._unpublished[valve] = None
         name = self.identification.plans[valve].name
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
+
+
+def _by_reason(refused: Mapping[str, str]) -> str:
+    """Each reason once, with the first names that it holds for."""
+    lines = []
+    for reason in dict.fromkeys(refused.values()):
+        names = [name for name, why in refused.items() if why == reason]
+        rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        lines.append(f"{', '.join(names[:NAMED])}{rest}: {reason}")
+    return "; ".join(lines)
 
 
 async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:

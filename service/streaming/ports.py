@@ -89,8 +89,11 @@ class Source(Protocol):
     def position(self, mark: Any) -> bytes:  # noqa: ANN401
         """What `resume_at` goes on from after a restart."""
 
-    def resume_at(self, position: bytes) -> None:
-        """Go on from a position that was kept, if the source still can; before `connect`."""
+    def resume_at(self, position: bytes) -> bool:
+        """Go on from a position that was kept, if the source still can; before `connect`.
+
+        False: it cannot be one of this source, and is forgotten.
+        """
 
     async def drop(self) -> None:
         """Leave a connection that is lost: what the source holds for us is there at `connect`."""

@@ -90,7 +90,7 @@ class FakeSource:
         pass
 
     def resume_at(self, position):
-        pass
+        return True
 
     async def drop(self):
         self.dropped += 1

@@ -254,6 +254,23 @@ async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 
 
+async def test_a_state_that_cannot_be_is_said_in_a_line_and_published(
+    live, fresh, store, source, sink, clock
+):
+    live.identification.take_samples(0, plant(50))
+    await live.keep()
+    store.kept = [replace(c, lam=7.0) if c.estimator == "RLS" else c for c in store.kept]
+    again = LiveService(fresh(), source, sink, store, clock, LiveSettings())
+    with structlog.testing.capture_logs() as logs:
+        await again.start()
+        await again.tick()
+    (line,) = [entry["why"] for entry in logs if "left aside" in entry["event"]]
+    assert line.startswith("Valvistor.RLS: forgetting factor 7.0")
+    assert sink.health.checkpoints_refused == 1
+    assert again.identification.result(0).estimators["RLS"].sample_count == 0
+    assert again.identification.result(0).estimators["RML"].sample_count == 50
+
+
 async def test_states_are_kept_at_their_interval(live, store, clock):
     await live.take(as_changes(plant(100)))
     await live.tick()
