@@ -31,6 +31,8 @@ from service.streaming.supervisor import supervise
 
 log = structlog.get_logger(__name__)
 
+FAREWELL_S = 4.2  # longest that an end may take to keep states: some ask for all to end in 5
+
 SampleTap = Callable[[str, Samples], None]
 
 
@@ -163,8 +165,8 @@ async def _live(
                 task.cancel()
             await asyncio.gather(stopping, following, return_exceptions=True)
             goes_on = not (following.cancelled() or stop.is_set())
-            if not goes_on:
-                await live.keep()
+            if not goes_on and not await live.keep(within_s=FAREWELL_S):
+                log.warning("disk too slow to keep the last states, those before are kept")
         if not goes_on:
             return None, []
         states = live.states()

@@ -74,18 +74,31 @@ class State:
             naming the first array that is not of the shape and type of the one in ``like``, a state
             of the same estimator, or holds what it may not.
         """
-        contents = like.contents()
-        for f in fields(self):
-            array, other = np.asarray(getattr(self, f.name)), np.asarray(getattr(like, f.name))
-            wrong = contents.get(f.name, Contents(other)).wrong_in(array)
-            if wrong is not None:
-                raise StateMismatchError(f"{f.name} {wrong}")
-        if not self.is_coherent():
-            raise StateMismatchError("its parts do not belong together")
+        Template(like).check(self)
 
     def is_coherent(self) -> bool:
         """Whether arrays fit together that may each hold what they do."""
         return True
+
+
+class Template:
+    """By which many states of one estimator are judged; ``like`` is one of them."""
+
+    def __init__(self, like: State) -> None:
+        said = like.contents()
+        self._contents = {
+            f.name: said.get(f.name) or Contents(np.asarray(getattr(like, f.name)))
+            for f in fields(like)
+        }
+
+    def check(self, state: State) -> None:
+        """As `State.check`."""
+        for name, contents in self._contents.items():
+            wrong = contents.wrong_in(np.asarray(getattr(state, name)))
+            if wrong is not None:
+                raise StateMismatchError(f"{name} {wrong}")
+        if not state.is_coherent():
+            raise StateMismatchError("its parts do not belong together")
 
 
 _UNREADABLE = (  # what numpy makes of bytes that are no record of arrays

@@ -120,7 +120,7 @@ class RlsState(State):
         counters = Contents(self.counters).any_time([TIME, SUSPECT_TIME])
         counters.within(0, 1, [FACTORED, STALE]).within(0, len(self.window), FILLED)
         counters.within(0, max(len(self.window) - 1, 0), HEAD)
-        nodes = Contents(self.places).within(0.0, where=(slice(None), KNOWN))
+        nodes = Contents(self.places).within(0.0, where=(slice(None), KNOWN)).or_nan()
         return {"row": row, "counters": counters, "places": nodes}
 
     def is_coherent(self) -> bool:

@@ -29,6 +29,8 @@ from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultS
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
+PACKED_AT_ONCE = 16  # valves, at 3 ms each, before samples that have come are taken in
+KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
 KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
@@ -106,6 +108,7 @@ class LiveService:
         self._mark_of_round: Any = None
         self._left_in_round: set[int] = set()
         self._keeping: asyncio.Task[None] | None = None
+        self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
@@ -250,16 +253,32 @@ class LiveService:
         await self._feed_forward()
         await self._lose(np.flatnonzero(~self._lost).tolist())
 
-    async def keep(self) -> None:
-        """Keep all states now.
+    async def keep(self, within_s: float = math.inf) -> bool:
+        """Keep all states now, or those kept longest ago, as far as the disk does it in this time.
+
+        False: not all are. What was kept before is older, and the source is asked again for what
+        came since.
 
         Raises
         ------
         StorageError
             naming the file; the states go on in memory.
         """
+        end, M = self._clock.monotonic() + within_s, len(self._lost)
         await self.settle()
-        await asyncio.to_thread(self._store.save, [*self.states(), *self._position(self._mark)])
+        oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
+        at_once = M if math.isinf(within_s) else KEPT_AT_ONCE
+        for start in range(0, M, at_once):
+            some = oldest_first[start : start + at_once]
+            if self._clock.monotonic() + len(some) * self._packing_s + self._saving_s > end:
+                return False
+            states = await self._packed(some)
+            if start + at_once >= M:
+                states += self._position(self._mark)
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
+            self._saving_s = self._clock.monotonic() - began
+        return True
 
     def states(self) -> list[Checkpoint]:
         """All that is known of all valves."""
@@ -280,11 +299,25 @@ class LiveService:
         state = self._source.position(mark)
         return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]
 
-    async def _keep(self, some: list[Checkpoint], mark: Any) -> None:  # noqa: ANN401
+    async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
+        """States as bytes, a few valves at a time: samples come in between."""
+        packed = []
+        for start in range(0, len(valves), PACKED_AT_ONCE):
+            began = self._clock.monotonic()
+            some = valves[start : start + PACKED_AT_ONCE]
+            packed += self._states(some)
+            self._packing_s = (self._clock.monotonic() - began) / len(some)
+            await asyncio.sleep(0)
+        return packed
+
+    async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """The disk may be slow, or full: nothing waits for it."""
         try:
-            await asyncio.to_thread(self._store.save, some)
+            states = [*await self._packed(valves), *self._position(mark)]
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
             self._kept_at = self._clock.monotonic()
+            self._saving_s = self._kept_at - began
             if mark is not None:
                 self._source.commit(mark)
         except StorageError as error:
@@ -298,15 +331,15 @@ class LiveService:
         M = len(self._lost)
         interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
         due = int(M * (now - self._began) / interval_s)
-        some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
-        self._turns = due
+        turns = range(self._turns, min(due, self._turns + min(M, KEPT_AT_ONCE)))
+        self._turns = due if M <= KEPT_AT_ONCE else turns.stop
+        some = {turn % M for turn in turns}
         if some:
             if not self._left_in_round:
                 self._left_in_round, self._mark_of_round = set(range(M)), self._mark
             self._left_in_round -= some
             mark = None if self._left_in_round else self._mark_of_round
-            states = [*self._states(sorted(some)), *self._position(mark)]
-            self._keeping = asyncio.create_task(self._keep(states, mark))
+            self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
 
     def _say_what_is_doubted(self) -> None:
         """Name the valves that are not learnt from, each once."""

@@ -1,14 +1,15 @@
 """One valve: what is done with it, how it stands, and what follows from that. Pure."""
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 
 from service.identification.change import FindsChanges
 from service.identification.contents import Contents
-from service.identification.estimator import Estimator, State, StateMismatchError, key_of
+from service.identification.estimator import Estimator, State, StateMismatchError, Template, key_of
 from service.identification.extrapolation import U_range_of, trusted
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
@@ -317,11 +318,11 @@ def lane_from_bytes(
         if the bytes belong to another estimator or other hyper-parameters, or hold what cannot
         have been learnt.
     """
-    key, fresh = key_of(configured), fresh_lane(configured)
+    key, kind, of_state, of_lane = _templates(cast("Hashable", configured))
     kept = _Kept.from_bytes(data, key)
-    kept.check(_Kept.of(fresh, kept.estimator.tobytes()))
-    state = type(fresh.state).from_bytes(kept.estimator.tobytes(), key)
-    state.check(fresh.state)
+    of_lane.check(kept)
+    state = kind.from_bytes(kept.estimator.tobytes(), key)
+    of_state.check(state)
     score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
     support = Support(kept.seen, kept.fit, kept.ranges)
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
@@ -333,6 +334,15 @@ def lane_from_bytes(
         return with_forgetting(lane, lam)
     except ValueError as error:
         raise StateMismatchError(str(error)) from None
+
+
+@lru_cache(maxsize=64)
+def _templates(configured: Hashable) -> tuple[str, type[State], Template, Template]:
+    """Hash of an estimator, type of its states, and by what they and its lanes are judged."""
+    estimator = cast("AnyEstimator", configured)
+    key, fresh = key_of(estimator), fresh_lane(estimator)
+    packed = _Kept.of(fresh, fresh.state.to_bytes(key))
+    return key, type(fresh.state), Template(fresh.state), Template(packed)
 
 
 def with_forgetting(lane: Lane, lam: float) -> Lane:
