@@ -10,7 +10,7 @@ from service.app.build import (
     build_identification,
     build_live_settings,
     build_server_settings,
-    build_source,
+    build_sources,
     build_supervisor_settings,
 )
 from service.app.reload import Reload, check_what_stays, in_one_line
@@ -21,13 +21,12 @@ from service.errors import StorageError, ValvemapError
 from service.hardened import HardenedError, ServerSettings
 from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
-from service.opcua.client import OpcUaSource
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.ports import Checkpoint
-from service.streaming.supervisor import supervise
+from service.streaming.sources import Sources, supervise_all
 
 log = structlog.get_logger(__name__)
 
@@ -97,7 +96,7 @@ class _Plan:
     config: Config
     settings: ServerSettings
     identification: Identification
-    source: OpcUaSource
+    source: Sources
     compiled: asyncio.Task[None]
     given_settings: ServerSettings | None
     after_another: bool
@@ -118,7 +117,7 @@ def _plan(
     async def ready() -> None:  # no sample waits for a compiler
         await asyncio.shield(compiled)
 
-    source = build_source(config, ready)
+    source = build_sources(config, ready)
     return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
 
 
@@ -159,7 +158,7 @@ async def _live(
         try:
             supervision = build_supervisor_settings(config)
             supervision = replace(supervision, connected_before=plan.after_another)
-            await supervise(plan.source, live, clock, ended, supervision)
+            await supervise_all(plan.source, live, clock, ended, supervision)
         finally:
             for task in (stopping, following):
                 task.cancel()

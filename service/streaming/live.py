@@ -12,7 +12,7 @@ import structlog
 
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
-from service.identification.samples import Floats, Samples
+from service.identification.samples import Floats, Samples, Times
 from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import (
@@ -24,7 +24,7 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import Identification
-from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
+from service.streaming.ports import AllSources, Checkpoint, CheckpointStore, Health, ResultSink
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
@@ -78,7 +78,7 @@ class LiveService:
     def __init__(
         self,
         identification: Identification,
-        source: Source,
+        source: AllSources,
         sink: ResultSink,
         store: CheckpointStore,
         clock: Clock,
@@ -96,7 +96,7 @@ class LiveService:
         self._last_sample = np.full(len(identification.plans), now)
         self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
         self._held_until = now
-        self._source_started = 0
+        self._source_started = np.zeros(len(identification.plans), np.int64)
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
         self._old = np.zeros(len(identification.plans), np.bool_)
@@ -114,8 +114,8 @@ class LiveService:
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
         self._under_way = False
-        self._connected = False
-        self._fed_at = now
+        self._connected = np.zeros(len(identification.plans), np.bool_)
+        self._fed_at = np.full(len(identification.plans), now)
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
         self._newest_U = np.full(len(identification.plans), np.nan)
         self._fed = {
@@ -150,21 +150,26 @@ class LiveService:
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         await self._publish_all()
 
-    async def connected(self, source_started: int) -> None:
-        """The source is there; if it was restarted, its samples are counted anew."""
-        before, self._source_started = self._source_started, source_started
-        if before and source_started and source_started != before:
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """A source is there; if it was restarted, its samples are counted anew."""
+        own = self._own(valves)
+        before = self._source_started[own]
+        self._source_started[own] = source_started
+        if source_started and ((before != 0) & (before != source_started)).any():
             log.warning("source restarted")
-            every = np.arange(len(self._lost))
-            await self._use(self.identification.begin_source_anew(every))
+            await self._use(self.identification.begin_source_anew(own), own)
 
-    async def take(self, changes: DataChanges) -> None:
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify, publish, feed forward."""
-        self._connected = True
+        own = self._own(valves)
+        self._connected[own] = True
         self._mark = self._source.mark
-        await self._use(self.identification.take(changes))
+        await self._use(self.identification.take(changes), own)
 
-    async def _use(self, samples: ByValve) -> None:
+    def _own(self, valves: Times | None) -> Times:
+        return np.arange(len(self._lost)) if valves is None else valves
+
+    async def _use(self, samples: ByValve, own: Times | None = None) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
         self._held_s[members] = 0.0
@@ -180,19 +185,18 @@ class LiveService:
         self._unpublished.update(dict.fromkeys(samples))
         self._say_what_is_doubted()
         self._say_what_was_found()
-        await self._feed_forward()
+        await self._feed_forward(self._own(own))
         await self._publish_in_turn()
         if not self._under_way and len(samples):
             self._under_way = True
             log.info("first results published")
 
-    async def tick(self) -> None:
-        """Look after what is due by the clock."""
-        now = self._clock.monotonic()
+    async def tick(self, valves: Times | None = None) -> None:
+        """Look after what is due by the clock; only these valves are fed forward."""
+        now, own = self._clock.monotonic(), self._own(valves)
         await self._wait_no_longer(now)
         await self._doubt(now)
-        if now - self._fed_at >= FEED_AGAIN_S:
-            await self._feed_forward()
+        await self._feed_forward(own[now - self._fed_at[own] >= FEED_AGAIN_S])
         await self._publish_in_turn()
         if now >= self._map_due:
             self._map_due = now + self._settings.map_interval_s
@@ -213,8 +217,9 @@ class LiveService:
 
     def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
-        now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
         newest = self._newest[valves]
+        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)[valves]
+        now = self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
         return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
 
     async def _show_health(self, now: float) -> None:
@@ -226,6 +231,7 @@ class LiveService:
                 age_s=self._ages(),
                 waiting=self.identification.pending(),
                 source=self._source.counters,
+                source_states=self._source.states,
                 checkpoint_age_s=now - self._kept_at,
                 checkpoint_failures=self._failures,
                 checkpoints_refused=self._refused,
@@ -239,19 +245,24 @@ class LiveService:
         Time counts only while there is a connection, and our own standstills do not.
         """
         passed, self._held_until = now - self._held_until, now
-        if not self._connected:
+        if not self._connected.any():
             return
-        self._held_s += min(passed, LONGEST_TICK_S)
+        self._held_s[self._connected] += min(passed, LONGEST_TICK_S)
         self._held_s[~self.identification.waits()] = 0.0
-        due = self._held_s > self._settings.reorder_s
+        due = self._connected & (self._held_s > self._settings.reorder_s)
         if due.any():
-            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)))
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)), _NONE)
 
-    async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
-        """Call every result bad: there is no connection."""
-        self._connected = False
-        await self._feed_forward()
-        await self._lose(np.flatnonzero(~self._lost).tolist())
+    async def lost(
+        self,
+        reason: SourceError,  # noqa: ARG002 - the supervisor logs it
+        valves: Times | None = None,
+    ) -> None:
+        """Call every result of these valves bad: there is no connection to their source."""
+        own = self._own(valves)
+        self._connected[own] = False
+        await self._feed_forward(own)
+        await self._lose(own[~self._lost[own]].tolist())
 
     async def keep(self, within_s: float = math.inf) -> bool:
         """Keep all states now, or those kept longest ago, as far as the disk does it in this time.
@@ -388,10 +399,11 @@ class LiveService:
             if self._clock.monotonic() >= end:
                 break
 
-    async def _feed_forward(self) -> None:
-        """Lead every valve that is armed a step on, all at once."""
-        self._fed_at = self._clock.monotonic()
-        steps = (self._lead(valve) for valve in self._fed)
+    async def _feed_forward(self, valves: Times) -> None:
+        """Lead each of these valves that is armed a step on, all at once."""
+        self._fed_at[valves] = self._clock.monotonic()
+        chosen = set(valves.tolist()) & self._fed.keys() if self._fed else ()
+        steps = (self._lead(valve) for valve in self._fed if valve in chosen)
         for outcome in await asyncio.gather(*steps, return_exceptions=True):
             if isinstance(outcome, BaseException):
                 raise outcome
@@ -420,8 +432,9 @@ class LiveService:
 
     def _situation(self, valve: int) -> Situation:
         armed = self.identification.is_armed(valve)
-        if not (armed and self._connected):
-            return Situation(armed, self._connected)
+        connected = bool(self._connected[valve])
+        if not (armed and connected):
+            return Situation(armed, connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
         behind = float(self._ages(slice(valve, valve + 1))[0])
         answer, status = self.identification.required(valve)
@@ -441,6 +454,9 @@ class LiveService:
         self._unpublished[valve] = None
         name = self.identification.plans[valve].name
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
+
+
+_NONE: Times = np.empty(0, np.int64)  # the next tick feeds these forward
 
 
 def _by_reason(refused: Mapping[str, str]) -> str:

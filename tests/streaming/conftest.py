@@ -58,6 +58,7 @@ class FakeSource:
     counters: SourceCounters = field(default_factory=SourceCounters)
     started: int = 0
     clock_offset_s: float = 0.0
+    states: tuple = ()
 
     async def connect(self):
         if self.connects:
