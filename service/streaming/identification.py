@@ -197,7 +197,7 @@ class Identification:
 
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:
         counts, places = self._waiting.counters[valves], self._member_of[valves]
-        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made[valves]
+        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made(valves)
         fleet.alarms.note_losses(places, lost, counts[:, _ALIGNED])
         fleet.alarms.be_patient(places, self._timing.holds[valves])
 
@@ -519,15 +519,16 @@ class Identification:
     def roll_back(self, valve: str) -> None:
         """Have every estimator know what it knew when the baseline was approved."""
         number, baseline = self._numbers[valve], self._baseline(valve)
+        before = {}
         for name, configured in self.plans[number].estimators.items():
-            now = self.lane(valve, name)
             try:
-                then = baseline.lane(name, configured)
+                before[name] = baseline.lane(name, configured)
             except StateMismatchError as error:
                 raise CommandRejected(f"{valve}.{name}: {error}") from None
-            if now.lam is not None:
-                then = pipeline.with_forgetting(then, now.lam)
-            self._put(valve, name, replace(then, frozen=now.frozen))
+        for name, then in before.items():
+            now = self.lane(valve, name)
+            known = then if now.lam is None else pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(known, frozen=now.frozen))
 
     def replace_valve(self, valve: str) -> None:
         """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
@@ -582,17 +583,18 @@ class Identification:
         for fleet in self._fleets:
             fleet.alarms.was_away()
 
-    def say_overdue(self, valves: Times, now: int) -> list[int]:
-        """Some valves have sent nothing until ``now``, UTC ns by the source's clock.
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Some valves have sent nothing until ``now``, UTC ns by the clocks of their sources.
 
         Returns those of which that is an alarm only now.
         """
         new: list[int] = []
         for number in np.unique(self._fleet_of[valves]):
-            own = valves[self._fleet_of[valves] == number]
+            chosen = self._fleet_of[valves] == number
+            own = valves[chosen]
             places, alarms = self._member_of[own], self._fleets[number].alarms
             before = alarms.version[places]
-            alarms.overdue(places, now)
+            alarms.overdue(places, now[chosen])
             new += own[alarms.version[places] != before].tolist()
         return new
 
@@ -680,18 +682,12 @@ class Identification:
         packed, name = fleet.alarms.to_bytes(m), self.plans[valve].name
         return Checkpoint(name, ALARMS, "", t, packed, lam=None, frozen=False)
 
-    def _take_alarms(self, kept: Checkpoint) -> bool:
-        try:
-            if kept.valve == OF_SERVICE:
-                self._service_alarms.from_bytes(kept.state)
-            elif kept.valve in self._numbers:
-                fleet, m = self._at(self._numbers[kept.valve])
-                fleet.alarms.from_bytes(m, kept.state)
-            else:
-                return False
-        except StateMismatchError:
-            return False
-        return True
+    def _take_alarms(self, kept: Checkpoint) -> None:
+        if kept.valve == OF_SERVICE:
+            self._service_alarms.from_bytes(kept.state)
+        else:
+            fleet, m = self._at(self._number(kept))
+            fleet.alarms.from_bytes(m, kept.state)
 
     def _baseline_of(self, valve: int) -> Checkpoint:
         """The baseline, or, as ``frozen``, that there is none any more."""
@@ -702,18 +698,12 @@ class Identification:
         name = self.plans[valve].name
         return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
 
-    def _take_baseline(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
-        try:
-            found = Baseline.from_bytes(kept.state)
-        except StateMismatchError:
-            return False
+    def _take_baseline(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        found = Baseline.from_bytes(kept.state)
         self._approved[number] = found.number
         if not kept.frozen:
             self._baselines[number] = found
-        return True
 
     def _timing_of(self, valve: int, t: int) -> Checkpoint:
         key = self._timing_key(valve)
@@ -725,33 +715,25 @@ class Identification:
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
 
-    def _time_as_before(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or not self._finds_timing:
-            return False
-        try:
-            state = TimingState.from_bytes(kept.state, self._timing_key(number))
-            self._timing.put(number, state)
-        except StateMismatchError:
-            return False
-        return True
+    def _time_as_before(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        if not self._finds_timing:
+            raise StateMismatchError("how signals come is configured")
+        self._timing.put(number, TimingState.from_bytes(kept.state, self._timing_key(number)))
 
     def _memory_key(self, valve: int) -> str:
         alignment, plan = self._alignment, self.plans[valve]
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
 
-    def _remember(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
+    def _remember(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
         fleet, m = self._at(number)
-        try:
-            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
-            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
-            fleet.remember(m, memory.gate, memory.t, memory.T)
-        except (StateMismatchError, ValueError):
-            return False
+        memory = ValveMemory.from_bytes(
+            kept.state, self._memory_key(number), self.plans[number].gate, self._alignment
+        )
+        self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+        fleet.remember(m, memory.gate, memory.t, memory.T)
         fleet.demand(m, *memory.demand)
         for name, notes in memory.notes.items():
             known = name in self.plans[number].estimators and notes.status in (-1, *Status)
@@ -761,18 +743,23 @@ class Identification:
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
             fleet.count_beyond(m, name, notes.beyond)
-        return True
 
-    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
+    def _number(self, kept: Checkpoint) -> int:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            raise StateMismatchError("no such valve is configured")
+        return number
+
+    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Take up what was kept, where the configuration still fits.
 
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; what is refused starts afresh.
+            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
         """
         restored: list[str] = []
-        refused: list[str] = []
+        refused: dict[str, str] = {}
         takers = {
             MEMORY: self._remember,
             TIMING: self._time_as_before,
@@ -781,29 +768,28 @@ class Identification:
         }
         known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
-            taken = takers.get(kept.estimator, self._restore)(kept)
-            (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
-            if taken:
-                known.add(self._numbers[kept.valve])
+            name = f"{kept.valve}.{kept.estimator}"
+            try:
+                takers.get(kept.estimator, self._restore)(kept)
+            except StateMismatchError as error:
+                refused[name] = str(error)
+            else:
+                restored.append(name)
+                known.update({self._numbers[kept.valve]} if kept.valve in self._numbers else ())
         for number in known:
             self._maps[number] = self._inverse_map(number)
         if known:
             self.refresh_maps()
         return restored, refused
 
-    def _restore(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or kept.estimator not in self.plans[number].estimators:
-            return False
-        configured = self.plans[number].estimators[kept.estimator]
-        try:
-            lane = pipeline.lane_from_bytes(
-                kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
-            )
-        except StateMismatchError:
-            return False
+    def _restore(self, kept: Checkpoint) -> None:
+        configured = self.plans[self._number(kept)].estimators.get(kept.estimator)
+        if configured is None:
+            raise StateMismatchError("no such estimator is configured")
+        lane = pipeline.lane_from_bytes(
+            kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
+        )
         self._put(kept.valve, kept.estimator, lane)
-        return True
 
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""
