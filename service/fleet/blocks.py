@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from service.errors import ValvemapError
+from service.errors import BlockError
 from service.identification.samples import Samples, Segments
 from service.streaming.alignment import ByValve
 
@@ -30,10 +30,6 @@ _COLUMNS: Final[Mapping[str, pa.DataType]] = {
 }
 _WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # threads cost
 _READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # more than a small block gives them
-
-
-class BlockError(ValvemapError):
-    """A message is no block that can be read; one line says why."""
 
 
 class Head(NamedTuple):

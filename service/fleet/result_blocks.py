@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from service.errors import BlockError
 from service.fleet.blocks import (
     TIME,
-    BlockError,
     Head,
     batch_column,
     names_of,

@@ -15,8 +15,8 @@ pa = pytest.importorskip("pyarrow")
 
 from service.app.build import build_identification  # noqa: E402 - the extra first
 from service.config.models import Config, ValveConfig  # noqa: E402
+from service.errors import BlockError  # noqa: E402
 from service.fleet.blocks import (  # noqa: E402
-    BlockError,
     Head,
     SamplesBlock,
     read,
