@@ -64,7 +64,7 @@ class TopicsConfig(_Section):
     )
     results_h: float = Field(24.0, ge=0.1, le=87_600.0, description="how long results are held, h")
     message_mb: float = Field(
-        8.0, ge=0.1, le=100.0, description="largest message: state of a group, or a block, MB"
+        16.0, ge=0.1, le=100.0, description="largest message: state of a group, or a block, MB"
     )
 
 
