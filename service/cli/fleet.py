@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.logs import set_up_logs
 from service.errors import ConfigurationError
 
 FleetOption = Annotated[
@@ -37,3 +38,14 @@ def topics(config: FleetOption = CONFIG) -> None:
 
     for line in create_or_check(load_fleet(config)):
         typer.echo(line)
+
+
+@fleet.command()
+def work(config: FleetOption = CONFIG) -> None:
+    """Learn from what the topics bring, beside other workers, until Ctrl-C."""
+    from service.fleet.settings import load_fleet
+    from service.fleet.work import work as run
+
+    loaded = load_fleet(config)
+    set_up_logs()
+    run(loaded)

@@ -53,6 +53,8 @@ class SamplesBlock:
         Names; ``samples.segments.members`` are numbers in this list.
     samples
         One valve after another.
+    catalogue
+        Version of the catalogue that its sender knows; a worker with an older one lets it be.
 
     Examples
     --------
@@ -66,6 +68,7 @@ class SamplesBlock:
     number: int
     valves: tuple[str, ...]
     samples: ByValve
+    catalogue: int = 0
 
 
 def write_samples(block: SamplesBlock) -> bytes:
@@ -77,7 +80,8 @@ def write_samples(block: SamplesBlock) -> bytes:
         "t": times(samples.t),
         **{name: pa.array(getattr(samples, name)) for name in _COLUMNS if name != "t"},
     }
-    return write(Head(_SAMPLES, block.group, block.number, {}), columns)
+    head = Head(_SAMPLES, block.group, block.number, {"catalogue": block.catalogue})
+    return write(head, columns)
 
 
 def read_samples(message: bytes) -> SamplesBlock:
@@ -105,7 +109,11 @@ def read_samples(message: bytes) -> SamplesBlock:
     starts = np.flatnonzero(np.diff(index, prepend=-1)).astype(np.int64)
     stops = np.append(starts[1:], len(index)) if len(starts) else starts
     segments = Segments(index[starts], starts, stops)
-    return SamplesBlock(head.group, head.number, valves, ByValve(Samples(**columns), segments))
+    catalogue = head.more.get("catalogue", 0)
+    if type(catalogue) is not int:
+        raise BlockError("metadata valvemap.catalogue: a whole number is needed")
+    samples = ByValve(Samples(**columns), segments)
+    return SamplesBlock(head.group, head.number, valves, samples, catalogue)
 
 
 def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:

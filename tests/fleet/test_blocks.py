@@ -125,6 +125,7 @@ def test_a_foreign_reader_sees_what_the_schema_says():
         "valvemap.version": 1,
         "valvemap.group": "north.0",
         "valvemap.number": 1,
+        "valvemap.catalogue": 0,
     }
     rows = stream.read_all()
     assert rows["valve"].to_pylist() == ["a", "a", "b"]

@@ -5,7 +5,7 @@ from support.plant import plant
 
 from service.config.estimators import RbfConfig, RlsConfig, RmlConfig
 from service.config.models import Config, NodesConfig, ValveConfig
-from service.fleet.blocks import SamplesBlock
+from service.fleet.blocks import SamplesBlock, write_samples
 from service.fleet.catalogue import catalogue_of
 from service.fleet.commands import Command, Reply, write_message
 from service.fleet.group import Group, Rhythm
@@ -55,10 +55,9 @@ def day(plan, blocks=12, seed=0):
             name = plan.plans[0].name
             found.append(Command("1", plan.name, name, "demand", "", (60.0, 100.0)))
             found.append(Command("2", plan.name, name, "freeze", "RML"))
-            found.append(
-                Command("3", plan.name, plan.plans[1].name, "set_forgetting_factor", "RML", (0.99,))
-            )
-            found.append(Command("4", plan.name, plan.plans[-1].name, "approve"))
+            name = plan.plans[-1].name
+            found.append(Command("3", plan.name, name, "set_forgetting_factor", "RML", (0.99,)))
+            found.append(Command("4", plan.name, name, "approve"))
     return found
 
 
@@ -76,3 +75,32 @@ def feed(one, messages):
             for step in steps
         ]
     return out
+
+
+class Dictionary:
+    """A store that an engine rolls back: what is not committed is as if it had not been."""
+
+    def __init__(self):
+        self.kept, self._new = {}, {}
+
+    def get_bytes(self, key):
+        return self._new.get(key, self.kept.get(key))
+
+    def set_bytes(self, key, value):
+        self._new[key] = value
+
+    def commit(self):
+        self.kept.update(self._new)
+        self._new = {}
+
+    def abort(self):
+        self._new = {}
+
+
+def as_messages(items):
+    """Blocks and commands as they travel: kind, key, bytes."""
+    for one in items:
+        if isinstance(one, Command):
+            yield "commands", one.group.encode(), write_message(one)
+        else:
+            yield "samples", one.group.encode(), write_samples(one)
