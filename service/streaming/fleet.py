@@ -67,6 +67,7 @@ class Fleet:
 
     def __init__(self, plan: ValvePlan, M: int) -> None:
         self.plan = plan
+        self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
         self._lanes = {
             name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
@@ -141,9 +142,8 @@ class Fleet:
         gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
         own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
         names = tuple(valves)
-        key = f"valve {key_of(self.plan.gate)}"
         return [
-            Columns(key, names, {**gate, **own, "demand": self._demand}),
+            Columns(self._key, names, {**gate, **own, "demand": self._demand}),
             *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
         ]
 
@@ -173,6 +173,7 @@ class _Lanes:
         self._overall = np.tile(none.overall, (M, 1))
         self._support = support.of_many(M)
         self._accuracy = accuracy
+        self._key = key_of(_LaneKey(key_of(estimator), accuracy))
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
@@ -209,9 +210,8 @@ class _Lanes:
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
         support = self._support
-        key = f"{name} {key_of(_LaneKey(key_of(self._estimator), self._accuracy))}"
         return Columns(
-            key,
+            f"{name} {self._key}",
             valves,
             {
                 **{f"state_{n}": array for n, array in self._states.columns().items()},
