@@ -40,7 +40,7 @@ def main(arguments: list[str]) -> int:
             **servers,
             "transactional.id": f"{prefix}.bare",
             "message.max.bytes": 16_000_000,
-            "compression.type": "lz4",
+            "compression.type": "none",
             "linger.ms": 5,
         }
     )

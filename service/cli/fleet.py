@@ -1,5 +1,6 @@
 """``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
 
+import time
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -49,3 +50,14 @@ def work(config: FleetOption = CONFIG) -> None:
     loaded = load_fleet(config)
     set_up_logs()
     run(loaded)
+
+
+@fleet.command()
+def status(config: FleetOption = CONFIG) -> None:
+    """Show each group: who learns it, how far behind, what came of its blocks."""
+    from service.fleet.settings import load_fleet
+    from service.fleet.status import lines
+    from service.fleet.status import status as look
+
+    for line in lines(look(load_fleet(config)), time.time_ns()):
+        typer.echo(line)

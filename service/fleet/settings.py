@@ -85,7 +85,10 @@ class WorkConfig(_Section):
 
     state: Path = Field(Path("data/fleet"), description="folder of a worker's local copies")
     commit_s: float = Field(
-        0.1, ge=0.01, le=60.0, description="how often what was learnt is committed"
+        0.2,
+        ge=0.01,
+        le=60.0,
+        description="how often what was learnt is committed; results wait for it",
     )
     results_s: float = Field(
         1.0, ge=0.0, le=3_600.0, description="source time between results; 0 = with every block"

@@ -16,6 +16,7 @@ SAMPLES: Final = "samples"
 COMMANDS: Final = "commands"
 RESULTS: Final = "results"
 STATE: Final = "state"  # Quix Streams' changelog
+WORKERS: Final = "work"  # the workers' consumer group, named after the prefix, too
 _MS_PER_H: Final = 3_600_000
 _SMALLEST_SEGMENT: Final = 16_000_000  # bytes: what is compacted is so in pieces of that size
 

@@ -15,7 +15,15 @@ from service.fleet.broker import client_settings, reason
 from service.fleet.catalogue import Catalogue, load_catalogue
 from service.fleet.group import Rhythm
 from service.fleet.settings import FleetConfig
-from service.fleet.topics import COMMANDS, RESULTS, SAMPLES, STATE, check_partitions, topic_name
+from service.fleet.topics import (
+    COMMANDS,
+    RESULTS,
+    SAMPLES,
+    STATE,
+    WORKERS,
+    check_partitions,
+    topic_name,
+)
 from service.fleet.worker import Worker
 from service.streaming.backoff import backoff
 
@@ -32,7 +40,6 @@ with warnings.catch_warnings():
     )
     from quixstreams.state.exceptions import StateError, StateRecoveryOffsetOutOfRange
 
-WORKERS: Final = "work"  # the consumer group, behind the prefix
 _BUFFERED: Final = 100  # messages of a partition: what is waited with to keep their order
 _POLL_S: Final = 0.1
 _HEARTBEATS: Final = 4  # in the time after which a worker counts as lost
@@ -165,7 +172,7 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "receive.message.max.bytes": 8 * largest,
         },
         producer_extra_config={
-            "compression.type": "lz4",
+            "compression.type": "none",  # results are packed; of memories it saves no half
             "message.max.bytes": largest,
             "transaction.timeout.ms": takeover_ms,
             "linger.ms": 5,

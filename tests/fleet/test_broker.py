@@ -105,7 +105,7 @@ def numbers(broker, topic):
     return found
 
 
-def until(condition, seconds=120.0):
+def until(condition, seconds=240.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
@@ -115,55 +115,109 @@ def until(condition, seconds=120.0):
 BLOCKS = 60
 
 
-def test_workers_that_are_killed_and_join_come_to_one_machines_bits(broker, tmp_path):
-    sites = tmp_path / "north.toml"
-    valves = "".join(
-        f"[[valves]]\nname = 'V{k}'\n"
-        + "".join(f"[[valves.estimators]]\nkind = '{kind}'\n" for kind in ("RLS", "RML", "RBF"))
-        for k in range(5)
-    )
-    sites.write_text(valves, encoding="utf-8")
-    more = "[catalogue]\nvalves_per_group = 2\nsites = { north = 'north.toml' }\n"
-    more += "[work]\nresults_s = 0\ntakeover_s = 6\n"
-    file = write(tmp_path, broker, "killed", more)
-    assert run(["fleet", "topics", "-c", str(file)]) == 0
-    known = load_catalogue(load_fleet(file).catalogue)
-    days = {name: day(known.groups[name], BLOCKS, seed=k) for k, name in enumerate(GROUPS)}
-    producer = Producer(
-        {"bootstrap.servers": broker, "partitioner": "murmur2_random", "linger.ms": 0}
-    )
+class Trial:
+    """A catalogue, messages of its groups, and workers on them."""
 
-    def send(begin, end):
+    def __init__(self, folder, broker, name):
+        self.folder, self.broker, self.name = folder, broker, name
+        estimators = "".join(
+            f"[[valves.estimators]]\nkind = '{k}'\n" for k in ("RLS", "RML", "RBF")
+        )
+        valves = "".join(f"[[valves]]\nname = 'V{k}'\n{estimators}" for k in range(5))
+        (folder / "north.toml").write_text(valves, encoding="utf-8")
+        more = "[catalogue]\nvalves_per_group = 2\nsites = { north = 'north.toml' }\n"
+        more += "[work]\nresults_s = 0\ntakeover_s = 6\n"
+        self.file = write(folder, broker, name, more)
+        assert run(["fleet", "topics", "-c", str(self.file)]) == 0
+        self.known = load_catalogue(load_fleet(self.file).catalogue)
+        self.days = {
+            name: day(self.known.groups[name], BLOCKS, seed=k) for k, name in enumerate(GROUPS)
+        }
+        self._producer = Producer(
+            {
+                "bootstrap.servers": broker,
+                "partitioner": "murmur2_random",
+                "linger.ms": 0,
+                "enable.idempotence": True,
+            }
+        )
+
+    def send(self, begin, end):
         for name in GROUPS:
-            for kind, key, packed in as_messages(days[name][begin:end]):
-                producer.produce(f"killed.{kind}", packed, key)
-                producer.flush()
+            for kind, key, packed in as_messages(self.days[name][begin:end]):
+                self._producer.produce(f"{self.name}.{kind}", packed, key)
+                self._producer.flush()
                 time.sleep(0.002)  # the order of commands and samples is that of their times
 
-    def worker(n):
-        env = {"VALVEMAP_FLEET_WORK__STATE": str(tmp_path / f"state{n}")}
-        command = ("fleet", "work", "-c", str(file))
-        return running(*command, env=env, log=tmp_path / f"worker{n}.log")
+    def worker(self, n):
+        env = {"VALVEMAP_FLEET_WORK__STATE": str(self.folder / f"state{n}")}
+        command = ("fleet", "work", "-c", str(self.file))
+        return running(*command, env=env, log=self.log(n))
 
-    with worker(1) as first, worker(2):
-        send(0, 20)
-        until(lambda: min((numbers(broker, "killed.results") or {"": 0}).values()) > 5)
-        send(20, 40)
-        killed = time.monotonic()
+    def log(self, n):
+        return self.folder / f"worker{n}.log"
+
+    def until_each_is_behind(self, block):
+        results = f"{self.name}.results"
+        until(lambda: min(map(numbers(self.broker, results).get, GROUPS, [0] * 3)) >= block)
+
+    def check_bits(self):
+        """Results and memories are those of one machine that never stopped."""
+        found = memories(self.broker, f"{self.name}.state")
+        shown = {name: [] for name in GROUPS}
+        for message in everything(self.broker, f"{self.name}.results"):
+            shown[message.key().decode()].append(message.value())
+        for name in GROUPS:
+            alone = Group(self.known.groups[name], 1, Rhythm(0, 60_000_000_000))
+            assert shown[name] == feed(alone, self.days[name])
+            assert found[name] == alone.to_bytes()
+
+
+def test_workers_that_are_killed_and_join_come_to_one_machines_bits(broker, tmp_path, capsys):
+    trial = Trial(tmp_path, broker, "killed")
+    with trial.worker(1) as first, trial.worker(2):
+        trial.send(0, 20)
+        trial.until_each_is_behind(5)
+        trial.send(20, 40)
         first.kill()
-        with worker(3) as third:
-            send(40, BLOCKS + 4)
-            last = dict.fromkeys(GROUPS, BLOCKS)
-            until(lambda: numbers(broker, "killed.results") == last)
-            took = time.monotonic() - killed
-        assert third.returncode == 0, (tmp_path / "worker3.log").read_text()
-    rhythm = Rhythm(0, 60_000_000_000)
-    found = memories(broker, "killed.state")
-    shown = {name: [] for name in GROUPS}
-    for message in everything(broker, "killed.results"):
-        shown[message.key().decode()].append(message.value())
-    for name in GROUPS:
-        alone = Group(known.groups[name], 1, rhythm)
-        assert shown[name] == feed(alone, days[name])
-        assert found[name] == alone.to_bytes()
-    assert took < 60.0  # the bar of 15 s is the benchmark's: this machine may be slow
+        with trial.worker(3) as third:
+            trial.send(40, BLOCKS + 4)
+            trial.until_each_is_behind(BLOCKS)
+            capsys.readouterr()
+            assert run(["fleet", "status", "-c", str(trial.file)]) == 0
+            head, *rows = (line.split() for line in capsys.readouterr().out.splitlines())
+        assert head == ["group", "partition", "lag", "block", "age", "s", "kB", "owner"]
+        assert [(row[0], row[2], row[3]) for row in rows] == [(g, "0", f"{BLOCKS}") for g in GROUPS]
+        assert all(row[-1].endswith("@127.0.0.1") for row in rows)
+        assert third.returncode == 0, trial.log(3).read_text()
+    trial.check_bits()
+
+
+def test_a_broker_that_is_killed_and_comes_back_loses_nothing(request, tmp_path):
+    jars = artifacts(request.config.cache.mkdir("kafka"))
+    with brokers(jars, tmp_path / "kafka") as (node,):
+        trial = Trial(tmp_path, f"127.0.0.1:{node.port}", "away")
+        with trial.worker(1) as worker:
+            trial.send(0, 30)
+            trial.until_each_is_behind(5)
+            node.kill()
+            time.sleep(2.0)  # the worker is amid what it does
+            node.start()
+            node.wait()
+            trial.send(30, BLOCKS + 4)
+            trial.until_each_is_behind(BLOCKS)
+            assert worker.poll() is None
+        assert worker.returncode == 0, trial.log(1).read_text()
+        trial.check_bits()
+
+
+def test_topics_of_other_partitions_stop_a_worker_with_one_line(broker, tmp_path):
+    trial = Trial(tmp_path, broker, "changed")
+    admin = AdminClient({"bootstrap.servers": broker})
+    for done in admin.create_partitions([NewPartitions("changed.samples", 4)]).values():
+        done.result()
+    with trial.worker(1) as worker:
+        assert worker.wait(60) == 1
+    said = trial.log(1).read_text().splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("valvemap: changed.samples: 4 partitions, 3 wanted")
