@@ -9,7 +9,7 @@ import structlog
 from service.config.models import LogConfig
 from service.hardened.logs import IS_ESCAPED, escaped
 
-_QUIET = ("asyncua", "numba", "matplotlib", "quixstreams")
+_QUIET = ("asyncua", "numba", "matplotlib")
 
 
 def set_up_logs(config: LogConfig | None = None) -> None:

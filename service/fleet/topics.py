@@ -54,7 +54,11 @@ def wanted(topics: TopicsConfig) -> list[Topic]:
             name=topic_name(topics, kind),
             partitions=topics.partitions,
             replication=topics.replication,
-            settings={**settings, "max.message.bytes": largest},
+            settings={
+                **settings,
+                "max.message.bytes": largest,
+                "min.insync.replicas": str(max(1, topics.replication - 1)),
+            },
         )
         for kind, settings in kept.items()
     ]

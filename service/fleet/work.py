@@ -1,5 +1,6 @@
 """``valvemap fleet work``: a worker on Quix Streams, exactly once."""
 
+import logging
 import time
 import warnings
 from collections.abc import Iterator
@@ -27,8 +28,7 @@ from service.fleet.topics import (
 from service.fleet.worker import Worker
 from service.streaming.backoff import backoff
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)  # of what Quix brings along
+with warnings.catch_warnings(record=True):  # of what Quix brings along, which insists on them
     from quixstreams import Application
     from quixstreams.exceptions import QuixException
     from quixstreams.kafka import ConnectionConfig
@@ -66,6 +66,7 @@ def work(config: FleetConfig) -> None:
     check_partitions(config, SAMPLES, COMMANDS, RESULTS, STATE)
     for site in catalogue.sites.values():
         warm_up(site)
+    _say_little(config)
     pauses = backoff()
     while True:
         began = time.monotonic()
@@ -103,6 +104,34 @@ def _run(config: FleetConfig, catalogue: Catalogue) -> None:
     learnt = together.apply(partial(_handle, worker), stateful=True, metadata=True, expand=True)
     learnt.to_topic(results)
     app.run()
+
+
+class _AwayInOneLine(logging.Handler):
+    """Of all that Kafka's clients say, that no broker can be reached, now and then."""
+
+    def __init__(self, addresses: str) -> None:
+        super().__init__()
+        self._addresses = addresses
+        self._due = 0.0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it, once in a while."""
+        now = time.monotonic()
+        if _ALL_DOWN in record.getMessage() and now >= self._due:
+            self._due = now + _AGAIN_S
+            log.warning("broker cannot be reached, waiting for it", addresses=self._addresses)
+
+
+_ALL_DOWN: Final = "brokers are down"
+_AGAIN_S: Final = 60.0
+
+
+def _say_little(config: FleetConfig) -> None:
+    """Raised errors tell what ended a run; librdkafka's own lines would be a dozen for each."""
+    quix = logging.getLogger("quixstreams")
+    quix.handlers = [_AwayInOneLine(",".join(config.broker.addresses))]
+    quix.setLevel(logging.ERROR)
+    quix.propagate = False
 
 
 def _tagged(kind: str, value: bytes | None) -> tuple[str, bytes]:

@@ -4,7 +4,7 @@ import time
 
 import pytest
 from support.broker import artifacts, brokers
-from support.processes import running
+from support.processes import running, wait_for
 
 pytest.importorskip("confluent_kafka")
 
@@ -32,11 +32,11 @@ def broker(request, tmp_path_factory):
         yield f"127.0.0.1:{node.port}"
 
 
-def write(folder, broker, prefix, more=""):
+def write(folder, broker, prefix, more="", replication=1):
     file = folder / "fleet.toml"
     file.write_text(
-        f"[broker]\naddresses = ['{broker}']\n"
-        f"[topics]\nprefix = '{prefix}'\npartitions = 3\nreplication = 1\n{more}",
+        f"[broker]\naddresses = {broker.split(',')}\n"
+        f"[topics]\nprefix = '{prefix}'\npartitions = 3\nreplication = {replication}\n{more}",
         encoding="utf-8",
     )
     return file
@@ -118,7 +118,7 @@ BLOCKS = 60
 class Trial:
     """A catalogue, messages of its groups, and workers on them."""
 
-    def __init__(self, folder, broker, name):
+    def __init__(self, folder, broker, name, replication=1):
         self.folder, self.broker, self.name = folder, broker, name
         estimators = "".join(
             f"[[valves.estimators]]\nkind = '{k}'\n" for k in ("RLS", "RML", "RBF")
@@ -127,7 +127,7 @@ class Trial:
         (folder / "north.toml").write_text(valves, encoding="utf-8")
         more = "[catalogue]\nvalves_per_group = 2\nsites = { north = 'north.toml' }\n"
         more += "[work]\nresults_s = 0\ntakeover_s = 6\n"
-        self.file = write(folder, broker, name, more)
+        self.file = write(folder, broker, name, more, replication)
         assert run(["fleet", "topics", "-c", str(self.file)]) == 0
         self.known = load_catalogue(load_fleet(self.file).catalogue)
         self.days = {
@@ -201,12 +201,30 @@ def test_a_broker_that_is_killed_and_comes_back_loses_nothing(request, tmp_path)
             trial.send(0, 30)
             trial.until_each_is_behind(5)
             node.kill()
-            time.sleep(2.0)  # the worker is amid what it does
+            wait_for(trial.log(1), "broker cannot be reached", worker)
             node.start()
             node.wait()
             trial.send(30, BLOCKS + 4)
             trial.until_each_is_behind(BLOCKS)
             assert worker.poll() is None
+        assert worker.returncode == 0, trial.log(1).read_text()
+        trial.check_bits()
+        said = [line for line in trial.log(1).read_text().splitlines() if "info " not in line]
+        assert len(said) <= 4, said  # that it is away, and what was lost by it
+
+
+@pytest.mark.soak
+def test_one_of_three_brokers_that_is_killed_is_not_missed(request, tmp_path):
+    jars = artifacts(request.config.cache.mkdir("kafka"))
+    with brokers(jars, tmp_path / "kafka", 3) as nodes:
+        addresses = ",".join(f"127.0.0.1:{node.port}" for node in nodes)
+        trial = Trial(tmp_path, addresses, "three", 3)
+        with trial.worker(1) as worker:
+            trial.send(0, 30)
+            trial.until_each_is_behind(5)
+            nodes[0].kill()
+            trial.send(30, BLOCKS + 4)
+            trial.until_each_is_behind(BLOCKS)
         assert worker.returncode == 0, trial.log(1).read_text()
         trial.check_bits()
 
