@@ -246,7 +246,7 @@ class Alarms:
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
     def overdue(self, chosen: Times, now: Times) -> None:
-        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources' clocks."""
+        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
         usable = self._senses.times[chosen, kernel.USABLE]
         began = np.where(usable == kernel.NEVER, 0, usable)
         waited = np.where(usable == kernel.NEVER, np.inf, (now - began) * 1e-9)

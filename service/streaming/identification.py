@@ -7,7 +7,7 @@ time nor network.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,7 @@ from service.streaming.ports import (
 )
 from service.streaming.quality_gate import QualityGate
 from service.streaming.timing import Timing, TimingSettings, TimingState
+from service.streaming.valve_columns import Columns, copy_rows
 from service.streaming.valve_memory import ValveMemory
 from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
@@ -159,7 +160,7 @@ class Identification:
 
     def _align(self, changes: DataChanges) -> ByValve:
         self._waiting, arrived = self._alignment.take(self._waiting, changes)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
@@ -175,14 +176,15 @@ class Identification:
         if len(unfinished):
             return self._align(unfinished)
         self._waiting, arrived = self._alignment.flush(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """The source of some valves was restarted: its running numbers begin anew."""
         self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
-    def _learn(self, arrived: ByValve) -> ByValve:
+    def learn(self, arrived: ByValve) -> ByValve:
+        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
@@ -790,6 +792,41 @@ class Identification:
             kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
         )
         self._put(kept.valve, kept.estimator, lane)
+
+    def columns(self) -> list[Columns]:
+        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        names = tuple(plan.name for plan in self.plans)
+        newest = self._newest
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": newest.t,
+            "newest_quality": newest.quality,
+            "newest_values": newest.values,
+            "implausible": self._implausible,
+            "approved": self._approved,
+            **{f"plausibility_{n}": array for n, array in self._plausibility.columns().items()},
+        }
+        found = [Columns("signals", names, every)]
+        for number, fleet in enumerate(self._fleets):
+            own = np.flatnonzero(self._fleet_of == number)
+            found += fleet.columns([names[valve] for valve in own])
+        return found
+
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Take up columns and baselines; return (key, valve) of what starts afresh."""
+        own = self.columns()
+        afresh = copy_rows(columns, own)
+        for fleet in self._fleets:
+            fleet.columns_written()
+        for valve, packed in baselines.items():
+            if valve in self._numbers:
+                self._baselines[self._numbers[valve]] = Baseline.from_bytes(packed)
+        return afresh
+
+    def baselines(self) -> dict[str, bytes]:
+        """The approved maps, packed, by valve."""
+        return {self.plans[n].name: found.to_bytes() for n, found in self._baselines.items()}
 
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""
