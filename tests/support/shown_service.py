@@ -68,7 +68,10 @@ class ShownService:
                 *("SuggestedU", "SuggestedDp"),
             ),
             "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
-            "Diagnostics": ("Aligned", "Late", "Pending", "SampleAge", "LagQ", "LastAction"),
+            "Diagnostics": (
+                *("Aligned", "Late", "Pending", "SampleAge"),
+                *("LagQ", "LastAction", "Timing"),
+            ),
             "Signals": ("U", "dp", "Q"),
         }[id.rpartition(".")[2]]
         return [Node(f"{id}.{name}", is_variable=True) for name in below]
@@ -120,6 +123,7 @@ class ShownService:
             "Diagnostics.SampleAge": 0.05,
             "Diagnostics.LagQ": 0.2,
             "Diagnostics.LastAction": "",
+            "Diagnostics.Timing": ["the signals of a sample carry one time"],
             "Checkpoint.Age": 4.0,
             "Checkpoint.Failures": 1,
             "Checkpoint.Refused": 0,

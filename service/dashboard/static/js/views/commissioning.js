@@ -10,6 +10,7 @@ const COUNTERS = {
   BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: beyond what a sensor can say",
   Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range", TooFastForLag: "not learnt from: too fast for the lags",
 };
+const NOT_FOUND = "not found yet"; // what Diagnostics.Timing says first
 const FRESH_S = 600; // an older region wants another visit
 
 export function commissioningView(root, { live, valve, estimator, choose }) {
@@ -17,7 +18,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
-  const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted");
+  const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted"), coming = h("ul.words.coming");
 
   root.append(
     h("div.head", {}, h("h1", {}, `${valve.name}: commissioning`), h("label", {}, "Estimator ", which)),
@@ -32,7 +33,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       h("div.grid", {},
         h("section.card", {}, h("header", {}, h("h2", {}, "What is missing for a map")), checks),
         h("section.card", {}, h("header", {}, h("h2", {}, "What becomes of the data"), h("span.fill"), rate, rateWords),
-          h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters)),
+          h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters),
+          h("p.words", {}, "How the signals come, as found at the start:"), coming),
       ),
     ),
   );
@@ -53,6 +55,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     say(rate, Number.isFinite(perSecond) ? fixed(perSecond, 1) : "–");
     say(rateWords, " samples/s");
     showChecks(of, counts, per);
+    showComing();
     drawHeat(of);
     if (!before || now - before.now > 4) before = { now, counts, selected };
   }
@@ -63,7 +66,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const lines = [
-      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or the signals of one sample carry different times (alignment.tolerance_ms)."}`],
+      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
@@ -77,6 +80,17 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       mark(checks.children[k], "done", done);
       say(checks.children[k].firstChild, text);
     });
+  }
+
+  function timing() {
+    return live.get("Diagnostics.Timing")?.value ?? [];
+  }
+
+  function showComing() {
+    const said = timing().length ? timing() : ["–"];
+    while (coming.children.length < said.length) coming.append(h("li"));
+    while (coming.children.length > said.length) coming.lastChild.remove();
+    said.forEach((text, k) => say(coming.children[k], text));
   }
 
   function drawHeat(of) {
