@@ -1,6 +1,5 @@
 """FUXA with the project of the how-to page, on a demo and on a service that asks who one is."""
 
-import json
 import math
 
 import pytest
@@ -8,10 +7,7 @@ from support import fuxa
 from support.processes import run
 from support.services import until_rejected
 
-from documentation.address_space import nodes
-from service.config.models import Config
-
-node = pytest.mark.node
+pytestmark = [pytest.mark.node, pytest.mark.timeout(900)]  # npm installs
 SHOWN = (
     *("Signals.U", "Signals.p1", "Signals.p2", "Signals.dp", "Signals.Q", "Signals.T"),
     *("Auto.PredictedFlow", "Auto.Residual", "Auto.ResidualRmse"),
@@ -35,27 +31,6 @@ def password_file(tmp_path):
     return written
 
 
-async def test_the_project_names_only_nodes_that_a_demo_has():
-    there = {f"ns=1;s={found.id}": found for found in await nodes(Config())}
-    tags = fuxa.project_tags()
-    assert {tag["address"] for tag in tags.values()} <= set(there)
-    assert {f"`{tag['type']}`" for tag in tags.values()} <= {
-        there[tag["address"]].kind for tag in tags.values()
-    }
-
-
-def test_what_the_project_shows_are_tags_of_its_own():
-    project = json.loads(fuxa.PROJECT.read_text(encoding="utf-8"))
-    (view,) = project["hmi"]["views"]
-    shown = [item["property"].get("variableId") for item in view["items"].values()]
-    drawn = [line["id"] for chart in project["charts"] for line in chart["lines"]]
-    watched = [alarm["property"]["variableId"] for alarm in project["alarms"]]
-    assert {*filter(None, shown), *drawn, *watched} <= set(fuxa.project_tags())
-    charts = {item["property"]["id"] for item in view["items"].values() if "id" in item["property"]}
-    assert {chart["id"] for chart in project["charts"]} <= charts
-
-
-@node
 def test_one_connection_shows_a_demo_and_the_operator_demands_a_flow(program, demo, password_file):
     program.load(demo.url, "--user", "operator", "--password-file", password_file(demo.password))
     shows_what_the_valve_does(program)
@@ -64,7 +39,6 @@ def test_one_connection_shows_a_demo_and_the_operator_demands_a_flow(program, de
     assert program.values()["Inverse.FlowDemand"] == 60.0
 
 
-@node
 def test_signed_and_encrypted_it_is_let_in_once_its_certificate_is_trusted(
     program, installation, password_file
 ):

@@ -88,7 +88,10 @@ def _build_sqlite(packages):
     built = packages / "node_modules" / "sqlite3" / "build" / "Release" / "node_sqlite3.node"
     if built.exists():
         return
-    env = {"npm_config_build_from_source": "true", "npm_config_nodedir": "/usr"}
+    env = {"npm_config_build_from_source": "true"}
+    prefix = Path(shutil.which("node")).resolve().parents[1]
+    if (prefix / "include" / "node" / "node.h").exists():
+        env["npm_config_nodedir"] = str(prefix)  # else node-gyp fetches the headers
     if Path("/usr/include/sqlite3.h").exists():
         env["npm_config_sqlite"] = "/usr"  # else the whole of SQLite is compiled
     try:

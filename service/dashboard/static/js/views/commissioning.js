@@ -4,6 +4,7 @@ import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, span } from "../format.js";
 
 const REFRESH_MS = 1000;
+const RATE_S = 10; // over which rates are taken: what comes in bursts is counted evenly
 const COUNTERS = {
   Aligned: "samples whose signals found together", Late: "signals that came too late", Missing: "samples given up: a signal did not come",
   Duplicates: "signals that came twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
@@ -14,7 +15,7 @@ const NOT_FOUND = "not found yet"; // what Diagnostics.Timing says first
 const FRESH_S = 600; // an older region wants another visit
 
 export function commissioningView(root, { live, valve, estimator, choose }) {
-  let selected = estimator, before = null;
+  let selected = estimator, seen = [];
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
@@ -43,7 +44,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const of = (name) => live.number(`${selected}.${name}`);
     const now = performance.now() / 1000, names = Object.keys(COUNTERS).filter((name) => live.has(`Diagnostics.${name}`));
     const counts = Object.fromEntries([...names.map((name) => [name, live.number(`Diagnostics.${name}`)]), ["SampleCount", of("SampleCount")]]);
-    const per = (name) => (before && before.selected === selected ? (counts[name] - before.counts[name]) / (now - before.now) : NaN);
+    seen = seen.filter((one) => one.selected === selected && now - one.now < RATE_S);
+    const per = (name) => (seen.length ? (counts[name] - seen[0].counts[name]) / (now - seen[0].now) : NaN);
     while (counters.rows.length < names.length) counters.append(h("tr", {}, h("td"), h("td.number"), h("td.number")));
     names.forEach((name, k) => {
       const { cells } = counters.rows[k];
@@ -57,7 +59,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     showChecks(of, counts, per);
     showComing();
     drawHeat(of);
-    if (!before || now - before.now > 4) before = { now, counts, selected };
+    seen.push({ now, counts, selected });
   }
 
   function showChecks(of, counts, per) {
