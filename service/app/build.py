@@ -4,8 +4,9 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from service.config.estimators import build_estimator
+from service.config.estimators import AnyEstimatorConfig, Range, build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
 from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
@@ -18,6 +19,7 @@ from service.hardened import (
     UserStore,
     ensure_certificate,
 )
+from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.opcua.namespaces import SERVICE_NAMESPACE
@@ -79,8 +81,16 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
-    """What is done with each valve's samples."""
-    return [_plan(valve) for valve in config.valves]
+    """What is done with each valve's samples; valves of one kind share their estimators."""
+    known: dict[object, Estimator[Any]] = {}
+
+    def built(section: AnyEstimatorConfig, *ranges: Range) -> Estimator[Any]:
+        key = section, ranges
+        if key not in known:
+            known[key] = build_estimator(section, *ranges)
+        return known[key]
+
+    return [_plan(valve, built) for valve in config.valves]
 
 
 def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
@@ -184,9 +194,9 @@ def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
-def _plan(valve: ValveConfig) -> ValvePlan:
+def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
-    estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
+    estimators = {e.name: built(e, *ranges) for e in valve.estimators}
     return ValvePlan(
         name=valve.name,
         gate=QualityGate(

@@ -20,6 +20,7 @@ from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
 from service.identification.map_search import (
+    RICH,
     STARTS,
     climb,
     fit,
@@ -403,15 +404,9 @@ class Auto:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
             varied = variety(_weights(state), points, sum(self.lags(state)))
+            least = coloured_noise.least_variance(scalars)
             challenger, explorer = self._climb(
-                points,
-                challenger,
-                explorer,
-                top,
-                varied,
-                progress,
-                counters,
-                coloured_noise.least_variance(scalars),
+                points, challenger, explorer, top, varied, state, least
             )
         best = fit(points, champion, top)
         rival = best if challenger == champion else fit(points, challenger, top)
@@ -443,17 +438,20 @@ class Auto:
         explorer: Shape,
         top: float,
         varied: Variety,
-        progress: Counts,
-        counters: Counts,
+        state: AutoState,
         least: float,
     ) -> tuple[Shape, Shape]:
         """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
+        progress, counters = state.progress, state.counters
+        rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
         resting = is_resting(challenger, varied, progress[CHALLENGER])
         steps = self._affordable(counters, points, challenger)
         steps = min(steps, RESTING_STEPS) if resting else steps
         if steps < 1:
             return challenger, explorer
-        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER], least)
+        challenger = climb(
+            points, challenger, top, varied, steps, progress[CHALLENGER], least, rich
+        )
         budget.spend(counters, (steps + 2) * _cost(points, challenger))
         if not resting or progress[STARTED, 0] > len(STARTS):
             return challenger, explorer
@@ -464,9 +462,11 @@ class Auto:
         steps = self._affordable(counters, points, explorer)
         if steps < 1:
             return challenger, explorer
-        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER], least)
+        explorer = climb(
+            points, explorer, top, varied, steps, progress[EXPLORER], least, rich_elsewhere
+        )
         budget.spend(counters, (steps + 5) * _cost(points, explorer))
-        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least):
+        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least, rich):
             challenger = explorer
             progress[CHALLENGER] = 0
         return challenger, explorer

@@ -6,7 +6,7 @@ a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
 :class:`~service.streaming.pipeline.ValveState`) are copies that later samples do not change.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -94,12 +94,12 @@ class Fleet:
         """Have it stand otherwise; its estimator is the plan's, but for ``lam``."""
         self._lanes[name].put(m, lane)
 
-    def state(self, m: int) -> ValveState:
-        """One valve as it stands."""
+    def state(self, m: int, names: Iterable[str] | None = None) -> ValveState:
+        """One valve as it stands, with all its estimators or with those named."""
         one = slice(m, m + 1)
         return ValveState(
             gate=self._gate.of(one),
-            lanes={name: self.lane(m, name) for name in self._lanes},
+            lanes={name: self.lane(m, name) for name in names or self._lanes},
             t=int(self._t[m]),
             T=float(self._T[m]),
             demand_Q=float(self._demand[m, 0]),

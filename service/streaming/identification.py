@@ -4,8 +4,10 @@ Both the live service and the replay of recordings go through this one object; i
 time nor network.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +38,14 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.kernels.waiting import NEVER
-from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
+from service.streaming.pipeline import (
+    AnyEstimator,
+    Forgetful,
+    Lane,
+    Required,
+    ValvePlan,
+    ValveState,
+)
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
     SIGNALS,
@@ -55,7 +64,9 @@ from service.streaming.valve_memory import ValveMemory
 from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
 
-MAPS_AT_ONCE = 100
+R = TypeVar("R")
+
+MAPS_AT_ONCE = 100  # 2 ms each
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come
 BASELINE = "Baseline"  # nor so: the map that was approved as new
@@ -253,19 +264,22 @@ class Identification:
         fleet, m = self._at(valve)
         return fleet.state(m)
 
-    def refresh_maps(self) -> None:
-        """Compute the next inverse tables and surveys anew; results show the newest of them."""
-        for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
+    def refresh_maps(self, share: float = 1.0) -> None:
+        """Compute the next inverse tables and surveys anew; results show the newest of them.
+
+        Or a ``share`` of those, for one whom others wait for.
+        """
+        for _ in range(math.ceil(share * min(MAPS_AT_ONCE, len(self.plans)))):
             number = self._next_map % len(self.plans)
-            self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._maps[number] = self._inverse_map(number)
             self._implausible[number] |= not self._insists[number] and any(
                 finding.kind is Kind.REFUSED for finding in self.findings(number)
             )
             self._next_map += 1
         lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
-        for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
+        for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
             number, name = lanes[self._next_survey % len(lanes)]
-            found = pipeline.survey_of(self.plans[number], self.state(number), name)
+            found = pipeline.survey_of(self.plans[number], self._state_of(number, name), name)
             self._surveys[number] = {**self._surveys[number], name: found}
             self._next_survey += 1
 
@@ -348,7 +362,7 @@ class Identification:
         demanded = np.isfinite(fleet.demands(self._member_of[valves])).all(axis=1)
         for k in np.flatnonzero(demanded):
             valve = int(valves[k])
-            U[k], _, status[k] = pipeline.required(self.plans[valve], self.state(valve))
+            U[k], _, status[k] = pipeline.required(*self._inverted(valve))
         return InverseResults(
             t=t,
             quality=quality,
@@ -362,7 +376,7 @@ class Identification:
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._member_of[valves]]
         aligned = self._waiting.counters[valves]
-        aligned[:, _MISSING] += self._timing.not_made[valves]
+        aligned[:, _MISSING] += self._timing.not_made(valves)
         return np.column_stack((aligned, rejected))
 
     def counters(self, valve: int) -> Mapping[str, int]:
@@ -372,22 +386,12 @@ class Identification:
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """What a results server must know."""
+        described = _once_each(_description)
         return tuple(
             ValveDescription(
                 name=plan.name,
                 estimators=tuple(
-                    EstimatorDescription(
-                        name=name,
-                        description=_first_line(estimator),
-                        parameter_names=estimator.parameter_names,
-                        has_forgetting_factor=isinstance(estimator, Forgetful),
-                        finds_changes=pipeline.finds_changes(estimator),
-                        chooses_structure=isinstance(estimator, Auto),
-                        finds_lags=isinstance(estimator, Auto),
-                        has_named_parameters=isinstance(
-                            estimator, RecursiveLeastSquares | MaximumLikelihood
-                        ),
-                    )
+                    replace(described(estimator), name=name)
                     for name, estimator in plan.estimators.items()
                 ),
                 Q_range=(min(plan.map_Q), max(plan.map_Q)),
@@ -445,8 +449,7 @@ class Identification:
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
-        number = self._numbers[valve]
-        return pipeline.demanded(self.plans[number], self.state(number), Q, dp, T)
+        return pipeline.demanded(*self._inverted(self._numbers[valve]), Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
@@ -455,9 +458,9 @@ class Identification:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """The answer to a valve's standing demand, and how its estimator stands."""
-        state = self.state(valve)
-        status = state.lanes[self.plans[valve].inverse].status
-        answer = pipeline.required(self.plans[valve], state)
+        plan, state = self._inverted(valve)
+        status = state.lanes[plan.inverse].status
+        answer = pipeline.required(plan, state)
         return answer, Status.WARMING_UP if status is None else status
 
     def approve(self, valve: str) -> None:
@@ -670,11 +673,16 @@ class Identification:
             TIMING: self._time_as_before,
             BASELINE: self._take_baseline,
         }
+        known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
             taken = takers.get(kept.estimator, self._restore)(kept)
             (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
-        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
-        self.refresh_maps()
+            if taken:
+                known.add(self._numbers[kept.valve])
+        for number in known:
+            self._maps[number] = self._inverse_map(number)
+        if known:
+            self.refresh_maps()
         return restored, refused
 
     def _restore(self, kept: Checkpoint) -> bool:
@@ -698,12 +706,22 @@ class Identification:
         for number, plan in enumerate(self.plans):
             key = (int(self._fleet_of[number]), plan.inverse, plan.map_Q, plan.map_dp)
             if key not in tables:
-                tables[key] = pipeline.inverse_map(plan, self.state(number))
+                tables[key] = self._inverse_map(number)
             maps.append(tables[key])
         return maps
 
-    def _pairs(self) -> list[tuple[ValvePlan, ValveState]]:
-        return [(plan, self.state(number)) for number, plan in enumerate(self.plans)]
+    def _inverse_map(self, valve: int) -> Floats:
+        return pipeline.inverse_map(*self._inverted(valve))
+
+    def _inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
+        """What the inverse of a valve's map is made from."""
+        plan = self.plans[valve]
+        return plan, self._state_of(valve, plan.inverse)
+
+    def _state_of(self, valve: int, estimator: str) -> ValveState:
+        """One valve as it stands, with one of its estimators: whole states are large."""
+        fleet, m = self._at(valve)
+        return fleet.state(m, [estimator])
 
     def _at(self, valve: int) -> tuple[Fleet, int]:
         return self._fleets[self._fleet_of[valve]], int(self._member_of[valve])
@@ -723,8 +741,9 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     first: list[ValvePlan] = []
     sizes: list[int] = []
     places = np.zeros((2, len(plans)), np.int64)
+    keys = _once_each(key_of)
     for valve, plan in enumerate(plans):
-        estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
+        estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = pipeline.nothing_seen(plan).ranges.tolist()
         key = repr((plan.gate, estimators, ranges, plan.accuracy))
         number = numbers.setdefault(key, len(numbers))
@@ -744,6 +763,31 @@ def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times
     rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])
     last = np.cumsum(stops - starts)
     return rows, last - (stops - starts), last
+
+
+def _once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
+    """The same function, called once for each estimator: valves of one kind share theirs."""
+    known: dict[int, R] = {}
+
+    def cached(estimator: AnyEstimator) -> R:
+        if id(estimator) not in known:
+            known[id(estimator)] = of(estimator)
+        return known[id(estimator)]
+
+    return cached
+
+
+def _description(estimator: AnyEstimator) -> EstimatorDescription:
+    return EstimatorDescription(
+        name="",
+        description=_first_line(estimator),
+        parameter_names=estimator.parameter_names,
+        has_forgetting_factor=isinstance(estimator, Forgetful),
+        finds_changes=pipeline.finds_changes(estimator),
+        chooses_structure=isinstance(estimator, Auto),
+        finds_lags=isinstance(estimator, Auto),
+        has_named_parameters=isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood),
+    )
 
 
 def _first_line(thing: object) -> str:

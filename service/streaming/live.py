@@ -23,13 +23,15 @@ from service.streaming.feedforward import (
     decide,
     written,
 )
-from service.streaming.identification import Identification
+from service.streaming.identification import MAPS_AT_ONCE, Identification
 from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
 KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
+KEPT_IN_ONE_GO = 32  # of them: what a standstill has made late is caught up bit by bit
+MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
@@ -142,7 +144,9 @@ class LiveService:
         if refused:
             log.warning("states of another configuration left aside", estimators=refused)
         self._unpublished = dict.fromkeys(range(len(self._lost)))
-        await self._publish_all()
+        while self._unpublished:  # in turns: clients are answered meanwhile
+            await self._publish_until(self._clock.monotonic())
+            await asyncio.sleep(0.0)
 
     async def connected(self, source_started: int) -> None:
         """The source is there; if it was restarted, its samples are counted anew."""
@@ -189,8 +193,9 @@ class LiveService:
             await self._feed_forward()
         await self._publish_in_turn()
         if now >= self._map_due:
-            self._map_due = now + self._settings.map_interval_s
-            self.identification.refresh_maps()
+            parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
+            self._map_due = now + self._settings.map_interval_s / parts
+            self.identification.refresh_maps(1.0 / parts)
         self._keep_in_turn(now)
         await self._show_health(now)
 
@@ -294,8 +299,8 @@ class LiveService:
             return
         M = len(self._lost)
         interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
-        due = int(M * (now - self._began) / interval_s)
-        some = {turn % M for turn in range(self._turns, min(due, self._turns + M))}
+        due = min(int(M * (now - self._began) / interval_s), self._turns + KEPT_IN_ONE_GO)
+        some = {turn % M for turn in range(self._turns, due)}
         self._turns = due
         if some:
             if not self._left_in_round:
