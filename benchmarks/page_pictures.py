@@ -18,6 +18,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 _GRAPHICS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 _DESK, _TABLET = (1280, 800), (820, 1180)
 _STARTS_S = 180.0  # the first start of all compiles
+_SEEN_S = 240.0  # time that a busy machine may need
 _SCENARIO = """
 name = "pictures"
 valves = [{ name = "Boom" }, { name = "Arm" }, { name = "Bucket" }]
@@ -29,11 +30,12 @@ hold_s = 0.4
 
 @dataclass(frozen=True)
 class Picture:
-    """One to be drawn: its view, and how long to look until there is something to see."""
+    """One to be drawn: its view, what has to be seen there, and how long to look then."""
 
     name: str
     view: str
-    look_s: float
+    seen: str  # a regular expression
+    look_s: float = 2.0
     theme: str = "light"
     size: tuple[int, int] = _DESK
 
@@ -42,15 +44,17 @@ class Picture:
         return DOCS / f"page_{self.name}_{self.theme}.png"
 
 
+_RESIDUALS = r"[1-9]\d\d residuals"
+_ANSWERED = r"95 %: [\d.]+ to"
 PICTURES = (
-    Picture("commissioning", "commissioning/Boom", 12.0),
-    Picture("rig", "rig/Arm", 30.0),
-    Picture("overview", "overview", 2.0),
-    Picture("timeline", "timeline", 2.0),
-    Picture("map", "map/Boom", 12.0),
-    Picture("map", "map/Boom", 12.0, theme="dark"),
-    Picture("valve_tablet", "valve/Boom", 62.0, theme="dark", size=_TABLET),
-    Picture("valve", "valve/Boom", 62.0),
+    Picture("commissioning", "commissioning/Boom", r"samples learnt from[^]*Red: the map"),
+    Picture("rig", "rig/Arm", "Injected"),
+    Picture("overview", "overview", "valve changed"),
+    Picture("timeline", "timeline", "Auto found an abrupt change"),
+    Picture("map", "map/Boom", _ANSWERED, look_s=10.0),
+    Picture("map", "map/Boom", _ANSWERED, look_s=10.0, theme="dark"),
+    Picture("valve_tablet", "valve/Boom", _RESIDUALS, look_s=40.0, theme="dark", size=_TABLET),
+    Picture("valve", "valve/Boom", _RESIDUALS, look_s=40.0),
 )
 
 
@@ -73,9 +77,11 @@ async def _draw(program: str) -> None:
             await page.goto(f"{url}/#/{picture.view}")
             if picture.name == "rig":
                 await _break_something(page, password)
+            seen = f"/{picture.seen}/.test(document.querySelector('main').textContent)"
+            await page.wait_for_function(seen, timeout=1_000.0 * _SEEN_S)
             await page.wait_for_timeout(1_000.0 * picture.look_s)
             await page.screenshot(path=picture.file)
-            print(picture.file)
+            print(picture.file, flush=True)
         await browser.close()
 
 
