@@ -23,6 +23,7 @@ from service.hardened import (
 from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
@@ -36,7 +37,7 @@ from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
 
-APPLICATION_URI = "urn:valvemap:service"
+APPLICATION_URI = SERVICE_NAMESPACE
 APPLICATION_NAME = "valvemap service"
 PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 

@@ -26,10 +26,11 @@ from service.hardened import Unit
 from service.identification.adaptation import Adaptation
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
-NAMESPACE = "urn:valvemap:service"
+NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
