@@ -94,7 +94,9 @@ async def test_a_trend_asks_for_averages(client):
     details = ua.ReadProcessedDetails(moment(0), moment(N), 1_000.0, [aggregate], config)
     request = ua.HistoryReadRequest()
     request.Parameters = ua.HistoryReadParameters(
-        details, NodesToRead=[ua.HistoryReadValueId(node.nodeid, ContinuationPoint=None)]
+        details,
+        ReleaseContinuationPoints=False,
+        NodesToRead=[ua.HistoryReadValueId(node.nodeid, ContinuationPoint=None)],
     )
     data = await client.uaclient.protocol.send_request(request)
     (result,) = ua.ua_binary.struct_from_binary(ua.HistoryReadResponse, data).Results
