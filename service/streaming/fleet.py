@@ -32,6 +32,7 @@ from service.identification.samples import (
 )
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.support import Support
+from service.streaming.alarms import Alarms
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
 from service.streaming.kernels.lanes import NO_STATUS, Notes
@@ -40,6 +41,7 @@ from service.streaming.pipeline import (
     Lane,
     ValvePlan,
     ValveState,
+    finds_changes,
     nothing_seen,
     with_forgetting,
 )
@@ -50,6 +52,7 @@ from service.streaming.score import Score, recent_rmse
 from service.streaming.valve_columns import Columns
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
+MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
 
 COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
 
@@ -76,6 +79,11 @@ class Fleet:
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
         self._demand = np.full((M, 2), np.nan)  # Q, dp
+        self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
+        names = [plan.inverse, *plan.estimators]
+        self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
+        self._laggard = next((n for n in names if isinstance(plan.estimators[n], Auto)), None)
+        self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples in; return them as the gate judged them, and what every estimator said.
@@ -86,7 +94,26 @@ class Fleet:
         traces = {name: lanes.take(judged, segments) for name, lanes in self._lanes.items()}
         self._t[segments.members] = samples.t[segments.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, segments)
+        self.alarms.watch(judged, traces[self.plan.inverse], segments)
+        self._note(segments.members)
         return judged, traces
+
+    def _note(self, chosen: Times) -> None:
+        """Take up for the alarms what estimators found in the last samples."""
+        if self._finder is not None:
+            found = self._lanes[self._finder].changes(chosen)
+            count, t, size = (
+                np.array([getattr(change, name) if change else 0 for change in found])
+                for name in ("count", "t", "size")
+            )
+            self.alarms.note_changes(chosen, count, t, size.astype(np.float64))
+        if self._laggard is not None:
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+        due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
+        if len(due):
+            self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
+            lanes = self._lanes[self.plan.inverse]
+            self.alarms.note_misfit(due, lanes.adaptations(due), lanes.recent_rmse(due))
 
     def lane(self, m: int, name: str) -> Lane:
         """One estimator of one valve as it stands."""
@@ -231,6 +258,22 @@ class _Lanes:
     def written(self) -> None:
         self._states.written()
 
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        """The newest change of some valves that was found."""
+        return self._states.changes(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        """The larger of the two lags that were found at some valves, s."""
+        return self._states.largest_lags(chosen)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        """What the estimator makes of its residuals at some valves."""
+        return self._states.adaptations(chosen)
+
+    def recent_rmse(self, chosen: Times) -> Floats:
+        """Root mean square of the last residuals of some valves, l/min."""
+        return recent_rmse(self._scores[chosen])
+
     def too_fast(self) -> Times:
         """How many samples moved too fast for the lags of their signals (M,)."""
         return self._states.too_fast(len(self.beyond))
@@ -366,6 +409,11 @@ class _Stacked:
         found = self._estimator.lags if isinstance(self._estimator, Auto) else None
         return [found(member(self._all, m)) if found else None for m in chosen]
 
+    def largest_lags(self, chosen: Times) -> Floats:
+        if isinstance(self._estimator, Auto):
+            return self._estimator.largest_lags(self._all)[chosen]
+        return np.full(len(chosen), np.nan)
+
     def adaptations(self, chosen: Times) -> Codes:
         return self._estimator.adaptation_many(members(self._all, chosen))
 
@@ -421,6 +469,9 @@ class _Listed:
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         return [None] * len(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        return np.full(len(chosen), np.nan)
 
     def adaptations(self, chosen: Times) -> Codes:
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
