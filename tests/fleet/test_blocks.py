@@ -31,7 +31,7 @@ from service.fleet.result_blocks import (  # noqa: E402
     write_results,
 )
 from service.identification.samples import Samples, Segments  # noqa: E402
-from service.streaming.alignment import ByValve
+from service.streaming.alignment import ByValve  # noqa: E402
 from service.streaming.ports import AlarmResults  # noqa: E402
 
 VALVES = ("a", "b", "c", "d")
