@@ -11,7 +11,7 @@ import numpy as np
 from service.identification.adaptation import Adaptation
 from service.identification.samples import Floats, Samples, Trace
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 
 
 class StateMismatchError(ValueError):
