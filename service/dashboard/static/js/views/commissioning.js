@@ -63,7 +63,7 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
     const lines = [
-      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or the signals of one sample carry different times (alignment.tolerance_ms)."}`],
+      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or it is not found yet how the signals come: that takes some seconds of changes."}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
