@@ -2,8 +2,9 @@
 
 from enum import StrEnum
 
-from service.app.page_access import SERVICE_NAMESPACE, Watched, settings_of
+from service.app.page_access import Watched, settings_of
 from service.errors import CommandRejected
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.opcua.results_client import ResultsClient
 
 

@@ -4,8 +4,9 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from service.config.estimators import build_estimator
+from service.config.estimators import AnyEstimatorConfig, Range, build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
 from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
@@ -17,15 +18,18 @@ from service.hardened import (
     ServerSettings,
     UserStore,
     ensure_certificate,
+    load_certificate,
 )
+from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
 from service.streaming.identification import Identification
-from service.streaming.live import LiveSettings
+from service.streaming.live import KEPT_PER_S, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.sources import Part, Sources
@@ -33,7 +37,7 @@ from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
 
-APPLICATION_URI = "urn:valvemap:service"
+APPLICATION_URI = SERVICE_NAMESPACE
 APPLICATION_NAME = "valvemap service"
 PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 
@@ -43,7 +47,13 @@ _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 def build_identification(config: Config) -> Identification:
     """All valves with their estimators, before the first sample."""
-    return Identification(build_plans(config), build_alignment(config), build_timing(config))
+    interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
+    return Identification(
+        build_plans(config),
+        build_alignment(config),
+        build_timing(config),
+        config.alarms.rules(interval_s),
+    )
 
 
 def build_alignment(config: Config) -> Alignment:
@@ -80,8 +90,16 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
-    """What is done with each valve's samples."""
-    return [_plan(valve) for valve in config.valves]
+    """What is done with each valve's samples; valves of one kind share their estimators."""
+    known: dict[object, Estimator[Any]] = {}
+
+    def built(section: AnyEstimatorConfig, *ranges: Range) -> Estimator[Any]:
+        key = section, ranges
+        if key not in known:
+            known[key] = build_estimator(section, *ranges)
+        return known[key]
+
+    return [_plan(valve, built) for valve in config.valves]
 
 
 def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
@@ -181,9 +199,14 @@ def load_users(file: Path) -> UserStore:
     return UserStore.load(file)
 
 
-def build_live_settings(config: Config) -> LiveSettings:
-    """When results are stale, when states are kept."""
+def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:
+    """When results are stale, when states are kept, until when the certificate is valid."""
+    until_ns = 0
+    if certificate is not None:
+        until = load_certificate(certificate.certificate).not_valid_after_utc
+        until_ns = int(until.timestamp()) * 1_000_000_000
     return LiveSettings(
+        certificate_until_ns=until_ns,
         stale_after_s=config.alignment.stale_after_s,
         reorder_s=config.alignment.reorder_ms * 1e-3,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
@@ -210,9 +233,9 @@ def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
-def _plan(valve: ValveConfig) -> ValvePlan:
+def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
-    estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
+    estimators = {e.name: built(e, *ranges) for e in valve.estimators}
     return ValvePlan(
         name=valve.name,
         gate=QualityGate(
@@ -226,6 +249,7 @@ def _plan(valve: ValveConfig) -> ValvePlan:
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
+        alarms=valve.alarms.rules(),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=SensorAccuracy(
             **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}

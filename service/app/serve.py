@@ -12,6 +12,7 @@ from service.app.build import (
     build_server_settings,
     build_sources,
     build_supervisor_settings,
+    own_certificate,
 )
 from service.app.reload import Reload, check_what_stays, in_one_line
 from service.app.warm_up import warm_up
@@ -89,6 +90,21 @@ async def serve(
                 plan, before, known = following, plan, states
 
 
+class _Compilation:
+    """Compiling what a configuration needs, in a thread, once somebody waits for it."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._task: asyncio.Task[None] | None = None
+
+    async def ended(self) -> None:
+        """Wait for the end of it."""
+        if self._task is None:
+            compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
+            self._task = asyncio.create_task(compile_all)
+        await asyncio.shield(self._task)
+
+
 @dataclass(frozen=True)
 class _Plan:
     """What runs between two configurations."""
@@ -97,7 +113,7 @@ class _Plan:
     settings: ServerSettings
     identification: Identification
     source: Sources
-    compiled: asyncio.Task[None]
+    compiled: "_Compilation"
     given_settings: ServerSettings | None
     after_another: bool
 
@@ -109,15 +125,11 @@ def _plan(
     *,
     after_another: bool = False,
 ) -> _Plan:
-    """Make all that a configuration asks for; kernels are compiled in a thread."""
+    """Make all that a configuration asks for."""
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
-    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config, _show_progress))
-
-    async def ready() -> None:  # no sample waits for a compiler
-        await asyncio.shield(compiled)
-
-    source = build_sources(config, ready)
+    compiled = _Compilation(config)
+    source = build_sources(config, compiled.ended)  # no sample waits for a compiler
     return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
 
 
@@ -144,7 +156,7 @@ async def _live(
         server,
         store,
         clock,
-        build_live_settings(config),
+        build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
     )
     ended = asyncio.Event()
@@ -152,7 +164,7 @@ async def _live(
         await live.start(known)
         log.info("results served", url=server.url)
         if not was_warmed_up():
-            await plan.compiled
+            await plan.compiled.ended()
         stopping = asyncio.create_task(_pass_on(stop, ended))
         following = asyncio.create_task(_following(plan, reload, ended))
         try:
@@ -210,7 +222,7 @@ async def _checked(plan: _Plan, reload: Reload) -> _Plan | None:
         return None
     check_what_stays(plan.config, config)
     following = _plan(config, plan.given_settings, after_another=True)
-    await following.compiled
+    await following.compiled.ended()
     await following.source.check()
     return following
 

@@ -15,6 +15,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from service.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from service.config.estimators import EstimatorConfig, default_estimators
 from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
@@ -329,6 +330,7 @@ class ValveConfig(_Section):
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
+    alarms: AlarmsConfig = AlarmsConfig()
     insist: bool = Field(
         default=False, description="learn from data that look wrong, such as p1 below p2"
     )
@@ -441,6 +443,7 @@ class Config(BaseSettings):
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
     recording: RecordingConfig = RecordingConfig()
+    alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 
     @field_validator("valves")

@@ -22,6 +22,7 @@ from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
 from service.identification.map_search import (
+    RICH,
     STARTS,
     climb,
     fit,
@@ -368,6 +369,11 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
+    def largest_lags(self, states: AutoState) -> Floats:
+        """The larger of the two `lags` of each of M valves, s (M,)."""
+        path = states.scalars[..., memory.LAGS :]
+        return np.maximum(path[..., lag.LAG_U], path[..., lag.LAG_Q])
+
     def too_fast(self, states: AutoState) -> Counts:
         """How many samples of each of M valves moved too fast for the lags to be learnt from."""
         return np.asarray(states.counters[..., memory.TOO_FAST])
@@ -391,11 +397,23 @@ class Auto:
     def _attend(self, state: AutoState) -> None:
         """Do what is due of one valve; its state is written in place."""
         kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+        self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
             state.counters[memory.NEXT_LOOK] = 2 * kept
         if memory.is_due(state.counters):
             self._refit(state)
+
+    def _doubt_lags(self, state: AutoState, kept: int) -> None:
+        """After a change look for lags soon, and as if for the first time: it may be one."""
+        counters = state.counters
+        looked_for = self.lag_U is None or self.lag_Q is None
+        is_new = counters[memory.ALARMS] and (
+            counters[memory.USED] - counters[memory.CHANGE_SAMPLE] < lag.ROWS
+        )
+        if looked_for and is_new and counters[memory.NEXT_LOOK] > kept + lag.ROWS:
+            counters[memory.NEXT_LOOK] = kept + lag.ROWS
+            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
@@ -448,15 +466,9 @@ class Auto:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
             varied = variety(_weights(state), points, sum(self.lags(state)))
+            least = coloured_noise.least_variance(scalars)
             challenger, explorer = self._climb(
-                points,
-                challenger,
-                explorer,
-                top,
-                varied,
-                progress,
-                counters,
-                coloured_noise.least_variance(scalars),
+                points, challenger, explorer, top, varied, state, least
             )
         best = fit(points, champion, top)
         rival = best if challenger == champion else fit(points, challenger, top)
@@ -488,17 +500,20 @@ class Auto:
         explorer: Shape,
         top: float,
         varied: Variety,
-        progress: Counts,
-        counters: Counts,
+        state: AutoState,
         least: float,
     ) -> tuple[Shape, Shape]:
         """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
+        progress, counters = state.progress, state.counters
+        rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
         resting = is_resting(challenger, varied, progress[CHALLENGER])
         steps = self._affordable(counters, points, challenger)
         steps = min(steps, RESTING_STEPS) if resting else steps
         if steps < 1:
             return challenger, explorer
-        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER], least)
+        challenger = climb(
+            points, challenger, top, varied, steps, progress[CHALLENGER], least, rich
+        )
         budget.spend(counters, (steps + 2) * _cost(points, challenger))
         if not resting or progress[STARTED, 0] > len(STARTS):
             return challenger, explorer
@@ -509,9 +524,11 @@ class Auto:
         steps = self._affordable(counters, points, explorer)
         if steps < 1:
             return challenger, explorer
-        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER], least)
+        explorer = climb(
+            points, explorer, top, varied, steps, progress[EXPLORER], least, rich_elsewhere
+        )
         budget.spend(counters, (steps + 5) * _cost(points, explorer))
-        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least):
+        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least, rich):
             challenger = explorer
             progress[CHALLENGER] = 0
         return challenger, explorer

@@ -9,6 +9,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
+    Objects/Identification/<Valve>/Alarms/<Alarm>/…  s=<Valve>.Alarms.<Alarm>.<Variable>
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 """
 
@@ -25,10 +26,11 @@ from service.hardened import Unit
 from service.identification.adaptation import Adaptation
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
-NAMESPACE = "urn:valvemap:service"
+NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
@@ -312,6 +314,37 @@ def builds_on_variable(valve: str, estimator: str) -> VariableNode:
         f"{valve}.{estimator}.{BUILDS_ON}",
         "Version of the approved map that the results build on; empty where none was approved.",
         ua.VariantType.String,
+    )
+
+
+def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
+    """How one alarm stands; ``prefix`` is the identifier of its object."""
+    return (
+        VariableNode(
+            f"{prefix}.Active",
+            "Whether it is there; when that began or ended is its SourceTimestamp.",
+            ua.VariantType.Boolean,
+        ),
+        VariableNode(
+            f"{prefix}.Severity",
+            "How urgent it is when it is there, 1 to 1,000, as configured.",
+            ua.VariantType.UInt16,
+        ),
+        VariableNode(
+            f"{prefix}.Since",
+            "Source time since when what was measured was beyond the limit, the last time.",
+            ua.VariantType.DateTime,
+        ),
+        VariableNode(
+            f"{prefix}.Text",
+            "What was measured, since when, and what it may be; empty before the first time.",
+            ua.VariantType.String,
+        ),
+        VariableNode(
+            f"{prefix}.Acked",
+            "Whether somebody has acknowledged it since it came last; true before the first time.",
+            ua.VariantType.Boolean,
+        ),
     )
 
 

@@ -4,8 +4,10 @@ Both the live service and the replay of recordings go through this one object; i
 time nor network.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,15 @@ from service.identification.samples import (
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.survey import Survey
 from service.streaming import pipeline
+from service.streaming.alarms import (
+    ALARM_NAMES,
+    SERVICE_ALARM_NAMES,
+    SERVICE_RULES,
+    Alarm,
+    AlarmRule,
+    ServiceAlarm,
+    ServiceAlarms,
+)
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.baseline import Baseline, Difference, difference
@@ -37,10 +48,19 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.kernels.waiting import NEVER
-from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
+from service.streaming.pipeline import (
+    AnyEstimator,
+    Forgetful,
+    Lane,
+    Required,
+    ValvePlan,
+    ValveState,
+)
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
     SIGNALS,
+    AlarmReport,
+    AlarmResults,
     Checkpoint,
     EstimatorDescription,
     EstimatorResults,
@@ -52,18 +72,26 @@ from service.streaming.ports import (
 )
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.timing import Timing, TimingSettings, TimingState
+from service.streaming.valve_columns import Columns, copy_rows
 from service.streaming.valve_memory import ValveMemory
 from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
 
-MAPS_AT_ONCE = 100
+R = TypeVar("R")
+
+MAPS_AT_ONCE = 100  # 2 ms each
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come
 BASELINE = "Baseline"  # nor so: the map that was approved as new
+ALARMS = "Alarms"  # nor so: how its alarms stand
+OF_SERVICE = "Service"  # no valve is called so
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 _MISSING = OF_ALIGNMENT.index("missing")
+_LOST = [OF_ALIGNMENT.index(name) for name in ("missing", "gaps", "lost_by_time")]
+_ALIGNED = OF_ALIGNMENT.index("aligned")
+_GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 
 
@@ -91,7 +119,11 @@ class Identification:
     """All valves of one service; fulfils :class:`service.streaming.ports.Operator`."""
 
     def __init__(
-        self, plans: Sequence[ValvePlan], alignment: Alignment, timing: Timing | None = None
+        self,
+        plans: Sequence[ValvePlan],
+        alignment: Alignment,
+        timing: Timing | None = None,
+        service_alarms: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES,
     ) -> None:
         self.plans = tuple(plans)
         self._fleets, self._fleet_of, self._member_of = _fleets(self.plans)
@@ -121,6 +153,7 @@ class Identification:
         self._plausibility = Plausibility(len(self.plans))
         self._insists = np.array([plan.insist for plan in self.plans], np.bool_)
         self._implausible = np.zeros(len(self.plans), np.bool_)
+        self._service_alarms = ServiceAlarms(service_alarms)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
@@ -128,7 +161,7 @@ class Identification:
 
     def _align(self, changes: DataChanges) -> ByValve:
         self._waiting, arrived = self._alignment.take(self._waiting, changes)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
@@ -144,14 +177,15 @@ class Identification:
         if len(unfinished):
             return self._align(unfinished)
         self._waiting, arrived = self._alignment.flush(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """The source of some valves was restarted: its running numbers begin anew."""
         self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
-    def _learn(self, arrived: ByValve) -> ByValve:
+    def learn(self, arrived: ByValve) -> ByValve:
+        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
@@ -161,7 +195,14 @@ class Identification:
             rows, first, last = _rows(starts[own], stops[own])
             segments = Segments(self._member_of[valves[own]], first, last)
             self._fleets[number].take(arrived.samples[rows], segments)
+            self._note_losses(self._fleets[number], valves[own])
         return arrived
+
+    def _note_losses(self, fleet: Fleet, valves: Times) -> None:
+        counts, places = self._waiting.counters[valves], self._member_of[valves]
+        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made(valves)
+        fleet.alarms.note_losses(places, lost, counts[:, _ALIGNED])
+        fleet.alarms.be_patient(places, self._timing.holds[valves])
 
     def _note_newest(self, arrived: ByValve) -> None:
         valves, _, stops = arrived.segments
@@ -266,19 +307,22 @@ class Identification:
             return stated
         return stated.beside(*found.deadband[: len(SENSORS)].tolist())
 
-    def refresh_maps(self) -> None:
-        """Compute the next inverse tables and surveys anew; results show the newest of them."""
-        for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
+    def refresh_maps(self, share: float = 1.0) -> None:
+        """Compute the next inverse tables and surveys anew; results show the newest of them.
+
+        Or a ``share`` of those, for one whom others wait for.
+        """
+        for _ in range(math.ceil(share * min(MAPS_AT_ONCE, len(self.plans)))):
             number = self._next_map % len(self.plans)
-            self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._maps[number] = self._inverse_map(number)
             self._implausible[number] |= not self._insists[number] and any(
                 finding.kind is Kind.REFUSED for finding in self.findings(number)
             )
             self._next_map += 1
         lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
-        for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
+        for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
             number, name = lanes[self._next_survey % len(lanes)]
-            found = pipeline.survey_of(self.plans[number], self.state(number), name)
+            found = pipeline.survey_of(self.plans[number], self._state_of(number, name), name)
             self._surveys[number] = {**self._surveys[number], name: found}
             self._next_survey += 1
 
@@ -328,6 +372,10 @@ class Identification:
             counter_names=COUNTERS,
             signals=self._signals(valves, at_best),
             baselines=[self._baselines.get(int(valve)) for valve in valves],
+            alarms=AlarmResults(
+                fleet.alarms.version[places],
+                lambda m: fleet.alarms.reports(int(places[m])),
+            ),
             timing=[self.timing(int(valve)) for valve in valves],
             waiting=[
                 self._reasons(int(valve)) if of_use else self.stand_still(int(valve))
@@ -365,7 +413,9 @@ class Identification:
         demanded = np.isfinite(fleet.demands(self._member_of[valves])).all(axis=1)
         for k in np.flatnonzero(demanded):
             valve = int(valves[k])
-            U[k], _, status[k] = pipeline.required(self.plans[valve], self.state(valve))
+            U[k], _, status[k] = pipeline.required(*self._inverted(valve))
+        guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
+        fleet.alarms.note_answers(self._member_of[valves], guessed)
         return InverseResults(
             t=t,
             quality=quality,
@@ -379,7 +429,7 @@ class Identification:
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._member_of[valves]]
         aligned = self._waiting.counters[valves]
-        aligned[:, _MISSING] += self._timing.not_made[valves]
+        aligned[:, _MISSING] += self._timing.not_made(valves)
         return np.column_stack((aligned, rejected))
 
     def counters(self, valve: int) -> Mapping[str, int]:
@@ -389,22 +439,12 @@ class Identification:
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """What a results server must know."""
+        described = _once_each(_description)
         return tuple(
             ValveDescription(
                 name=plan.name,
                 estimators=tuple(
-                    EstimatorDescription(
-                        name=name,
-                        description=_first_line(estimator),
-                        parameter_names=estimator.parameter_names,
-                        has_forgetting_factor=isinstance(estimator, Forgetful),
-                        finds_changes=pipeline.finds_changes(estimator),
-                        chooses_structure=isinstance(estimator, Auto),
-                        finds_lags=isinstance(estimator, Auto),
-                        has_named_parameters=isinstance(
-                            estimator, RecursiveLeastSquares | MaximumLikelihood
-                        ),
-                    )
+                    replace(described(estimator), name=name)
                     for name, estimator in plan.estimators.items()
                 ),
                 Q_range=(min(plan.map_Q), max(plan.map_Q)),
@@ -421,6 +461,10 @@ class Identification:
         lane = self.lane(valve, estimator)
         fresh = pipeline.fresh_lane(lane.estimator, lane.support.forgotten())
         self._put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
+        number = self._numbers[valve]
+        if estimator == self.plans[number].inverse:
+            fleet, m = self._at(number)
+            fleet.alarms.forget_map(m)
 
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""
@@ -462,8 +506,7 @@ class Identification:
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
-        number = self._numbers[valve]
-        return pipeline.demanded(self.plans[number], self.state(number), Q, dp, T)
+        return pipeline.demanded(*self._inverted(self._numbers[valve]), Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
@@ -472,9 +515,9 @@ class Identification:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """The answer to a valve's standing demand, and how its estimator stands."""
-        state = self.state(valve)
-        status = state.lanes[self.plans[valve].inverse].status
-        answer = pipeline.required(self.plans[valve], state)
+        plan, state = self._inverted(valve)
+        status = state.lanes[plan.inverse].status
+        answer = pipeline.required(plan, state)
         return answer, Status.WARMING_UP if status is None else status
 
     def approve(self, valve: str) -> None:
@@ -534,6 +577,52 @@ class Identification:
         if found is None:
             raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
         return found
+
+    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        if valve is None:
+            taken = self._service_alarms.acknowledge(
+                ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm)), now
+            )
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            taken = fleet.alarms.acknowledge(m, Alarm(ALARM_NAMES.index(alarm)), now)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
+
+    def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+        if valve is None:
+            return self._service_alarms.reports()
+        fleet, m = self._at(self._numbers[valve])
+        return fleet.alarms.reports(m)
+
+    def was_away(self) -> None:
+        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        for fleet in self._fleets:
+            fleet.alarms.was_away()
+
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Some valves have sent nothing until ``now``, UTC ns by the clocks of their sources.
+
+        Returns those of which that is an alarm only now.
+        """
+        new: list[int] = []
+        for number in np.unique(self._fleet_of[valves]):
+            chosen = self._fleet_of[valves] == number
+            own = valves[chosen]
+            places, alarms = self._member_of[own], self._fleets[number].alarms
+            before = alarms.version[places]
+            alarms.overdue(places, now[chosen])
+            new += own[alarms.version[places] != before].tolist()
+        return new
+
+    def watch_service(
+        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+    ) -> tuple[AlarmReport, ...]:
+        """Judge how the service itself stands: age of what is kept, certificate, share of time."""
+        self._service_alarms.note(now, checkpoint_age_s, days_left, load)
+        return self._service_alarms.reports()
 
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""
@@ -597,11 +686,27 @@ class Identification:
                     frozen=False,
                 )
             )
+            kept.append(self._alarms_of(valve, state.t))
             if self._finds_timing:
                 kept.append(self._timing_of(valve, state.t))
             if self._approved[valve]:
                 kept.append(self._baseline_of(valve))
+        if self._service_alarms.version:
+            packed, name = self._service_alarms.to_bytes(), OF_SERVICE
+            kept.append(Checkpoint(name, ALARMS, "", 0, packed, lam=None, frozen=False))
         return kept
+
+    def _alarms_of(self, valve: int, t: int) -> Checkpoint:
+        fleet, m = self._at(valve)
+        packed, name = fleet.alarms.to_bytes(m), self.plans[valve].name
+        return Checkpoint(name, ALARMS, "", t, packed, lam=None, frozen=False)
+
+    def _take_alarms(self, kept: Checkpoint) -> None:
+        if kept.valve == OF_SERVICE:
+            self._service_alarms.from_bytes(kept.state)
+        else:
+            fleet, m = self._at(self._number(kept))
+            fleet.alarms.from_bytes(m, kept.state)
 
     def _baseline_of(self, valve: int) -> Checkpoint:
         """The baseline, or, as ``frozen``, that there is none any more."""
@@ -678,7 +783,9 @@ class Identification:
             MEMORY: self._remember,
             TIMING: self._time_as_before,
             BASELINE: self._take_baseline,
+            ALARMS: self._take_alarms,
         }
+        known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
             name = f"{kept.valve}.{kept.estimator}"
             try:
@@ -687,8 +794,11 @@ class Identification:
                 refused[name] = str(error)
             else:
                 restored.append(name)
-        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
-        self.refresh_maps()
+                known.update({self._numbers[kept.valve]} if kept.valve in self._numbers else ())
+        for number in known:
+            self._maps[number] = self._inverse_map(number)
+        if known:
+            self.refresh_maps()
         return restored, refused
 
     def _restore(self, kept: Checkpoint) -> None:
@@ -700,6 +810,41 @@ class Identification:
         )
         self._put(kept.valve, kept.estimator, lane)
 
+    def columns(self) -> list[Columns]:
+        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        names = tuple(plan.name for plan in self.plans)
+        newest = self._newest
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": newest.t,
+            "newest_quality": newest.quality,
+            "newest_values": newest.values,
+            "implausible": self._implausible,
+            "approved": self._approved,
+            **{f"plausibility_{n}": array for n, array in self._plausibility.columns().items()},
+        }
+        found = [Columns("signals", names, every)]
+        for number, fleet in enumerate(self._fleets):
+            own = np.flatnonzero(self._fleet_of == number)
+            found += fleet.columns([names[valve] for valve in own])
+        return found
+
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Take up columns and baselines; return (key, valve) of what starts afresh."""
+        own = self.columns()
+        afresh = copy_rows(columns, own)
+        for fleet in self._fleets:
+            fleet.columns_written()
+        for valve, packed in baselines.items():
+            if valve in self._numbers:
+                self._baselines[self._numbers[valve]] = Baseline.from_bytes(packed)
+        return afresh
+
+    def baselines(self) -> dict[str, bytes]:
+        """The approved maps, packed, by valve."""
+        return {self.plans[n].name: found.to_bytes() for n, found in self._baselines.items()}
+
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""
         tables: dict[tuple[object, ...], Floats] = {}
@@ -707,12 +852,22 @@ class Identification:
         for number, plan in enumerate(self.plans):
             key = (int(self._fleet_of[number]), plan.inverse, plan.map_Q, plan.map_dp)
             if key not in tables:
-                tables[key] = pipeline.inverse_map(plan, self.state(number))
+                tables[key] = self._inverse_map(number)
             maps.append(tables[key])
         return maps
 
-    def _pairs(self) -> list[tuple[ValvePlan, ValveState]]:
-        return [(plan, self.state(number)) for number, plan in enumerate(self.plans)]
+    def _inverse_map(self, valve: int) -> Floats:
+        return pipeline.inverse_map(*self._inverted(valve))
+
+    def _inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
+        """What the inverse of a valve's map is made from."""
+        plan = self.plans[valve]
+        return plan, self._state_of(valve, plan.inverse)
+
+    def _state_of(self, valve: int, estimator: str) -> ValveState:
+        """One valve as it stands, with one of its estimators: whole states are large."""
+        fleet, m = self._at(valve)
+        return fleet.state(m, [estimator])
 
     def _at(self, valve: int) -> tuple[Fleet, int]:
         return self._fleets[self._fleet_of[valve]], int(self._member_of[valve])
@@ -732,10 +887,12 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     first: list[ValvePlan] = []
     sizes: list[int] = []
     places = np.zeros((2, len(plans)), np.int64)
+    keys = _once_each(key_of)
     for valve, plan in enumerate(plans):
-        estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
+        estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = pipeline.nothing_seen(plan).ranges.tolist()
-        key = repr((plan.gate, estimators, ranges, plan.accuracy))
+        watched = plan.inverse, sorted(plan.alarms.items())
+        key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)
@@ -753,6 +910,31 @@ def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times
     rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])
     last = np.cumsum(stops - starts)
     return rows, last - (stops - starts), last
+
+
+def _once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
+    """The same function, called once for each estimator: valves of one kind share theirs."""
+    known: dict[int, R] = {}
+
+    def cached(estimator: AnyEstimator) -> R:
+        if id(estimator) not in known:
+            known[id(estimator)] = of(estimator)
+        return known[id(estimator)]
+
+    return cached
+
+
+def _description(estimator: AnyEstimator) -> EstimatorDescription:
+    return EstimatorDescription(
+        name="",
+        description=_first_line(estimator),
+        parameter_names=estimator.parameter_names,
+        has_forgetting_factor=isinstance(estimator, Forgetful),
+        finds_changes=pipeline.finds_changes(estimator),
+        chooses_structure=isinstance(estimator, Auto),
+        finds_lags=isinstance(estimator, Auto),
+        has_named_parameters=isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood),
+    )
 
 
 def _first_line(thing: object) -> str:

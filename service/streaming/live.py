@@ -23,8 +23,15 @@ from service.streaming.feedforward import (
     decide,
     written,
 )
-from service.streaming.identification import Identification
-from service.streaming.ports import AllSources, Checkpoint, CheckpointStore, Health, ResultSink
+from service.streaming.identification import MAPS_AT_ONCE, Identification
+from service.streaming.ports import (
+    AlarmReport,
+    AllSources,
+    Checkpoint,
+    CheckpointStore,
+    Health,
+    ResultSink,
+)
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
@@ -32,8 +39,10 @@ POSITION = "Service", "Position"  # under this name, which no valve has, the sou
 PACKED_AT_ONCE = 16  # valves, at 3 ms each, before samples that have come are taken in
 KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
 KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
+MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+DAY_NS = 86_400_000_000_000
 NAMED = 8  # valves and estimators in one line, until the rest are counted
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
@@ -62,6 +71,8 @@ class LiveSettings:
     publish_share : float
         Most of the time that goes into publishing as long as there is more to publish than that:
         samples that come in go before results that go out.
+    certificate_until_ns : int
+        End of the service's own certificate, UTC ns; 0: it has none that lasts.
     """
 
     stale_after_s: float = 2.0
@@ -70,6 +81,7 @@ class LiveSettings:
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
     publish_share: float = 0.25
+    certificate_until_ns: int = 0
 
 
 class LiveService:
@@ -101,6 +113,7 @@ class LiveService:
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
+        self._worked_s, self._worked_since = 0.0, now
         self._kept_at = math.nan
         self._failures = 0
         self._refused = 0
@@ -139,6 +152,7 @@ class LiveService:
         restored, refused = self.identification.restore(kept)
         if lost_place:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
+        self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
@@ -148,7 +162,9 @@ class LiveService:
         if refused:
             log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._unpublished = dict.fromkeys(range(len(self._lost)))
-        await self._publish_all()
+        while self._unpublished:  # in turns: clients are answered meanwhile
+            await self._publish_until(self._clock.monotonic())
+            await asyncio.sleep(0.0)
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
         """A source is there; if it was restarted, its samples are counted anew."""
@@ -164,7 +180,9 @@ class LiveService:
         own = self._own(valves)
         self._connected[own] = True
         self._mark = self._source.mark
+        began = self._clock.monotonic()
         await self._use(self.identification.take(changes), own)
+        self._worked_s += self._clock.monotonic() - began
 
     def _own(self, valves: Times | None) -> Times:
         return np.arange(len(self._lost)) if valves is None else valves
@@ -199,8 +217,9 @@ class LiveService:
         await self._feed_forward(own[now - self._fed_at[own] >= FEED_AGAIN_S])
         await self._publish_in_turn()
         if now >= self._map_due:
-            self._map_due = now + self._settings.map_interval_s
-            self.identification.refresh_maps()
+            parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
+            self._map_due = now + self._settings.map_interval_s / parts
+            self.identification.refresh_maps(1.0 / parts)
         self._keep_in_turn(now)
         await self._show_health(now)
 
@@ -210,6 +229,9 @@ class LiveService:
         silent = self.identification.holds() & self._connected  # nothing has changed
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        silent_now = np.flatnonzero(stale)
+        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
+        self._unpublished.update(dict.fromkeys(overdue))
         old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
@@ -218,14 +240,19 @@ class LiveService:
     def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
         newest = self._newest[valves]
-        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)[valves]
-        now = self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
-        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
+        ages = np.maximum((self._source_now()[valves] - newest) * 1e-9, 0.0)
+        return np.where(newest > 0, ages, np.nan)
+
+    def _source_now(self) -> Times:
+        """Time by each valve's source, UTC ns."""
+        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S
+        alarms = self._watch_service(now)
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
@@ -236,7 +263,20 @@ class LiveService:
                 checkpoint_failures=self._failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
+                alarms=alarms,
             )
+        )
+
+    def _watch_service(self, now: float) -> Sequence[AlarmReport]:
+        passed, worked = now - self._worked_since, self._worked_s
+        self._worked_s, self._worked_since = 0.0, now
+        until, utc = self._settings.certificate_until_ns, self._clock.now()
+        kept_at = self._began if math.isnan(self._kept_at) else self._kept_at
+        return self.identification.watch_service(
+            utc,
+            checkpoint_age_s=now - kept_at,
+            days_left=(until - utc) / DAY_NS if until else math.nan,
+            load=min(worked / passed, 1.0) if passed > 0.0 else math.nan,
         )
 
     async def _wait_no_longer(self, now: float) -> None:

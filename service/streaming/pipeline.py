@@ -23,6 +23,7 @@ from service.identification.samples import Codes, Floats, Samples, Status
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
+from service.streaming.alarms import RULES, Alarm, AlarmRule
 from service.streaming.feedforward import FeedForward
 from service.streaming.kernels import score as of_score
 from service.streaming.quality_gate import GateState, QualityGate
@@ -77,7 +78,8 @@ class ValvePlan:
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
     valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
-    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing.
+    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing,
+    ``alarms`` when each comes and goes.
     """
 
     name: str
@@ -91,6 +93,7 @@ class ValvePlan:
     insist: bool = False
     accuracy: SensorAccuracy = EXACT
     nodes: Mapping[str, str] = field(default_factory=dict)
+    alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
 
 
 @dataclass(frozen=True)

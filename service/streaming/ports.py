@@ -4,7 +4,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 :mod:`service.errors`, and the supervisor decides.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -272,6 +272,37 @@ class SignalResults:
     values: Floats
 
 
+@dataclass(frozen=True)
+class AlarmReport:
+    """How one alarm stands.
+
+    ``since`` is when it came last, ``at`` when it last came, went or was acknowledged, both UTC ns,
+    0 if it never did; ``count`` is how often it came; ``text`` says what was measured, since when,
+    and what it may be.
+    """
+
+    name: str
+    active: bool
+    acked: bool
+    severity: int
+    since: int
+    at: int
+    count: int
+    text: str
+
+
+@dataclass(frozen=True)
+class AlarmResults:
+    """The alarms of M valves.
+
+    ``version`` (M,) grows with whatever changes of any of a valve's alarms; ``reports`` says how
+    all of the m-th one's stand, and is asked before anything else is done.
+    """
+
+    version: Times
+    reports: Callable[[int], Sequence[AlarmReport]]
+
+
 class Version(Protocol):
     """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
 
@@ -318,7 +349,7 @@ class Results:
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
     ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
-    ``baselines`` names the approved map that its results build on.
+    ``baselines`` names the approved map that its results build on, ``alarms`` how those stand.
     """
 
     valves: Times
@@ -330,6 +361,7 @@ class Results:
     waiting: Sequence[tuple[str, ...]] = ()
     timing: Sequence[tuple[str, ...]] = ()
     baselines: Sequence[Version | None] = ()
+    alarms: AlarmResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -386,6 +418,8 @@ class Health:
     checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
         How often they could not be, how much room they take, and how many were found at the start
         that could not be used.
+    alarms
+        How those of the service stand.
     """
 
     age_s: Floats
@@ -396,6 +430,7 @@ class Health:
     checkpoint_failures: int = 0
     checkpoint_bytes: int = 0
     checkpoints_refused: int = 0
+    alarms: Sequence[AlarmReport] = ()
 
 
 class ResultSink(Protocol):
@@ -464,6 +499,12 @@ class Operator(Protocol):
     def disarm(self, valve: str) -> None:
         """Write nothing to the valve any more."""
 
+    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service; UTC ns."""
+
+    def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+
 
 class CheckpointStore(Protocol):
     """Keeps the newest state of every estimator over restarts."""
@@ -500,3 +541,61 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Successive rows of one series, to be kept.
+
+    Times ``t`` (n,) in UTC ns, OPC UA status ``codes`` (n,), and columns (n,) by name.
+    """
+
+    series: str
+    t: Times
+    codes: NDArray[np.uint32]
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Past:
+    """What one column of a series was: times (n,) in UTC ns, values (n,), status codes (n,)."""
+
+    t: Times
+    values: Floats
+    codes: NDArray[np.uint32]
+
+    def __getitem__(self, rows: slice) -> "Past":
+        return Past(self.t[rows], self.values[rows], self.codes[rows])
+
+
+class PastStore(Protocol):
+    """Keeps what signals and results were, and gives it back; from any thread, one at a time."""
+
+    def save(self, pieces: Sequence[Piece]) -> int:
+        """Keep all pieces or none; return how many values were left out as not newer.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
+    def forget(self, now: int) -> int:
+        """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
+
+    def read(
+        self,
+        series: str,
+        column: str,
+        low: int,
+        high: int,
+        *,
+        backwards: bool = False,
+        skip: int = 0,
+        most: int,
+    ) -> Past:
+        """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+
+    @property
+    def size(self) -> int:
+        """Bytes that all of it takes."""

@@ -14,7 +14,7 @@ from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.identification import MEMORY, Identification
+from service.streaming.identification import ALARMS, MEMORY, Identification
 from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
 
@@ -278,7 +278,7 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     clock.advance(10.0)
     await live.tick()
     await live.settle()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY]
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS]
 
 
 def a_disk_that_takes(store, clock, seconds):
