@@ -141,6 +141,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         publishing_interval_ms=config.source.publishing_interval_ms,
         queue_size=config.source.queue_size,
         history_s=config.source.history_s,
+        warm_start_s=config.source.warm_start_s,
         timeout_s=config.source.timeout_s,
     )
     nodes = [

@@ -72,6 +72,12 @@ class SourceConfig(_Section):
         le=2_592_000.0,
         description="how far back its history is asked for what was not heard; 0 = never",
     )
+    warm_start_s: float = Field(
+        0.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how much of its history is learnt at the first start, before what comes",
+    )
     timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
     startup_timeout_s: float = Field(
         10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"

@@ -361,6 +361,11 @@ def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
             f"{prefix}.Time", "Time of the newest sample behind it.", ua.VariantType.DateTime
         ),
         VariableNode(f"{prefix}.DataHash", "SHA-256 of all that it holds.", ua.VariantType.String),
+        VariableNode(
+            f"{prefix}.LastRefusal",
+            "Why the last action on it that was refused was; empty: none was.",
+            ua.VariantType.String,
+        ),
     )
 
 

@@ -619,6 +619,7 @@ class ResultsServer(Startable):
         try:
             found = self._operator.compare(valve, estimator)
         except CommandRejected as rejected:
+            self._note_refusal(valve, str(rejected))
             raise Refused(str(rejected)) from rejected
         return found.mean, found.largest, found.U, found.dp, found.points
 
@@ -649,7 +650,12 @@ class ResultsServer(Startable):
         valve, _, part = prefix.partition(".")
 
         def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
-            _refusing(function)(*arguments)
+            try:
+                _refusing(function)(*arguments)
+            except Refused as refusal:
+                if part == BASELINE:
+                    self._note_refusal(valve, str(refusal))
+                raise
             given = "".join(f" {argument:g}" for argument in arguments)
             self._note(valve, f"{part} {name}{given}")
 
@@ -668,6 +674,12 @@ class ResultsServer(Startable):
         if self._server is not None:
             said = f"{caller()}: {action}"
             new = Shown(LAST_ACTION, said, ua.StatusCodes.Good, self._clock.now())
+            self._show(self._server, valve, new)
+
+    def _note_refusal(self, valve: str, why: str) -> None:
+        """Show why an action on the baseline was refused: a StatusCode alone does not say it."""
+        if self._server is not None:
+            new = Shown(f"{BASELINE}.LastRefusal", why, ua.StatusCodes.Good, self._clock.now())
             self._show(self._server, valve, new)
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
