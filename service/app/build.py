@@ -4,8 +4,9 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from service.config.estimators import build_estimator
+from service.config.estimators import AnyEstimatorConfig, Range, build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
 from service.config.secret_files import read_secret
 from service.errors import ConfigurationError
@@ -19,6 +20,7 @@ from service.hardened import (
     ensure_certificate,
     load_certificate,
 )
+from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.storage.layout import Layout, ValveLayout
@@ -29,6 +31,7 @@ from service.streaming.identification import Identification
 from service.streaming.live import KEPT_PER_S, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
+from service.streaming.sources import Part, Sources
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
@@ -76,7 +79,8 @@ def build_timing(config: Config) -> Timing | None:
     given = config.alignment
     if not given.finds_timing:
         return None
-    horizon_s = max(given.reorder_ms, 2.0 * config.source.publishing_interval_ms) * 1e-3
+    slowest_ms = max(source.publishing_interval_ms for source in config.all_sources)
+    horizon_s = max(given.reorder_ms, 2.0 * slowest_ms) * 1e-3
     return Timing(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
         has_T=[valve.nodes.T is not None for valve in config.valves],
@@ -85,12 +89,42 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
-    """What is done with each valve's samples."""
-    return [_plan(valve) for valve in config.valves]
+    """What is done with each valve's samples; valves of one kind share their estimators."""
+    known: dict[object, Estimator[Any]] = {}
+
+    def built(section: AnyEstimatorConfig, *ranges: Range) -> Estimator[Any]:
+        key = section, ranges
+        if key not in known:
+            known[key] = build_estimator(section, *ranges)
+        return known[key]
+
+    return [_plan(valve, built) for valve in config.valves]
+
+
+def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
+    """The clients of all source servers; they take samples once all is ``ready``."""
+    if not config.sources:
+        every = tuple(range(len(config.valves)))
+        return Sources([Part(None, build_source(config, ready), every)])
+    parts = []
+    for source in config.sources:
+        own = [n for n, valve in enumerate(config.valves) if valve.source == source.name]
+        client = build_source(config.only(source.name), ready)
+        parts.append(Part(source.name, client, tuple(own)))
+    return Sources(parts)
 
 
 def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
-    """The client of the source server; it takes samples once it is ``ready``."""
+    """The client of the source server; it takes samples once it is ``ready``.
+
+    Raises
+    ------
+    ConfigurationError
+        if there are several.
+    """
+    if config.sources:
+        names = ", ".join(source.name for source in config.sources)
+        raise ConfigurationError(f"there are several sources: --source NAME says which: {names}")
     own = None if config.source.security == "None" else own_certificate(config)
     settings = SourceSettings(
         url=config.source.url,
@@ -181,6 +215,8 @@ def build_supervisor_settings(config: Config) -> SupervisorSettings:
     """How long the start may take, how often the service looks at its clock."""
     feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
     settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
+    if config.sources:  # one that is away holds up none of the others
+        settings = replace(settings, startup_timeout_s=0.0)
     return replace(settings, tick_s=_HEARTBEAT_TICK_S) if feeds_forward else settings
 
 
@@ -195,9 +231,9 @@ def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
-def _plan(valve: ValveConfig) -> ValvePlan:
+def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
-    estimators = {e.name: build_estimator(e, *ranges) for e in valve.estimators}
+    estimators = {e.name: built(e, *ranges) for e in valve.estimators}
     return ValvePlan(
         name=valve.name,
         gate=QualityGate(

@@ -10,7 +10,7 @@ from service.app.build import (
     build_identification,
     build_live_settings,
     build_server_settings,
-    build_source,
+    build_sources,
     build_supervisor_settings,
     own_certificate,
 )
@@ -22,15 +22,16 @@ from service.errors import StorageError, ValvemapError
 from service.hardened import HardenedError, ServerSettings
 from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
-from service.opcua.client import OpcUaSource
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.ports import Checkpoint
-from service.streaming.supervisor import supervise
+from service.streaming.sources import Sources, supervise_all
 
 log = structlog.get_logger(__name__)
+
+FAREWELL_S = 4.2  # longest that an end may take to keep states: some ask for all to end in 5
 
 SampleTap = Callable[[str, Samples], None]
 
@@ -89,6 +90,21 @@ async def serve(
                 plan, before, known = following, plan, states
 
 
+class _Compilation:
+    """Compiling what a configuration needs, in a thread, once somebody waits for it."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._task: asyncio.Task[None] | None = None
+
+    async def ended(self) -> None:
+        """Wait for the end of it."""
+        if self._task is None:
+            compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
+            self._task = asyncio.create_task(compile_all)
+        await asyncio.shield(self._task)
+
+
 @dataclass(frozen=True)
 class _Plan:
     """What runs between two configurations."""
@@ -96,8 +112,8 @@ class _Plan:
     config: Config
     settings: ServerSettings
     identification: Identification
-    source: OpcUaSource
-    compiled: asyncio.Task[None]
+    source: Sources
+    compiled: "_Compilation"
     given_settings: ServerSettings | None
     after_another: bool
 
@@ -109,15 +125,11 @@ def _plan(
     *,
     after_another: bool = False,
 ) -> _Plan:
-    """Make all that a configuration asks for; kernels are compiled in a thread."""
+    """Make all that a configuration asks for."""
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
-    compiled = asyncio.create_task(asyncio.to_thread(warm_up, config, _show_progress))
-
-    async def ready() -> None:  # no sample waits for a compiler
-        await asyncio.shield(compiled)
-
-    source = build_source(config, ready)
+    compiled = _Compilation(config)
+    source = build_sources(config, compiled.ended)  # no sample waits for a compiler
     return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
 
 
@@ -152,20 +164,20 @@ async def _live(
         await live.start(known)
         log.info("results served", url=server.url)
         if not was_warmed_up():
-            await plan.compiled
+            await plan.compiled.ended()
         stopping = asyncio.create_task(_pass_on(stop, ended))
         following = asyncio.create_task(_following(plan, reload, ended))
         try:
             supervision = build_supervisor_settings(config)
             supervision = replace(supervision, connected_before=plan.after_another)
-            await supervise(plan.source, live, clock, ended, supervision)
+            await supervise_all(plan.source, live, clock, ended, supervision)
         finally:
             for task in (stopping, following):
                 task.cancel()
             await asyncio.gather(stopping, following, return_exceptions=True)
             goes_on = not (following.cancelled() or stop.is_set())
-            if not goes_on:
-                await live.keep()
+            if not goes_on and not await live.keep(within_s=FAREWELL_S):
+                log.warning("disk too slow to keep the last states, those before are kept")
         if not goes_on:
             return None, []
         states = live.states()
@@ -210,7 +222,7 @@ async def _checked(plan: _Plan, reload: Reload) -> _Plan | None:
         return None
     check_what_stays(plan.config, config)
     following = _plan(config, plan.given_settings, after_another=True)
-    await following.compiled
+    await following.compiled.ended()
     await following.source.check()
     return following
 

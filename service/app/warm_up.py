@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from service.app.build import build_alignment, build_identification, build_plans
-from service.config.models import Config
+from service.config.models import Config, ValveConfig
 from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator, key_of
@@ -50,10 +50,19 @@ def warm_up(config: Config, progress: Progress = lambda _done, _of: None) -> Non
     ``progress`` hears now and then how many are done.
     """
     decode_data_changes(_NO_CHANGES)
+    config = _one_of_each_kind(config)
     if not was_warmed_up():
         _compile_in_parts(config, progress)
     compile_here(config)
     note_warm_up()
+
+
+def _one_of_each_kind(config: Config) -> Config:
+    """The same, with the first of the valves that differ in their names and nodes alone."""
+    kinds: dict[str, ValveConfig] = {}
+    for valve in config.valves:
+        kinds.setdefault(valve.model_dump_json(exclude={"name", "nodes"}), valve)
+    return config.model_copy(update={"valves": tuple(kinds.values())})
 
 
 def _compile_in_parts(config: Config, progress: Progress) -> None:

@@ -1,6 +1,7 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Final, Self
@@ -12,14 +13,16 @@ from service.identification import coloured_noise, drift, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, lag, map_fit
+from service.identification.kernels import grid, ladder, lag, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
 from service.identification.map_search import (
+    RICH,
     STARTS,
     climb,
     fit,
@@ -31,9 +34,11 @@ from service.identification.map_search import (
 from service.identification.map_shapes import (
     AXES,
     BAND,
+    CELLS,
     MOST,
     MOST_S,
     MOST_U,
+    PRESSURES,
     Shape,
     Variety,
     dp_top,
@@ -103,6 +108,47 @@ class AutoState(State):
     scalars: Floats
     counters: Counts
     progress: Counts
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them; places that kernels count by lie within their arrays."""
+        every, path = slice(None), memory.LAGS
+        scalars = Contents(self.scalars).within(-1.0, 1.0, memory.TOWARDS)
+        scalars.or_nan([memory.LAST_U, memory.VARIANCE, memory.LEFT_U])
+        scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
+        of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
+        scalars.within(0.0, where=of_noise)
+        scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
+        counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
+        counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
+        counters.any_time([memory.LAGGING + lag.TIME, memory.LAGGING + lag.KEPT_TIME])
+        counters.any_time([memory.NEXT_LOOK, memory.NEW_CELLS, memory.SPENT])
+        counters.within(0, grid.SLOTS, memory.TAKEN)
+        shapes = Contents(self.shapes).within(0.0, CELLS[-1], (every, ladder.CELLS_OF))
+        shapes.within(0.0, len(AXES) - 1.0, (every, ladder.AXIS))
+        shapes.within(0.0, ladder.MOST_DEAD, (every, ladder.DEAD_BAND))
+        shapes.within(ladder.LEAST_FULL, 100.0, (every, ladder.SATURATION))
+        shapes.within(0.0, ladder.MOST_PLAY, (every, ladder.PLAY))
+        shapes.within(0.0, 1.0, (every, ladder.TREND))
+        shapes.or_nan((every, [ladder.DEAD_BAND, ladder.SATURATION]))
+        return {
+            "cells": Contents(self.cells).within(0.0, where=(every, grid.WEIGHT)),
+            "slots": Contents(self.slots).within(0, grid.SLOTS),
+            "shapes": shapes,
+            "top": Contents(self.top).within(PRESSURES[0], PRESSURES[-1]),
+            "sizes": Contents(self.sizes).within(0, MOST),
+            "scalars": scalars,
+            "counters": counters,
+        }
+
+    def is_coherent(self) -> bool:
+        """Whether shapes are steps of the ladder, and the maps as large as their shapes."""
+        whole = [ladder.CELLS_OF, ladder.AXIS, ladder.TREND]
+        known = (self.shapes[:, whole] == np.rint(self.shapes[:, whole])).all()
+        if not known or not np.isin(self.shapes[:, ladder.CELLS_OF], CELLS).all():
+            return False
+        return all(_is_of_its_shape(self, which) for which in (CHAMPION, CHALLENGER)) and (
+            _shape(self, EXPLORER).size <= MOST
+        )
 
 
 @dataclass(frozen=True)
@@ -430,15 +476,9 @@ class Auto:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
             varied = variety(_weights(state), points, sum(self.lags(state)))
+            least = coloured_noise.least_variance(scalars)
             challenger, explorer = self._climb(
-                points,
-                challenger,
-                explorer,
-                top,
-                varied,
-                progress,
-                counters,
-                coloured_noise.least_variance(scalars),
+                points, challenger, explorer, top, varied, state, least
             )
         best = fit(points, champion, top)
         rival = best if challenger == champion else fit(points, challenger, top)
@@ -470,17 +510,20 @@ class Auto:
         explorer: Shape,
         top: float,
         varied: Variety,
-        progress: Counts,
-        counters: Counts,
+        state: AutoState,
         least: float,
     ) -> tuple[Shape, Shape]:
         """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
+        progress, counters = state.progress, state.counters
+        rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
         resting = is_resting(challenger, varied, progress[CHALLENGER])
         steps = self._affordable(counters, points, challenger)
         steps = min(steps, RESTING_STEPS) if resting else steps
         if steps < 1:
             return challenger, explorer
-        challenger = climb(points, challenger, top, varied, steps, progress[CHALLENGER], least)
+        challenger = climb(
+            points, challenger, top, varied, steps, progress[CHALLENGER], least, rich
+        )
         budget.spend(counters, (steps + 2) * _cost(points, challenger))
         if not resting or progress[STARTED, 0] > len(STARTS):
             return challenger, explorer
@@ -491,9 +534,11 @@ class Auto:
         steps = self._affordable(counters, points, explorer)
         if steps < 1:
             return challenger, explorer
-        explorer = climb(points, explorer, top, varied, steps, progress[EXPLORER], least)
+        explorer = climb(
+            points, explorer, top, varied, steps, progress[EXPLORER], least, rich_elsewhere
+        )
         budget.spend(counters, (steps + 5) * _cost(points, explorer))
-        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least):
+        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least, rich):
             challenger = explorer
             progress[CHALLENGER] = 0
         return challenger, explorer
@@ -512,6 +557,20 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.sizes[which] = n_U, n_s
     state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
     state.coefficients[which, : table.size] = table.ravel()
+
+
+def _is_of_its_shape(state: AutoState, which: int) -> bool:
+    n_U, n_s = state.sizes[which].tolist()
+    shape = _shape(state, which)
+    if not n_U:
+        return not n_s and not shape.size
+    plan = shape.plan(float(state.top[0]))
+    return (
+        shape.size <= MOST
+        and (n_U, n_s) == (len(plan.sites_U), len(plan.sites_s))
+        and np.array_equal(state.knots_U[which, : n_U + 4], plan.knots_U)
+        and np.array_equal(state.knots_s[which, : n_s + 4], plan.knots_s)
+    )
 
 
 def _cost(points: Floats, shape: Shape) -> int:

@@ -17,6 +17,7 @@ from service.identification.map_shapes import BAND, Shape, Variety
 from service.identification.samples import Floats
 
 STARTS: Final = tuple(product((None, 4.0, 8.0, 14.0), (None, 97.0)))
+RICH: Final = 5  # numbers that are kept of the richest spline, see `noise`
 LEAST_SHARE: Final = 0.05  # of the samples where U came from either side: a loop could be seen
 LEAST_PLAY: Final = 0.1  # %: less is not told from a lag of a few ms
 LAG_DOUBT: Final = 2.0  # %/s: play that 2 % of doubt about a lag makes at 100 %/s
@@ -46,9 +47,12 @@ def fit(points: Floats, shape: Shape, top: float) -> Fit:
     return Fit(theta, inverse, mixed, corner, *said)
 
 
-def noise(points: Floats, shape: Shape, top: float) -> float:
-    """σ² that the richest spline with the shape's kinks and play leaves."""
-    return float(kernel.noise(points, shape.to_array(), top))
+def noise(points: Floats, shape: Shape, top: float, rich: Floats | None = None) -> float:
+    """σ² that the richest spline with the shape's kinks, play and trend leaves.
+
+    ``rich`` (5,) is what such a spline has left before, and is written.
+    """
+    return float(kernel.noise(points, shape.to_array(), top, _known(rich)))
 
 
 def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
@@ -73,15 +77,16 @@ def climb(
     steps: int,
     progress: NDArray[np.int64],
     least: float = 0.0,
+    rich: Floats | None = None,
 ) -> Shape:
     """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
 
     ``progress`` (2,) is carried on: the number of the next neighbour, and how many were tried in
-    vain since the last gain. ``least`` is what σ² is at least.
+    vain since the last gain. ``least`` is what σ² is at least; ``rich`` see `noise`.
     """
-    numbers = shape.to_array()
+    numbers, trends = shape.to_array(), int(varied.temperatures)
     kernel.climb(
-        points, numbers, top, varied.least_play, int(varied.temperatures), steps, progress, least
+        *(points, numbers, top, varied.least_play, trends, steps, progress, least, _known(rich))
     )
     return Shape.from_array(numbers)
 
@@ -91,9 +96,22 @@ def is_resting(shape: Shape, varied: Variety, progress: NDArray[np.int64]) -> bo
     return bool(progress[IDLE] > len(shape.neighbours(varied)))
 
 
-def is_better(points: Floats, shape: Shape, than: Shape, top: float, least: float = 0.0) -> bool:
-    """Whether a shape has the smaller BIC, with the σ² of the other."""
-    return bool(kernel.is_better(points, shape.to_array(), than.to_array(), top, least))
+def is_better(
+    points: Floats,
+    shape: Shape,
+    than: Shape,
+    top: float,
+    least: float = 0.0,
+    rich: Floats | None = None,
+) -> bool:
+    """Whether a shape has the smaller BIC, with the σ² of the other; ``rich`` is that one's."""
+    sigma_2 = max(noise(points, than, top, rich), least)
+    own, other = (kernel.bic(points, x.to_array(), top, sigma_2) for x in (shape, than))
+    return bool(own < other - kernel.LEAST_GAIN)
+
+
+def _known(rich: Floats | None) -> Floats:
+    return np.zeros(RICH) if rich is None else rich
 
 
 def fresh_start(number: int, like: Shape) -> Shape:

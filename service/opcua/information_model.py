@@ -575,6 +575,12 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 "Changes that were not heard and were read from the source's history.",
                 counts,
             ),
+            VariableNode(
+                f"{SERVICE}.Source.States",
+                "A line for each source: whether it is connected, and what was lost of it.",
+                ua.VariantType.String,
+                dimensions=(0,),
+            ),
         ),
     }
 

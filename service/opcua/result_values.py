@@ -178,6 +178,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.FromHistory", health.source.from_history),
     ):
         yield f"{SERVICE}.{name}", count, int(_Codes.Good)
+    yield f"{SERVICE}.Source.States", list(health.source_states), int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:

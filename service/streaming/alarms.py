@@ -258,14 +258,13 @@ class Alarms:
         """Take up whether K valves' standing demands are answered where nothing was measured."""
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
-    def overdue(self, chosen: Times, now: int) -> None:
-        """Take up that K valves have sent nothing until ``now``, UTC ns by the source's clock."""
+    def overdue(self, chosen: Times, now: Times) -> None:
+        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
         usable = self._senses.times[chosen, kernel.USABLE]
         began = np.where(usable == kernel.NEVER, 0, usable)
         waited = np.where(usable == kernel.NEVER, np.inf, (now - began) * 1e-9)
         began = np.where(usable == kernel.NEVER, now, began)
-        t = np.full(len(chosen), now)
-        self._step(chosen, Alarm.SENSOR_LOST, waited, t, began)
+        self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
 
     def acknowledge(self, m: int, alarm: Alarm, now: int) -> bool:
         """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""

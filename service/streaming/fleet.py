@@ -6,8 +6,8 @@ a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
 :class:`~service.streaming.pipeline.ValveState`) are copies that later samples do not change.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from service.identification.auto import Auto
 from service.identification.change import Change, FindsChanges
-from service.identification.estimator import State
+from service.identification.estimator import State, key_of
 from service.identification.extrapolation import U_range_of
-from service.identification.fleet import ManyModels, copied, member, members, repeated
+from service.identification.fleet import ManyModels, copied, member, members, repeated, stack
 from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import (
@@ -49,6 +49,7 @@ from service.streaming.ports import EstimatorResults
 from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 from service.streaming.quality_gate import GateState
 from service.streaming.score import Score, recent_rmse
+from service.streaming.valve_columns import Columns
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
@@ -69,6 +70,7 @@ class Fleet:
 
     def __init__(self, plan: ValvePlan, M: int) -> None:
         self.plan = plan
+        self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
         self._lanes = {
             name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
@@ -121,12 +123,12 @@ class Fleet:
         """Have it stand otherwise; its estimator is the plan's, but for ``lam``."""
         self._lanes[name].put(m, lane)
 
-    def state(self, m: int) -> ValveState:
-        """One valve as it stands."""
+    def state(self, m: int, names: Iterable[str] | None = None) -> ValveState:
+        """One valve as it stands, with all its estimators or with those named."""
         one = slice(m, m + 1)
         return ValveState(
             gate=self._gate.of(one),
-            lanes={name: self.lane(m, name) for name in self._lanes},
+            lanes={name: self.lane(m, name) for name in names or self._lanes},
             t=int(self._t[m]),
             T=float(self._T[m]),
             demand_Q=float(self._demand[m, 0]),
@@ -162,6 +164,21 @@ class Fleet:
         """Set the standing demand of one valve."""
         self._demand[m] = Q, dp
 
+    def columns(self, valves: Sequence[str]) -> list[Columns]:
+        """All that the valves, whose names are given, remember: the arrays themselves."""
+        gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
+        own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
+        names = tuple(valves)
+        return [
+            Columns(self._key, names, {**gate, **own, "demand": self._demand}),
+            *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
+        ]
+
+    def columns_written(self) -> None:
+        """Somebody has written to what `columns` gave."""
+        for lanes in self._lanes.values():
+            lanes.written()
+
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
@@ -183,6 +200,7 @@ class _Lanes:
         self._overall = np.tile(none.overall, (M, 1))
         self._support = support.of_many(M)
         self._accuracy = accuracy
+        self._key = key_of(_LaneKey(key_of(estimator), accuracy))
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
@@ -216,6 +234,29 @@ class _Lanes:
         self._support.learn(samples, trace.status, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
+
+    def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
+        support = self._support
+        return Columns(
+            f"{name} {self._key}",
+            valves,
+            {
+                **{f"state_{n}": array for n, array in self._states.columns().items()},
+                **{f"note_{n}": array for n, array in self._notes._asdict().items()},
+                "scores": self._scores,
+                "cells": self._cells,
+                "overall": self._overall,
+                "seen": support.cells,
+                "fit": support.fit,
+                "ranges": support.ranges,
+                "beyond": self.beyond,
+                "frozen": self._frozen,
+                "lam": self._lam,
+            },
+        )
+
+    def written(self) -> None:
+        self._states.written()
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         """The newest change of some valves that was found."""
@@ -321,6 +362,14 @@ class _Lanes:
         return trace
 
 
+@dataclass(frozen=True)
+class _LaneKey:
+    """What a lane's memory belongs to."""
+
+    estimator: str
+    accuracy: SensorAccuracy
+
+
 def _states_of(estimator: AnyEstimator, M: int) -> "_Stacked | _Listed":
     return _Stacked(estimator, M) if isinstance(estimator, ManyModels) else _Listed(estimator, M)
 
@@ -373,6 +422,12 @@ class _Stacked:
             return self._estimator.too_fast(self._all)
         return np.zeros(M, np.int64)
 
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
+
+    def written(self) -> None:
+        self._changed[:] = -1
+
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
         for f in fields(state):
@@ -385,6 +440,7 @@ class _Listed:
     def __init__(self, estimator: AnyEstimator, M: int) -> None:
         self._estimator = estimator
         self._all: list[State] = [estimator.initial_state()] * M
+        self._columns: State | None = None  # as they were handed out, to be written to
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
         N = len(samples)
@@ -422,6 +478,15 @@ class _Listed:
 
     def too_fast(self, M: int) -> Times:
         return np.zeros(M, np.int64)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        self._columns = stack(self._all)
+        return {f.name: getattr(self._columns, f.name) for f in fields(self._columns)}
+
+    def written(self) -> None:
+        if self._columns is not None:
+            self._all = [copied(member(self._columns, m)) for m in range(len(self._all))]
+        self._columns = None
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

@@ -4,8 +4,10 @@ Both the live service and the replay of recordings go through this one object; i
 time nor network.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +47,14 @@ from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.fleet import COUNTER_NAMES as NOT_LEARNT
 from service.streaming.fleet import Fleet
 from service.streaming.kernels.waiting import NEVER
-from service.streaming.pipeline import Forgetful, Lane, Required, ValvePlan, ValveState
+from service.streaming.pipeline import (
+    AnyEstimator,
+    Forgetful,
+    Lane,
+    Required,
+    ValvePlan,
+    ValveState,
+)
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
     SIGNALS,
@@ -62,11 +71,14 @@ from service.streaming.ports import (
 )
 from service.streaming.quality_gate import QualityGate
 from service.streaming.timing import Timing, TimingSettings, TimingState
+from service.streaming.valve_columns import Columns, copy_rows
 from service.streaming.valve_memory import ValveMemory
 from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
 
-MAPS_AT_ONCE = 100
+R = TypeVar("R")
+
+MAPS_AT_ONCE = 100  # 2 ms each
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come
 BASELINE = "Baseline"  # nor so: the map that was approved as new
@@ -148,7 +160,7 @@ class Identification:
 
     def _align(self, changes: DataChanges) -> ByValve:
         self._waiting, arrived = self._alignment.take(self._waiting, changes)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
@@ -164,14 +176,15 @@ class Identification:
         if len(unfinished):
             return self._align(unfinished)
         self._waiting, arrived = self._alignment.flush(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """The source of some valves was restarted: its running numbers begin anew."""
         self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
-    def _learn(self, arrived: ByValve) -> ByValve:
+    def learn(self, arrived: ByValve) -> ByValve:
+        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
@@ -186,7 +199,7 @@ class Identification:
 
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:
         counts, places = self._waiting.counters[valves], self._member_of[valves]
-        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made[valves]
+        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made(valves)
         fleet.alarms.note_losses(places, lost, counts[:, _ALIGNED])
         fleet.alarms.be_patient(places, self._timing.holds[valves])
 
@@ -281,19 +294,22 @@ class Identification:
         fleet, m = self._at(valve)
         return fleet.state(m)
 
-    def refresh_maps(self) -> None:
-        """Compute the next inverse tables and surveys anew; results show the newest of them."""
-        for _ in range(min(MAPS_AT_ONCE, len(self.plans))):
+    def refresh_maps(self, share: float = 1.0) -> None:
+        """Compute the next inverse tables and surveys anew; results show the newest of them.
+
+        Or a ``share`` of those, for one whom others wait for.
+        """
+        for _ in range(math.ceil(share * min(MAPS_AT_ONCE, len(self.plans)))):
             number = self._next_map % len(self.plans)
-            self._maps[number] = pipeline.inverse_map(self.plans[number], self.state(number))
+            self._maps[number] = self._inverse_map(number)
             self._implausible[number] |= not self._insists[number] and any(
                 finding.kind is Kind.REFUSED for finding in self.findings(number)
             )
             self._next_map += 1
         lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
-        for _ in range(min(SURVEYS_AT_ONCE, len(lanes))):
+        for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
             number, name = lanes[self._next_survey % len(lanes)]
-            found = pipeline.survey_of(self.plans[number], self.state(number), name)
+            found = pipeline.survey_of(self.plans[number], self._state_of(number, name), name)
             self._surveys[number] = {**self._surveys[number], name: found}
             self._next_survey += 1
 
@@ -380,7 +396,7 @@ class Identification:
         demanded = np.isfinite(fleet.demands(self._member_of[valves])).all(axis=1)
         for k in np.flatnonzero(demanded):
             valve = int(valves[k])
-            U[k], _, status[k] = pipeline.required(self.plans[valve], self.state(valve))
+            U[k], _, status[k] = pipeline.required(*self._inverted(valve))
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
         fleet.alarms.note_answers(self._member_of[valves], guessed)
         return InverseResults(
@@ -396,7 +412,7 @@ class Identification:
     def _counts(self, fleet: Fleet, valves: Times) -> Times:
         rejected = fleet.rejections()[self._member_of[valves]]
         aligned = self._waiting.counters[valves]
-        aligned[:, _MISSING] += self._timing.not_made[valves]
+        aligned[:, _MISSING] += self._timing.not_made(valves)
         return np.column_stack((aligned, rejected))
 
     def counters(self, valve: int) -> Mapping[str, int]:
@@ -406,22 +422,12 @@ class Identification:
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
         """What a results server must know."""
+        described = _once_each(_description)
         return tuple(
             ValveDescription(
                 name=plan.name,
                 estimators=tuple(
-                    EstimatorDescription(
-                        name=name,
-                        description=_first_line(estimator),
-                        parameter_names=estimator.parameter_names,
-                        has_forgetting_factor=isinstance(estimator, Forgetful),
-                        finds_changes=pipeline.finds_changes(estimator),
-                        chooses_structure=isinstance(estimator, Auto),
-                        finds_lags=isinstance(estimator, Auto),
-                        has_named_parameters=isinstance(
-                            estimator, RecursiveLeastSquares | MaximumLikelihood
-                        ),
-                    )
+                    replace(described(estimator), name=name)
                     for name, estimator in plan.estimators.items()
                 ),
                 Q_range=(min(plan.map_Q), max(plan.map_Q)),
@@ -483,8 +489,7 @@ class Identification:
 
     def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
-        number = self._numbers[valve]
-        return pipeline.demanded(self.plans[number], self.state(number), Q, dp, T)
+        return pipeline.demanded(*self._inverted(self._numbers[valve]), Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
         """Set the standing demand; NaN takes it back."""
@@ -493,9 +498,9 @@ class Identification:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """The answer to a valve's standing demand, and how its estimator stands."""
-        state = self.state(valve)
-        status = state.lanes[self.plans[valve].inverse].status
-        answer = pipeline.required(self.plans[valve], state)
+        plan, state = self._inverted(valve)
+        status = state.lanes[plan.inverse].status
+        answer = pipeline.required(plan, state)
         return answer, Status.WARMING_UP if status is None else status
 
     def approve(self, valve: str) -> None:
@@ -516,15 +521,16 @@ class Identification:
     def roll_back(self, valve: str) -> None:
         """Have every estimator know what it knew when the baseline was approved."""
         number, baseline = self._numbers[valve], self._baseline(valve)
+        before = {}
         for name, configured in self.plans[number].estimators.items():
-            now = self.lane(valve, name)
             try:
-                then = baseline.lane(name, configured)
+                before[name] = baseline.lane(name, configured)
             except StateMismatchError as error:
                 raise CommandRejected(f"{valve}.{name}: {error}") from None
-            if now.lam is not None:
-                then = pipeline.with_forgetting(then, now.lam)
-            self._put(valve, name, replace(then, frozen=now.frozen))
+        for name, then in before.items():
+            now = self.lane(valve, name)
+            known = then if now.lam is None else pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(known, frozen=now.frozen))
 
     def replace_valve(self, valve: str) -> None:
         """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
@@ -579,17 +585,18 @@ class Identification:
         for fleet in self._fleets:
             fleet.alarms.was_away()
 
-    def say_overdue(self, valves: Times, now: int) -> list[int]:
-        """Some valves have sent nothing until ``now``, UTC ns by the source's clock.
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Some valves have sent nothing until ``now``, UTC ns by the clocks of their sources.
 
         Returns those of which that is an alarm only now.
         """
         new: list[int] = []
         for number in np.unique(self._fleet_of[valves]):
-            own = valves[self._fleet_of[valves] == number]
+            chosen = self._fleet_of[valves] == number
+            own = valves[chosen]
             places, alarms = self._member_of[own], self._fleets[number].alarms
             before = alarms.version[places]
-            alarms.overdue(places, now)
+            alarms.overdue(places, now[chosen])
             new += own[alarms.version[places] != before].tolist()
         return new
 
@@ -677,18 +684,12 @@ class Identification:
         packed, name = fleet.alarms.to_bytes(m), self.plans[valve].name
         return Checkpoint(name, ALARMS, "", t, packed, lam=None, frozen=False)
 
-    def _take_alarms(self, kept: Checkpoint) -> bool:
-        try:
-            if kept.valve == OF_SERVICE:
-                self._service_alarms.from_bytes(kept.state)
-            elif kept.valve in self._numbers:
-                fleet, m = self._at(self._numbers[kept.valve])
-                fleet.alarms.from_bytes(m, kept.state)
-            else:
-                return False
-        except StateMismatchError:
-            return False
-        return True
+    def _take_alarms(self, kept: Checkpoint) -> None:
+        if kept.valve == OF_SERVICE:
+            self._service_alarms.from_bytes(kept.state)
+        else:
+            fleet, m = self._at(self._number(kept))
+            fleet.alarms.from_bytes(m, kept.state)
 
     def _baseline_of(self, valve: int) -> Checkpoint:
         """The baseline, or, as ``frozen``, that there is none any more."""
@@ -699,18 +700,12 @@ class Identification:
         name = self.plans[valve].name
         return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
 
-    def _take_baseline(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
-        try:
-            found = Baseline.from_bytes(kept.state)
-        except StateMismatchError:
-            return False
+    def _take_baseline(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        found = Baseline.from_bytes(kept.state)
         self._approved[number] = found.number
         if not kept.frozen:
             self._baselines[number] = found
-        return True
 
     def _timing_of(self, valve: int, t: int) -> Checkpoint:
         key = self._timing_key(valve)
@@ -722,33 +717,25 @@ class Identification:
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
 
-    def _time_as_before(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or not self._finds_timing:
-            return False
-        try:
-            state = TimingState.from_bytes(kept.state, self._timing_key(number))
-            self._timing.put(number, state)
-        except StateMismatchError:
-            return False
-        return True
+    def _time_as_before(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        if not self._finds_timing:
+            raise StateMismatchError("how signals come is configured")
+        self._timing.put(number, TimingState.from_bytes(kept.state, self._timing_key(number)))
 
     def _memory_key(self, valve: int) -> str:
         alignment, plan = self._alignment, self.plans[valve]
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
 
-    def _remember(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
+    def _remember(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
         fleet, m = self._at(number)
-        try:
-            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
-            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
-            fleet.remember(m, memory.gate, memory.t, memory.T)
-        except (StateMismatchError, ValueError):
-            return False
+        memory = ValveMemory.from_bytes(
+            kept.state, self._memory_key(number), self.plans[number].gate, self._alignment
+        )
+        self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+        fleet.remember(m, memory.gate, memory.t, memory.T)
         fleet.demand(m, *memory.demand)
         for name, notes in memory.notes.items():
             known = name in self.plans[number].estimators and notes.status in (-1, *Status)
@@ -758,44 +745,88 @@ class Identification:
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
             fleet.count_beyond(m, name, notes.beyond)
-        return True
 
-    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
+    def _number(self, kept: Checkpoint) -> int:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            raise StateMismatchError("no such valve is configured")
+        return number
+
+    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Take up what was kept, where the configuration still fits.
 
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; what is refused starts afresh.
+            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
         """
         restored: list[str] = []
-        refused: list[str] = []
+        refused: dict[str, str] = {}
         takers = {
             MEMORY: self._remember,
             TIMING: self._time_as_before,
             BASELINE: self._take_baseline,
             ALARMS: self._take_alarms,
         }
+        known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
-            taken = takers.get(kept.estimator, self._restore)(kept)
-            (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
-        self._maps = [pipeline.inverse_map(*pair) for pair in self._pairs()]
-        self.refresh_maps()
+            name = f"{kept.valve}.{kept.estimator}"
+            try:
+                takers.get(kept.estimator, self._restore)(kept)
+            except StateMismatchError as error:
+                refused[name] = str(error)
+            else:
+                restored.append(name)
+                known.update({self._numbers[kept.valve]} if kept.valve in self._numbers else ())
+        for number in known:
+            self._maps[number] = self._inverse_map(number)
+        if known:
+            self.refresh_maps()
         return restored, refused
 
-    def _restore(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or kept.estimator not in self.plans[number].estimators:
-            return False
-        configured = self.plans[number].estimators[kept.estimator]
-        try:
-            lane = pipeline.lane_from_bytes(
-                kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
-            )
-        except StateMismatchError:
-            return False
+    def _restore(self, kept: Checkpoint) -> None:
+        configured = self.plans[self._number(kept)].estimators.get(kept.estimator)
+        if configured is None:
+            raise StateMismatchError("no such estimator is configured")
+        lane = pipeline.lane_from_bytes(
+            kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
+        )
         self._put(kept.valve, kept.estimator, lane)
-        return True
+
+    def columns(self) -> list[Columns]:
+        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        names = tuple(plan.name for plan in self.plans)
+        newest = self._newest
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": newest.t,
+            "newest_quality": newest.quality,
+            "newest_values": newest.values,
+            "implausible": self._implausible,
+            "approved": self._approved,
+            **{f"plausibility_{n}": array for n, array in self._plausibility.columns().items()},
+        }
+        found = [Columns("signals", names, every)]
+        for number, fleet in enumerate(self._fleets):
+            own = np.flatnonzero(self._fleet_of == number)
+            found += fleet.columns([names[valve] for valve in own])
+        return found
+
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Take up columns and baselines; return (key, valve) of what starts afresh."""
+        own = self.columns()
+        afresh = copy_rows(columns, own)
+        for fleet in self._fleets:
+            fleet.columns_written()
+        for valve, packed in baselines.items():
+            if valve in self._numbers:
+                self._baselines[self._numbers[valve]] = Baseline.from_bytes(packed)
+        return afresh
+
+    def baselines(self) -> dict[str, bytes]:
+        """The approved maps, packed, by valve."""
+        return {self.plans[n].name: found.to_bytes() for n, found in self._baselines.items()}
 
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""
@@ -804,12 +835,22 @@ class Identification:
         for number, plan in enumerate(self.plans):
             key = (int(self._fleet_of[number]), plan.inverse, plan.map_Q, plan.map_dp)
             if key not in tables:
-                tables[key] = pipeline.inverse_map(plan, self.state(number))
+                tables[key] = self._inverse_map(number)
             maps.append(tables[key])
         return maps
 
-    def _pairs(self) -> list[tuple[ValvePlan, ValveState]]:
-        return [(plan, self.state(number)) for number, plan in enumerate(self.plans)]
+    def _inverse_map(self, valve: int) -> Floats:
+        return pipeline.inverse_map(*self._inverted(valve))
+
+    def _inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
+        """What the inverse of a valve's map is made from."""
+        plan = self.plans[valve]
+        return plan, self._state_of(valve, plan.inverse)
+
+    def _state_of(self, valve: int, estimator: str) -> ValveState:
+        """One valve as it stands, with one of its estimators: whole states are large."""
+        fleet, m = self._at(valve)
+        return fleet.state(m, [estimator])
 
     def _at(self, valve: int) -> tuple[Fleet, int]:
         return self._fleets[self._fleet_of[valve]], int(self._member_of[valve])
@@ -829,8 +870,9 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     first: list[ValvePlan] = []
     sizes: list[int] = []
     places = np.zeros((2, len(plans)), np.int64)
+    keys = _once_each(key_of)
     for valve, plan in enumerate(plans):
-        estimators = [(name, key_of(e)) for name, e in plan.estimators.items()]
+        estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = pipeline.nothing_seen(plan).ranges.tolist()
         watched = plan.inverse, sorted(plan.alarms.items())
         key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
@@ -851,6 +893,31 @@ def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times
     rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])
     last = np.cumsum(stops - starts)
     return rows, last - (stops - starts), last
+
+
+def _once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
+    """The same function, called once for each estimator: valves of one kind share theirs."""
+    known: dict[int, R] = {}
+
+    def cached(estimator: AnyEstimator) -> R:
+        if id(estimator) not in known:
+            known[id(estimator)] = of(estimator)
+        return known[id(estimator)]
+
+    return cached
+
+
+def _description(estimator: AnyEstimator) -> EstimatorDescription:
+    return EstimatorDescription(
+        name="",
+        description=_first_line(estimator),
+        parameter_names=estimator.parameter_names,
+        has_forgetting_factor=isinstance(estimator, Forgetful),
+        finds_changes=pipeline.finds_changes(estimator),
+        chooses_structure=isinstance(estimator, Auto),
+        finds_lags=isinstance(estimator, Auto),
+        has_named_parameters=isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood),
+    )
 
 
 def _first_line(thing: object) -> str:

@@ -93,12 +93,12 @@ class Timing:
             return np.zeros(len(self.valves), np.int64)
         return np.array([valve.pending for valve in self.valves], np.int64)
 
-    @property
-    def not_made(self) -> Times:
-        """Scans of each valve that were no sample, (V,)."""
-        if not self._special.any():
-            return np.zeros(len(self.valves), np.int64)
-        return np.array([valve.not_made for valve in self.valves], np.int64)
+    def not_made(self, valves: Times) -> Times:
+        """Scans of some valves that were no sample, (M,)."""
+        found = np.zeros(len(valves), np.int64)
+        for k in np.flatnonzero(self._special[valves]):
+            found[k] = self.valves[valves[k]].not_made
+        return found
 
     def newly_found(self) -> list[int]:
         """Valves that were found to come in scans since the last call."""

@@ -1,7 +1,5 @@
 """HistoryRead of raw values, seen through asyncua's plain client over a real socket."""
 
-# ruff: noqa: FBT003 - positional fields of OPC UA structures
-
 import asyncio
 import datetime as dt
 
@@ -231,14 +229,12 @@ async def test_continuation_points_are_few_the_sessions_own_and_released(server,
     ("details", "code"),
     [
         (raw(T0, T0 + 1, modified=True), Codes.BadHistoryOperationUnsupported),
-        (ua.ReadAtTimeDetails([], False), Codes.BadHistoryOperationUnsupported),
-        (ua.ReadProcessedDetails(), Codes.BadHistoryOperationUnsupported),
         (ua.ReadEventDetails(), Codes.BadHistoryOperationUnsupported),
         (raw(T0), Codes.BadHistoryOperationInvalid),
         (raw(n=5), Codes.BadHistoryOperationInvalid),
         (raw(T0 - 10 * MS, T0), Codes.GoodNoData),
     ],
-    ids=["modified", "at time", "processed", "events", "start alone", "number alone", "no data"],
+    ids=["modified", "events", "start alone", "number alone", "no data"],
 )
 async def test_what_is_not_there_is_said(server, client, details, code):
     (result,) = await read(client, [server.flow], details)

@@ -367,6 +367,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
         source=SourceCounters(
             100, 10, missing_messages=2, overflows=4, undecodable=1, from_history=6
         ),
+        source_states=("north: connected", "south: away"),
         checkpoint_age_s=1.5,
         checkpoint_failures=7,
         checkpoint_bytes=4096,
@@ -385,6 +386,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
         "Source.MissingMessages": 2,
         "Source.Undecodable": 1,
         "Source.FromHistory": 6,
+        "Source.States": ["north: connected", "south: away"],
     }
     for name, expected in shown.items():
         assert (await value(observer, f"Service.{name}"))[:2] == (expected, Codes.Good)

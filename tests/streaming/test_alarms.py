@@ -339,7 +339,7 @@ def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
 def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):
     before = fresh()
     before.take(as_changes(plant(500)))
-    quiet = before.say_overdue(np.array([0]), START + 60 * S)
+    quiet = before.say_overdue(np.array([0]), np.array([START + 60 * S]))
     assert quiet == [0]
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])

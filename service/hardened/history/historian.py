@@ -1,7 +1,7 @@
 """The port behind which somebody keeps what variables have been."""
 
-from collections.abc import Awaitable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,6 +28,17 @@ class Span:
         """Where it begins."""
         return self.high if self.backwards else self.low
 
+    def behind(self, skip: int, read: "Records") -> tuple["Span", int]:
+        """Where it goes on once some of it is read, and how many records to leave out there.
+
+        ``skip`` were left out before these.
+        """
+        last = int(read.source[-1])
+        seen = int(np.count_nonzero(read.source == last))
+        skip = seen + (skip if last == self.first else 0)
+        rest = replace(self, high=last) if self.backwards else replace(self, low=last)
+        return rest, skip
+
 
 @dataclass(frozen=True)
 class Records:
@@ -53,6 +64,14 @@ class Records:
 
     def __getitem__(self, rows: slice) -> "Records":
         return Records(self.values[rows], self.codes[rows], self.source[rows], self.server[rows])
+
+
+def joined(parts: Sequence[Records]) -> Records:
+    """Records one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    names = ("values", "codes", "source", "server")
+    return Records(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 class Historian(Protocol):

@@ -1,10 +1,10 @@
-"""HistoryRead of raw values (Part 11, 6.4.3.2), a page at a time."""
+"""HistoryRead (Part 11, 6.4), a page at a time: raw values, aggregates, values at given times."""
 
 import secrets
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from asyncua import ua
@@ -17,14 +17,32 @@ from service.hardened.binary.encoding import (
     nanoseconds,
 )
 from service.hardened.binary.records import Form, encode_records
-from service.hardened.history.historian import EVER, Historian, Records, Span
+from service.hardened.history.historian import EVER, Historian, Records, Span, joined
+from service.hardened.history.processing import (
+    AtTimes,
+    Processed,
+    Raw,
+    aggregated,
+    at_times,
+    processed,
+    type_of,
+)
 from service.hardened.settings import Limits
 
 _Codes = ua.StatusCodes
+MOST_TIMES = 1_000  # of one variable in one request, each is looked up
 _NO_TIME = -TICKS_1970 * 100  # DateTime 0, which stands for none
 _BAD = 0x8000_0000
 
-Outside = Callable[[Awaitable[Records]], Awaitable[Records]]
+
+class Turn(Protocol):
+    """The running request's turn at the server."""
+
+    async def breathe(self) -> None:
+        """Let others go first if this request has lasted for long."""
+
+    async def outside(self, slow: Awaitable[Records]) -> Records:
+        """Wait for something slow without keeping the turn."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +72,7 @@ class Rest:
     tail: int | None = None
 
 
-Rests = OrderedDict[bytes, Rest]
+Rests = OrderedDict[bytes, Rest | Processed]
 
 
 class Histories:
@@ -72,30 +90,41 @@ class Histories:
         self._kept[variable.id] = variable, historian
 
     async def read(
-        self,
-        params: ua.HistoryReadParameters,
-        wanted: ua.HistoryReadValueId,
-        rests: Rests,
-        outside: Outside,
+        self, params: ua.HistoryReadParameters, number: int, rests: Rests, turn: Turn
     ) -> bytes:
-        """Read one variable: an encoded HistoryReadResult.
+        """Read one variable, ``number`` of those asked for: an encoded HistoryReadResult.
 
         ``rests`` are the session's own: what does not fit waits there behind a continuation point.
         """
-        rest = self._wanted(params, wanted, rests)
+        most = max(self._limits.history_values // len(params.NodesToRead), 1)
+        rest = self._wanted(params, number, rests, most)
         if isinstance(rest, int):
             return encode_history_result(rest)
-        most = max(self._limits.history_values // len(params.NodesToRead), 1)
-        most = min(most, rest.page or most, most if rest.left is None else rest.left)
-        found, more = await self._page(rest, most, outside)
+        variable, historian = self._kept[rest.node]
+        kind = variable.type
+
+        async def raw(span: Span, skip: int, count: int) -> Records:
+            await turn.breathe()
+            found = historian.raw(variable.id, span, skip, count)
+            return found if isinstance(found, Records) else await turn.outside(found)
+
+        more: Rest | Processed | None
+        if isinstance(rest, Processed):
+            kind = type_of(rest.aggregate, variable)
+            found, start = await aggregated(rest, variable, raw, most)
+            more = None if start is None else replace(rest, start=start)
+        elif isinstance(rest, AtTimes):
+            found, more = await at_times(rest.times, variable, raw), None
+        else:
+            most = min(most, rest.page or most, most if rest.left is None else rest.left)
+            found, more = await _page(rest, most, raw, kind)
         code, point = _Codes.Good if len(found) else _Codes.GoodNoData, None
         if more is not None:
             if len(rests) >= self._limits.history_continuation_points:
                 return encode_history_result(_Codes.BadNoContinuationPoints)
             point = secrets.token_bytes(16)
             rests[point] = more
-        variable, _ = self._kept[rest.node]
-        data, _ = _encoded(variable, found, params.TimestampsToReturn)
+        data, _ = _encoded(kind, found, params.TimestampsToReturn)
         return encode_history_result(code, point, data, len(found))
 
     def release(self, wanted: ua.HistoryReadValueId, rests: Rests) -> bytes:
@@ -104,9 +133,10 @@ class Histories:
         return encode_history_result(_Codes.Good if known else _Codes.BadContinuationPointInvalid)
 
     def _wanted(  # noqa: PLR0911 - one per reason
-        self, params: ua.HistoryReadParameters, wanted: ua.HistoryReadValueId, rests: Rests
-    ) -> Rest | int:
+        self, params: ua.HistoryReadParameters, number: int, rests: Rests, most: int
+    ) -> Rest | Processed | AtTimes | int:
         """What is to be read, or why it cannot be."""
+        wanted = params.NodesToRead[number]
         if wanted.ContinuationPoint:
             rest = rests.get(wanted.ContinuationPoint)
             if rest is None or rest.node != wanted.NodeId:
@@ -115,51 +145,52 @@ class Histories:
         details = params.HistoryReadDetails
         if wanted.NodeId not in self._kept:
             return _Codes.BadHistoryOperationUnsupported
-        if not isinstance(details, ua.ReadRawModifiedDetails) or details.IsReadModified:
-            return _Codes.BadHistoryOperationUnsupported
         if wanted.IndexRange:
             return _Codes.BadIndexRangeNoData
         if wanted.DataEncoding is not None and wanted.DataEncoding.Name:
             return _Codes.BadDataEncodingInvalid
+        if isinstance(details, ua.ReadProcessedDetails):
+            start, end = _time(details.StartTime), _time(details.EndTime)
+            span = None if start is None or end is None else (start, end)
+            return processed(wanted.NodeId, details, number, span)
+        if isinstance(details, ua.ReadAtTimeDetails):
+            times = [_time(moment) for moment in details.ReqTimes]
+            if not times or len(times) > min(most, MOST_TIMES) or None in times:
+                return (
+                    _Codes.BadInvalidArgument if len(times) <= most else _Codes.BadTooManyOperations
+                )
+            return AtTimes(wanted.NodeId, [t for t in times if t is not None])
+        if not isinstance(details, ua.ReadRawModifiedDetails) or details.IsReadModified:
+            return _Codes.BadHistoryOperationUnsupported
         return _beginning(wanted.NodeId, details) or _Codes.BadHistoryOperationInvalid
 
-    async def _page(self, rest: Rest, most: int, outside: Outside) -> tuple[Records, Rest | None]:
-        """The next values, and what is left then."""
-        variable, historian = self._kept[rest.node]
 
-        async def raw(span: Span, skip: int, count: int) -> Records:
-            found = historian.raw(variable.id, span, skip, count)
-            return found if isinstance(found, Records) else await outside(found)
+async def _page(
+    rest: Rest, most: int, raw: Raw, kind: ua.VariantType
+) -> tuple[Records, Rest | None]:
+    """The next values, and what is left then."""
+    found = await raw(rest.span, rest.skip, most + 1)
+    more = None
+    if len(found) > most:
+        found = found[:most]
+        more = _behind(rest, found)
+    parts = [found]
+    if rest.lead is not None and not (len(found) and found.source[0] == rest.lead):
+        parts.insert(0, await _bound(rest.lead, raw, kind, rest.span, lead=True))
+    if rest.tail is not None and more is None:
+        parts.append(await _bound(rest.tail, raw, kind, rest.span, lead=False))
+    return joined(parts), more
 
-        found = await raw(rest.span, rest.skip, most + 1)
-        more = None
-        if len(found) > most:
-            found = found[:most]
-            more = _behind(rest, found)
-        parts = [found]
-        if rest.lead is not None and not (len(found) and found.source[0] == rest.lead):
-            parts.insert(0, await self._bound(rest.lead, raw, variable, rest.span, lead=True))
-        if rest.tail is not None and more is None:
-            parts.append(await self._bound(rest.tail, raw, variable, rest.span, lead=False))
-        return _joined(parts), more
 
-    @staticmethod
-    async def _bound(
-        at: int,
-        raw: Callable[[Span, int, int], Awaitable[Records]],
-        variable: Variable,
-        span: Span,
-        *,
-        lead: bool,
-    ) -> Records:
-        """The value beside a span, at a time or as near to it as there is one."""
-        older = span.backwards != lead
-        near = await raw(Span(EVER[0], at, backwards=True) if older else Span(at, EVER[1]), 0, 1)
-        if len(near):
-            return near
-        none = np.array([at])
-        code = np.array([_Codes.BadBoundNotFound], np.uint32)
-        return Records(np.zeros(1, DTYPES[variable.type]), code, none, none)
+async def _bound(at: int, raw: Raw, kind: ua.VariantType, span: Span, *, lead: bool) -> Records:
+    """The value beside a span, at a time or as near to it as there is one."""
+    older = span.backwards != lead
+    near = await raw(Span(EVER[0], at, backwards=True) if older else Span(at, EVER[1]), 0, 1)
+    if len(near):
+        return near
+    none = np.array([at])
+    code = np.array([_Codes.BadBoundNotFound], np.uint32)
+    return Records(np.zeros(1, DTYPES[kind]), code, none, none)
 
 
 def _beginning(node: ua.NodeId, details: ua.ReadRawModifiedDetails) -> Rest | None:
@@ -186,29 +217,18 @@ def _behind(rest: Rest, read: Records) -> Rest | None:
     left = None if rest.left is None else rest.left - len(read)
     if left == 0:
         return None
-    last = int(read.source[-1])
-    seen = int(np.count_nonzero(read.source == last))
-    skip = seen + (rest.skip if last == rest.span.first else 0)
-    back = rest.span.backwards
-    span = replace(rest.span, high=last) if back else replace(rest.span, low=last)
+    span, skip = rest.span.behind(rest.skip, read)
     return replace(rest, span=span, skip=skip, left=left, lead=None)
 
 
-def _joined(parts: list[Records]) -> Records:
-    if len(parts) == 1:
-        return parts[0]
-    names = ("values", "codes", "source", "server")
-    return Records(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
 def _encoded(
-    variable: Variable, found: Records, stamps: ua.TimestampsToReturn
+    kind: ua.VariantType, found: Records, stamps: ua.TimestampsToReturn
 ) -> tuple[bytes, Any]:
     return encode_records(
-        Form(variable.type, DTYPES[variable.type], None, handle=False),
+        Form(kind, DTYPES[kind], None, handle=False),
         int(stamps),
         {
-            "value": np.asarray(found.values)[:, None],
+            "value": np.asarray(found.values).astype(DTYPES[kind])[:, None],
             "status": found.codes,
             "has": found.codes < _BAD,
             "source": found.source // 100 + TICKS_1970,

@@ -259,13 +259,17 @@ class Services:
         if params.TimestampsToReturn not in tuple(ua.TimestampsToReturn)[:3]:
             raise ServiceError(_Codes.BadTimestampsToReturnInvalid)
         self._check_count(params.NodesToRead, self._limits.history_reads)
+        details = params.HistoryReadDetails
+        if isinstance(details, ua.ReadProcessedDetails) and len(details.AggregateType) != len(
+            params.NodesToRead
+        ):
+            raise ServiceError(_Codes.BadAggregateListMismatch)
         rests, results = request.session.rests, []
-        for wanted in params.NodesToRead:
+        for number, wanted in enumerate(params.NodesToRead):
             if params.ReleaseContinuationPoints:
                 results.append(self._histories.release(wanted, rests))
             else:
-                outside = request.turn.outside
-                results.append(await self._histories.read(params, wanted, rests, outside))
+                results.append(await self._histories.read(params, number, rests, request.turn))
             await request.turn.breathe()
         return encode_history_response(request.handle, self._ticks(), results)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.compiled import kernel, spliced
+from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.grid import MEAN_Q
 from service.identification.kernels.map_fit import fit, plan_of
 from service.identification.kernels.surface import BORDER
@@ -20,17 +20,18 @@ MOVE, IDLE = 0, 1
 @kernel
 def climb(
     points: Floats, shape: Floats, top: float, least_play: float, trends: int,
-    steps: int, progress: np.ndarray, least: float,
+    steps: int, progress: np.ndarray, least: float, rich: Floats,
 ) -> None:  # fmt: skip
     """Try the next ``steps`` neighbours in turn; go to each that lowers the BIC, and on that way.
 
     A trend is tried each time, where there is none and the samples can tell one: temperature may
     have moved just now. ``shape`` (6,) and ``progress`` (2,) are written: the number of the next
     neighbour, and how many were tried in vain since the last gain. σ² is ``least`` at least:
-    coloured noise is the same in neighbouring cells, and a rich spline follows it.
+    coloured noise is the same in neighbouring cells, and a rich spline follows it. ``rich`` (5,)
+    holds what the richest spline has left before, see `noise`, and is written.
     """
     around = np.empty((ladder.MOST_NEIGHBOURS, len(shape)))
-    sigma_2 = max(noise(points, shape, top), least)
+    sigma_2 = max(noise(points, shape, top, rich), least)
     best = bic(points, shape, top, sigma_2)
     if trends and shape[ladder.TREND] == 0.0:
         around[0] = shape
@@ -48,18 +49,11 @@ def climb(
             shape[:] = candidate
             progress[IDLE] = 0
             count = ladder.neighbours(shape, least_play, trends, around)
-            sigma_2 = max(noise(points, shape, top), least)
+            sigma_2 = max(noise(points, shape, top, rich), least)
             best = bic(points, shape, top, sigma_2)
 
 
 @kernel
-def is_better(points: Floats, shape: Floats, than: Floats, top: float, least: float) -> bool:
-    """Whether a shape has the smaller BIC, with the σ² of the other."""
-    sigma_2 = max(noise(points, than, top), least)
-    return bic(points, shape, top, sigma_2) < bic(points, than, top, sigma_2) - LEAST_GAIN
-
-
-@spliced
 def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
     """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
     rss, penalty, fall, n_effective = _fit(points, shape, top)
@@ -67,12 +61,32 @@ def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
     return criterion if math.isfinite(criterion) else math.inf
 
 
+@kernel
+def noise(points: Floats, shape: Floats, top: float, rich: Floats) -> float:
+    """σ² that the richest spline with the shape's kinks, play and trend leaves.
+
+    Its fit costs as much as four others. ``rich`` (5,) is the last σ² with those kinks, play and
+    trend, and is written; a σ² of 0 there says that nothing is known.
+    """
+    own = shape[ladder.DEAD_BAND :]
+    if rich[0] == 0.0 or not _are_same(own, rich[1:]):
+        rich[0], rich[1:] = _left_by_richest(points, shape, top), own
+    return float(rich[0])
+
+
+@inner
+def _are_same(a: Floats, b: Floats) -> bool:
+    for i in range(len(a)):
+        if a[i] != b[i] and not (math.isnan(a[i]) and math.isnan(b[i])):
+            return False
+    return True
+
+
 @spliced
-def noise(points: Floats, shape: Floats, top: float) -> float:
-    """σ² that the richest spline with the shape's kinks and play leaves."""
-    rich = shape.copy()
-    rich[ladder.CELLS_OF], rich[ladder.AXIS] = RICH_CELLS, RICH_AXIS
-    rss, _, _, n_effective = _fit(points, rich, top)
+def _left_by_richest(points: Floats, shape: Floats, top: float) -> float:
+    richest = shape.copy()
+    richest[ladder.CELLS_OF], richest[ladder.AXIS] = RICH_CELLS, RICH_AXIS
+    rss, _, _, n_effective = _fit(points, richest, top)
     largest = 0.0
     for i in range(len(points)):
         largest = max(largest, abs(points[i, MEAN_Q]))
@@ -80,7 +94,7 @@ def noise(points: Floats, shape: Floats, top: float) -> float:
     return max(rss / max(len(points) - n_effective, 1.0), floor, 1e-30)
 
 
-@spliced
+@inner
 def _fit(points: Floats, shape: Floats, top: float) -> tuple[float, float, float, float]:
     n = ladder.size(shape)
     theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))
