@@ -8,6 +8,8 @@
     │   └── NoRecording           it is not there, or of no known kind, exit code 2
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
     │   └── NoSuchFile            what was named is not there, exit code 2
+    ├── FleetError                broker, topics or memory of a fleet cannot be used
+    │   └── BlockError            a message is no block that can be read
     ├── CommandRejected           an operator's command cannot be carried out
     └── SourceError               the source server
         ├── SourceLost            worth another try: connection refused, cut, silent
@@ -45,6 +47,14 @@ class NoSuchFile(StorageError):  # noqa: N818
     """What was named is not there."""
 
     exit_code = 2
+
+
+class FleetError(ValvemapError):
+    """Broker, topics or memory of a fleet cannot be used."""
+
+
+class BlockError(FleetError):
+    """A message is no block that can be read."""
 
 
 class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke

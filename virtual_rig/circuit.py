@@ -110,7 +110,7 @@ class OperatingPoint(NamedTuple):
 
 
 def operating_point(
-    bench: Bench, y: Floats, p2_set: Floats, T: Floats, edge: Floats
+    bench: Bench, y: Floats, p2_set: Floats, T: Floats, edge: Floats, gap: ArrayLike = 0.0
 ) -> OperatingPoint:
     """Find where the bench settles.
 
@@ -124,6 +124,8 @@ def operating_point(
         Oil temperature at the inlet, °C.
     edge : (N,) array
         Flow coefficient of the main edge over that of the new valve.
+    gap : (N,) array
+        Flow coefficient of a gap worn into it, l/min per √bar.
 
     Examples
     --------
@@ -137,14 +139,16 @@ def operating_point(
     of_bench = (valve_numbers(bench.valve), oil_numbers(bench.oil), c)
     p0, shut = bench.circuit.p0_bar, bench.circuit.p0_bar - bench.circuit.relief_override_bar
     p1, p2 = np.empty(y.size), np.empty(y.size)
-    samples = zip(y.tolist(), p2_set.tolist(), T.tolist(), edge.tolist(), strict=True)
+    gap = np.broadcast_to(np.asarray(gap, np.float64), y.shape)
+    columns = (column.tolist() for column in (y, p2_set, T, edge, gap))
+    samples = zip(*columns, strict=True)
     for i, sample in enumerate(samples):
         args = (*of_bench, *sample)
         # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
         low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, p0)
         p1[i] = brentq(kernels.excess, low, high, args=args, xtol=1e-10, maxiter=1000)
         p2[i] = kernels.load_pressure(c, p1[i], sample[1])
-    state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge)
+    state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge, gap)
     T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))
     return OperatingPoint(p1, p2, _metered(bench.oil, state.Q, p1, p2, T, T2), T, T2, state.x_MP)
 

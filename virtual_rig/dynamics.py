@@ -32,6 +32,28 @@ def lag(u: Floats, time_constant: float, period: float, memory: float) -> Floats
     return np.asarray(_lag(np.ascontiguousarray(u), step, memory))
 
 
+def changing_lag(u: Floats, time_constants: Floats, period: float, memory: float) -> Floats:
+    """The same with a time constant for each sample; where it is 0 nothing lags.
+
+    >>> changing_lag(np.array([0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0]), 1.0, 0.0).round(3)
+    array([0.   , 0.632, 1.   ])
+    """
+    found, which = np.unique(time_constants, return_inverse=True)
+    steps = np.array([-math.expm1(-period / x) if x else 1.0 for x in found.tolist()])[which]
+    return np.asarray(_changing_lag(np.ascontiguousarray(u), steps, memory))
+
+
+@numba.njit(cache=True)
+def _changing_lag(u: Floats, steps: Floats, memory: float) -> Floats:
+    y = np.empty_like(u)
+    for i in range(u.size):
+        if steps[i] == 1.0 or math.isnan(memory):
+            memory = u[i]
+        memory += steps[i] * (u[i] - memory)
+        y[i] = memory
+    return y
+
+
 @numba.njit(cache=True)
 def _play(u: Floats, half: float, memory: float) -> Floats:
     y = np.empty_like(u)

@@ -5,6 +5,8 @@ kind                size                                  what happens
 ==================  ====================================  ========================================
 wear                % of the main edge's flow             drifts there over the duration, and stays
 damage              % of the main edge's flow             at once; a duration of 0 = for good
+edge                l/min per √bar                        a gap worn into the main edge, at once
+lag                 s                                     the signal lags so much more, first order
 temperature_ramp    K                                     tank drifts there over the duration, stays
 frozen              not used                              the signal keeps its last value
 spikes              in the signal's unit                  2 % of the samples are off by ± size
@@ -45,6 +47,8 @@ class FaultKind(StrEnum):
 
     WEAR = "wear"
     DAMAGE = "damage"
+    EDGE = "edge"
+    LAG = "lag"
     TEMPERATURE_RAMP = "temperature_ramp"
     FROZEN = "frozen"
     SPIKES = "spikes"
@@ -59,6 +63,8 @@ _SHARE = (0.0, 1.0)
 _SIZES: dict[FaultKind, tuple[float, float]] = {
     FaultKind.WEAR: (-90.0, 100.0),
     FaultKind.DAMAGE: (-90.0, 100.0),
+    FaultKind.EDGE: (0.0, 10.0),
+    FaultKind.LAG: (0.0, 60.0),
     FaultKind.TEMPERATURE_RAMP: (-30.0, 50.0),
     FaultKind.FROZEN: (-1e6, 1e6),
     FaultKind.SPIKES: (-1e6, 1e6),
@@ -70,6 +76,7 @@ _SIZES: dict[FaultKind, tuple[float, float]] = {
 }
 _OF_SENSORS = frozenset(
     {
+        FaultKind.LAG,
         FaultKind.FROZEN,
         FaultKind.SPIKES,
         FaultKind.OFFSET,
@@ -131,9 +138,9 @@ def commanded_fault(kind: str, size: float, duration_s: float) -> Fault:
     ('p1',)
     >>> commanded_fault("rust", 1.0, 0.0)
     Traceback (most recent call last):
-    virtual_rig.faults.FaultError: kind 'rust': allowed are wear, damage, temperature_ramp, \
-frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, clock_step, with .U, .p1, .p2, \
-.Q or .T behind that of a sensor
+    virtual_rig.faults.FaultError: kind 'rust': allowed are wear, damage, edge, lag, \
+temperature_ramp, frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, clock_step, \
+with .U, .p1, .p2, .Q or .T behind that of a sensor
     """
     name, dot, signal = kind.partition(".")
     if name not in set(FaultKind) or (dot and signal not in SIGNALS):
@@ -179,6 +186,15 @@ def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats
     return np.clip(factor, 0.01, 10.0)
 
 
+def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
+    """Flow coefficient of the gap worn into the main edge, l/min per √bar, (N,): they add up."""
+    gap = np.zeros(index.shape)
+    for active in faults:
+        if active.fault.kind is FaultKind.EDGE:
+            gap = gap + active.fault.size * _is_on(active, index, rate)
+    return np.clip(gap, 0.0, _SIZES[FaultKind.EDGE][1])
+
+
 def temperature_rise(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
     """What ramps add to the tank's temperature, K, (N,); however many, within ±50 K."""
     rise = np.zeros(index.shape)
@@ -201,6 +217,7 @@ class SensorFaults(NamedTuple):
     """What happens to one signal at N samples, all arrays of shape (N,)."""
 
     added: Floats
+    lag_s: Floats
     frozen: NDArray[np.bool_]
     status: NDArray[np.uint32]
     present: NDArray[np.bool_]
@@ -210,7 +227,8 @@ def sensor_faults(
     faults: Faults, signal: Signal, index: NDArray[np.int64], rate: float, seed: int, valve: str
 ) -> SensorFaults:
     """What the faults do to one signal."""
-    added = np.zeros(index.shape)
+    added, lag_s = np.zeros((2, *index.shape))
+    sums = {FaultKind.OFFSET: added, FaultKind.LAG: lag_s}
     frozen = np.zeros(index.shape, dtype=np.bool_)
     status = np.full(index.shape, GOOD, dtype=np.uint32)
     present = np.ones(index.shape, dtype=np.bool_)
@@ -228,9 +246,9 @@ def sensor_faults(
                 frozen |= on
             case FaultKind.SPIKES:
                 sign = np.where(dice < 0.5 * SPIKE_SHARE, 1.0, -1.0)
-                added = added + np.where(on & (dice < SPIKE_SHARE), fault.size * sign, 0.0)
-            case FaultKind.OFFSET:
-                added = added + fault.size * on
+                added += np.where(on & (dice < SPIKE_SHARE), fault.size * sign, 0.0)
+            case FaultKind.OFFSET | FaultKind.LAG:
+                sums[fault.kind] += fault.size * on
             case FaultKind.BAD_QUALITY:
                 status[on & (dice < fault.size)] = BAD_SENSOR_FAILURE
             case FaultKind.UNCERTAIN_QUALITY:
@@ -240,7 +258,7 @@ def sensor_faults(
                 present &= ~(on & (dice < fault.size))
             case _:
                 pass
-    return SensorFaults(added, frozen, status, present)
+    return SensorFaults(added, lag_s, frozen, status, present)
 
 
 def _length(active: ActiveFault, rate: float) -> int:

@@ -330,9 +330,9 @@ async def _add_valve(
             ),
             Argument(
                 "size",
-                "wear, damage: % of the flow; temperature_ramp: K; spikes, offset: the signal's "
-                "unit; bad_quality, uncertain_quality, drop_out: share of samples 0 to 1; "
-                "clock_step: s",
+                "wear, damage: % of the flow; edge: l/min per √bar; lag: s; temperature_ramp: K; "
+                "spikes, offset: the signal's unit; bad_quality, uncertain_quality, drop_out: "
+                "share of samples 0 to 1; clock_step: s",
             ),
             Argument(
                 "duration",

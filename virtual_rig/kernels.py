@@ -54,13 +54,22 @@ SEAT_SINE = math.sqrt(0.5)  # gap of a 45° seat over the stroke
 
 @numba.njit(cache=True)
 def balance(
-    valve: Numbers, oil: Numbers, y: Floats, p1: Floats, p2: Floats, T: Floats, edge: Floats
+    valve: Numbers,
+    oil: Numbers,
+    y: Floats,
+    p1: Floats,
+    p2: Floats,
+    T: Floats,
+    edge: Floats,
+    gap: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Q, Q_PV (l/min), x_MP (mm) and p_c (bar) of the valve at N points."""
     n = y.size
     Q, Q_PV, x_MP, p_c = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
-        Q[i], Q_PV[i], x_MP[i], p_c[i] = _valve(valve[0], oil[0], y[i], p1[i], p2[i], T[i], edge[i])
+        Q[i], Q_PV[i], x_MP[i], p_c[i] = _valve(
+            valve[0], oil[0], y[i], p1[i], p2[i], T[i], edge[i], gap[i]
+        )
     return Q, Q_PV, x_MP, p_c
 
 
@@ -74,13 +83,14 @@ def excess(
     p2_set: N,
     T: N,
     edge: N,
+    gap: N,
 ) -> N:
     """What the valve takes minus what the supply gives at p1, l/min at tank pressure.
 
     It rises with p1: from -Q_pump at 0 bar to what the valve takes at p0.
     """
     o, c = oil[0], circuit[0]
-    Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge)
+    Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge, gap)
     return Q * compression(p1) - c.Q_pump * supply_share(circuit, p1)
 
 
@@ -125,7 +135,7 @@ def throttling_heat(heat_capacity: N, dp: N, rho: N) -> N:
 
 
 @numba.njit(cache=True)
-def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N) -> tuple[N, N, N, N]:
+def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N, gap: N) -> tuple[N, N, N, N]:
     dp = p1 - p2
     if not dp > 0.0:
         return 0.0, 0.0, 0.0, p1
@@ -138,7 +148,9 @@ def _valve(v: Record, o: Record, y: N, p1: N, p2: N, T: N, edge: N) -> tuple[N, 
     p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
     Q_PV = _pilot_flow(v, y, p_c - p2, rho, nu, nu_gap)
     seat = v.seat_leakage * dp * NU_LEAKAGE / nu_gap
-    return _main_flow(v, x_MP, dp, rho, nu, edge) + Q_PV + seat, Q_PV, x_MP, p_c  # eq. (6)
+    worn = gap * math.sqrt(dp * RHO_K / rho)  # turbulent, and open at any stroke
+    Q = _main_flow(v, x_MP, dp, rho, nu, edge) + Q_PV + seat + worn  # eq. (6)
+    return Q, Q_PV, x_MP, p_c
 
 
 @numba.njit(cache=True)

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from virtual_rig.dynamics import lag
+from virtual_rig.dynamics import changing_lag, lag
 from virtual_rig.faults import SensorFaults
 from virtual_rig.kernels import Floats
 from virtual_rig.parameters import Parameters
@@ -61,7 +61,11 @@ def measure(
     """
     if truth.size == 0:
         return memory, truth
-    lagging = lag(truth, sensor.lag_s, period_s, memory.lagging)
+    if faults.lag_s.any():
+        lags_s = sensor.lag_s + faults.lag_s
+        lagging = changing_lag(truth, lags_s, period_s, memory.lagging)
+    else:
+        lagging = lag(truth, sensor.lag_s, period_s, memory.lagging)
     shown = lagging + sensor.offset + faults.added
     if sensor.noise > 0:
         shown = shown + sensor.noise * normal(seed, f"{stream} noise", start, truth.size)

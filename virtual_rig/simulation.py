@@ -23,6 +23,7 @@ from virtual_rig.faults import (
     sensor_faults,
     still_felt,
     temperature_rise,
+    worn_gap,
 )
 from virtual_rig.kernels import Floats
 from virtual_rig.scenario import Scenario, ScenarioError, ValveBench
@@ -183,7 +184,8 @@ def _advance_valve(
     pilot = lag(held, bench.valve.pilot_lag_s, period, state.pilot)
     T = tank_temperature(bench.circuit, index / rate) + temperature_rise(state.faults, index, rate)
     edge = edge_factor(state.faults, index, rate)
-    point = operating_point(bench, pilot_opening(bench.valve, pilot), p2_set, T, edge)
+    gap = worn_gap(state.faults, index, rate)
+    point = operating_point(bench, pilot_opening(bench.valve, pilot), p2_set, T, edge, gap)
 
     truths: dict[Signal, Floats] = {
         "U": U,

@@ -30,6 +30,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from virtual_rig import kernels
 from virtual_rig.kernels import Floats
@@ -169,7 +170,14 @@ def pilot_opening(valve: Valvistor, U: Floats) -> Floats:
 
 
 def poppet_state(
-    valve: Valvistor, oil: Oil, y: Floats, p1: Floats, p2: Floats, T: Floats, edge: Floats
+    valve: Valvistor,
+    oil: Oil,
+    y: Floats,
+    p1: Floats,
+    p2: Floats,
+    T: Floats,
+    edge: Floats,
+    gap: ArrayLike = 0.0,
 ) -> PoppetState:
     """Balance the valve at N points.
 
@@ -183,6 +191,8 @@ def poppet_state(
         Oil temperature at the inlet, °C.
     edge : (N,) array
         Flow coefficient of the main edge over that of the new valve (wear > 1).
+    gap : (N,) array
+        Flow coefficient of a gap worn into it, l/min per √bar: open at any stroke.
 
     Examples
     --------
@@ -193,7 +203,7 @@ def poppet_state(
     """
     columns = [
         np.array(column, dtype=np.float64, order="C")
-        for column in np.broadcast_arrays(y, p1, p2, T, edge)
+        for column in np.broadcast_arrays(y, p1, p2, T, edge, gap)
     ]
     return PoppetState(*kernels.balance(numbers(valve), oil_numbers(oil), *columns))
 

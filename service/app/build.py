@@ -18,6 +18,7 @@ from service.hardened import (
     ServerSettings,
     UserStore,
     ensure_certificate,
+    load_certificate,
 )
 from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
@@ -28,9 +29,10 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
 from service.streaming.identification import Identification
-from service.streaming.live import LiveSettings
+from service.streaming.live import KEPT_PER_S, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
+from service.streaming.sources import Part, Sources
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
@@ -45,7 +47,13 @@ _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 def build_identification(config: Config) -> Identification:
     """All valves with their estimators, before the first sample."""
-    return Identification(build_plans(config), build_alignment(config), build_timing(config))
+    interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
+    return Identification(
+        build_plans(config),
+        build_alignment(config),
+        build_timing(config),
+        config.alarms.rules(interval_s),
+    )
 
 
 def build_alignment(config: Config) -> Alignment:
@@ -72,7 +80,8 @@ def build_timing(config: Config) -> Timing | None:
     given = config.alignment
     if not given.finds_timing:
         return None
-    horizon_s = max(given.reorder_ms, 2.0 * config.source.publishing_interval_ms) * 1e-3
+    slowest_ms = max(source.publishing_interval_ms for source in config.all_sources)
+    horizon_s = max(given.reorder_ms, 2.0 * slowest_ms) * 1e-3
     return Timing(
         TimingSettings(round(horizon_s * 1e9), round(given.max_wait_s * 1e9)),
         has_T=[valve.nodes.T is not None for valve in config.valves],
@@ -93,8 +102,30 @@ def build_plans(config: Config) -> list[ValvePlan]:
     return [_plan(valve, built) for valve in config.valves]
 
 
+def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
+    """The clients of all source servers; they take samples once all is ``ready``."""
+    if not config.sources:
+        every = tuple(range(len(config.valves)))
+        return Sources([Part(None, build_source(config, ready), every)])
+    parts = []
+    for source in config.sources:
+        own = [n for n, valve in enumerate(config.valves) if valve.source == source.name]
+        client = build_source(config.only(source.name), ready)
+        parts.append(Part(source.name, client, tuple(own)))
+    return Sources(parts)
+
+
 def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
-    """The client of the source server; it takes samples once it is ``ready``."""
+    """The client of the source server; it takes samples once it is ``ready``.
+
+    Raises
+    ------
+    ConfigurationError
+        if there are several.
+    """
+    if config.sources:
+        names = ", ".join(source.name for source in config.sources)
+        raise ConfigurationError(f"there are several sources: --source NAME says which: {names}")
     own = None if config.source.security == "None" else own_certificate(config)
     settings = SourceSettings(
         url=config.source.url,
@@ -167,9 +198,14 @@ def load_users(file: Path) -> UserStore:
     return UserStore.load(file)
 
 
-def build_live_settings(config: Config) -> LiveSettings:
-    """When results are stale, when states are kept."""
+def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:
+    """When results are stale, when states are kept, until when the certificate is valid."""
+    until_ns = 0
+    if certificate is not None:
+        until = load_certificate(certificate.certificate).not_valid_after_utc
+        until_ns = int(until.timestamp()) * 1_000_000_000
     return LiveSettings(
+        certificate_until_ns=until_ns,
         stale_after_s=config.alignment.stale_after_s,
         reorder_s=config.alignment.reorder_ms * 1e-3,
         checkpoint_interval_s=config.state.checkpoint_interval_s,
@@ -180,6 +216,8 @@ def build_supervisor_settings(config: Config) -> SupervisorSettings:
     """How long the start may take, how often the service looks at its clock."""
     feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
     settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
+    if config.sources:  # one that is away holds up none of the others
+        settings = replace(settings, startup_timeout_s=0.0)
     return replace(settings, tick_s=_HEARTBEAT_TICK_S) if feeds_forward else settings
 
 
@@ -210,6 +248,7 @@ def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan
         map_dp=_axis(*valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
+        alarms=valve.alarms.rules(),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=SensorAccuracy(
             **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}

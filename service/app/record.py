@@ -17,6 +17,7 @@ from service.app.build import (
 from service.clock import SystemClock
 from service.config.models import Config
 from service.errors import SourceError, StorageError
+from service.identification.samples import Times
 from service.storage.recordings import RecordingWriter
 from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
@@ -80,14 +81,14 @@ class _Recorder:
         self._source_started = 0
         self.samples = 0
 
-    async def connected(self, source_started: int) -> None:
+    async def connected(self, source_started: int, _valves: Times | None = None) -> None:
         """The source is there; if it was restarted, its samples are counted anew."""
         before, self._source_started = self._source_started, source_started
         if before and source_started and source_started != before:
             self._waiting, samples = self._alignment.begin_anew(self._waiting, self._every)
             self._append(samples)
 
-    async def take(self, changes: DataChanges) -> None:
+    async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:
         self._align(changes if self._timing is None else self._timing.take(changes))
 
     def finish(self) -> None:
@@ -123,8 +124,8 @@ class _Recorder:
             self.samples += len(batch)
         self._progress(self.samples)
 
-    async def tick(self) -> None:
+    async def tick(self, _valves: Times | None = None) -> None:
         pass
 
-    async def lost(self, reason: SourceError) -> None:
+    async def lost(self, reason: SourceError, _valves: Times | None = None) -> None:
         log.warning("recording has a gap", reason=str(reason))

@@ -10,8 +10,9 @@ from service.app.build import (
     build_identification,
     build_live_settings,
     build_server_settings,
-    build_source,
+    build_sources,
     build_supervisor_settings,
+    own_certificate,
 )
 from service.app.reload import Reload, check_what_stays, in_one_line
 from service.app.warm_up import warm_up
@@ -21,15 +22,16 @@ from service.errors import StorageError, ValvemapError
 from service.hardened import HardenedError, ServerSettings
 from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
-from service.opcua.client import OpcUaSource
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.ports import Checkpoint
-from service.streaming.supervisor import supervise
+from service.streaming.sources import Sources, supervise_all
 
 log = structlog.get_logger(__name__)
+
+FAREWELL_S = 4.2  # longest that an end may take to keep states: some ask for all to end in 5
 
 SampleTap = Callable[[str, Samples], None]
 
@@ -110,7 +112,7 @@ class _Plan:
     config: Config
     settings: ServerSettings
     identification: Identification
-    source: OpcUaSource
+    source: Sources
     compiled: "_Compilation"
     given_settings: ServerSettings | None
     after_another: bool
@@ -127,7 +129,7 @@ def _plan(
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
     compiled = _Compilation(config)
-    source = build_source(config, compiled.ended)  # no sample waits for a compiler
+    source = build_sources(config, compiled.ended)  # no sample waits for a compiler
     return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
 
 
@@ -154,7 +156,7 @@ async def _live(
         server,
         store,
         clock,
-        build_live_settings(config),
+        build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
     )
     ended = asyncio.Event()
@@ -168,14 +170,14 @@ async def _live(
         try:
             supervision = build_supervisor_settings(config)
             supervision = replace(supervision, connected_before=plan.after_another)
-            await supervise(plan.source, live, clock, ended, supervision)
+            await supervise_all(plan.source, live, clock, ended, supervision)
         finally:
             for task in (stopping, following):
                 task.cancel()
             await asyncio.gather(stopping, following, return_exceptions=True)
             goes_on = not (following.cancelled() or stop.is_set())
-            if not goes_on:
-                await live.keep()
+            if not goes_on and not await live.keep(within_s=FAREWELL_S):
+                log.warning("disk too slow to keep the last states, those before are kept")
         if not goes_on:
             return None, []
         states = live.states()

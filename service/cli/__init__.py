@@ -25,6 +25,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "init": "security",
     "trust": "security",
     "baseline": "baseline",
+    "fleet": "fleet",
     "schema": "package",
     "unit": "package",
     "warm-up": "serve",
@@ -72,7 +73,11 @@ def application(asked: Sequence[str] = ()) -> typer.Typer:
     app.callback()(lambda: None)  # one command alone keeps its name, too
     for name in asked if asked and COMMANDS.keys() >= set(asked) else COMMANDS:
         module = import_module(f"{__name__}.{COMMANDS[name]}")
-        app.command(name)(getattr(module, name.replace("-", "_")))
+        command = getattr(module, name.replace("-", "_"))
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(command)
     return app
 
 

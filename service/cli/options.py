@@ -1,9 +1,12 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from service.config.models import Config
 
 ConfigOption = Annotated[
     Path | None,
@@ -27,6 +30,28 @@ RevocationOption = Annotated[
         help="Certificates of an authority need its revocation list.",
     ),
 ]
+
+
+SourceOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Which of [[sources]], where there are several.")
+]
+
+
+def of_source(config: "Config", source: str | None) -> "Config":
+    """The part of a configuration that one source has.
+
+    Raises
+    ------
+    BadParameter
+        naming the sources there are.
+    """
+    names = [named.name for named in config.sources]
+    there = f"there are {', '.join(names)}" if names else "there is [source] alone"
+    if source is not None and source not in names:
+        raise typer.BadParameter(f"--source {source}: no such source; {there}")
+    if source is None and names:
+        raise typer.BadParameter(f"--source NAME is needed: {there}")
+    return config if source is None else config.only(source)
 
 
 def check_folder(option: str, file: Path | None) -> None:

@@ -7,9 +7,10 @@ from typing import Annotated
 import typer
 
 from service.cli.logs import set_up_logs
-from service.cli.options import ConfigOption, check_folder
+from service.cli.options import ConfigOption, SourceOption, check_folder, of_source
 from service.cli.progress import working
 from service.config.loading import load_config
+from service.config.models import NamedSourceConfig
 
 
 def serve(config: ConfigOption = None) -> None:
@@ -35,6 +36,7 @@ def record(
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds.")
     ] = None,
+    source: SourceOption = None,
 ) -> None:
     """Record the source's samples to a file."""
     from service.app.record import record as run
@@ -42,7 +44,7 @@ def record(
 
     check_folder("FILE", file)
 
-    loaded = load_config(config)
+    loaded = of_source(load_config(config), source)
     set_up_logs(loaded.log)
 
     async def until_stopped() -> int:
@@ -65,21 +67,28 @@ def check_config(
     watch: Annotated[
         float, typer.Option(min=1.0, max=3600.0, metavar="S", help="With --online: so long.")
     ] = 10.0,
+    source: SourceOption = None,
 ) -> None:
     """Check a configuration file and say what it would do."""
-    loaded = load_config(config)
+    whole = load_config(config)
+    loaded = whole if source is None else of_source(whole, source)
+    names = [named.name for named in loaded.sources]
     if online:
         from service.app.connect import check_online
 
-        with working(f"watching {loaded.source.url} for {watch:g} s"):
-            lines = asyncio.run(check_online(loaded, watch))
-        for line in lines:
-            typer.echo(line)
-    typer.echo(f"source   {loaded.source.url} ({loaded.source.security})")
+        for watched in [of_source(loaded, name) for name in names] or [loaded]:
+            with working(f"watching {watched.source.url} for {watch:g} s"):
+                lines = asyncio.run(check_online(watched, watch))
+            for line in lines:
+                typer.echo(line)
+    for of_valves in loaded.all_sources:
+        named = f"{of_valves.name}: " if isinstance(of_valves, NamedSourceConfig) else ""
+        typer.echo(f"source   {named}{of_valves.url} ({of_valves.security})")
     typer.echo(f"results  {loaded.server.url}")
     for valve in loaded.valves:
-        names = ", ".join(estimator.name for estimator in valve.estimators)
-        typer.echo(f"valve    {valve.name}: {names}")
+        estimators = ", ".join(estimator.name for estimator in valve.estimators)
+        at = "" if valve.source is None else f" at {valve.source}"
+        typer.echo(f"valve    {valve.name}{at}: {estimators}")
     typer.echo(f"{config}: good")
 
 

@@ -5,14 +5,16 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
-from pydantic_settings import SettingsError
+from pydantic_settings import BaseSettings, SettingsError
 
 from service.config.models import Config
 from service.errors import ConfigurationError
+
+S = TypeVar("S", bound=BaseSettings)
 
 
 def load_config(file: Path | None = None) -> Config:
@@ -23,19 +25,31 @@ def load_config(file: Path | None = None) -> Config:
     ConfigurationError
         naming file (or environment variable), field, value and what is allowed.
     """
+    return load_settings(Config, file)
+
+
+def load_settings(kind: type[S], file: Path | None) -> S:
+    """Read settings of another kind, as `load_config` does.
+
+    Raises
+    ------
+    ConfigurationError
+        naming file (or environment variable), field, value and what is allowed.
+    """
     given = {} if file is None else _read(file)
     try:
-        return Config(**given)
+        return kind(**given)
     except SettingsError as error:
-        raise ConfigurationError(f"environment VALVEMAP_*: {error}") from error
+        prefix = kind.model_config.get("env_prefix")
+        raise ConfigurationError(f"environment {prefix}*: {error}") from error
     except ValidationError as error:
-        lines = [_line(file, details) for details in error.errors()]
+        lines = [_line(kind, file, details) for details in error.errors()]
         raise ConfigurationError("\n".join(dict.fromkeys(lines))) from None
 
 
-def _nearest(path: Sequence[str | int]) -> str:
+def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
     """The field that was meant, if one is near."""
-    section: Any = Config
+    section: Any = kind
     for key in path[:-1]:
         if isinstance(key, int):
             continue
@@ -98,15 +112,16 @@ def _read(file: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{file}: not valid TOML: {error}; text goes in quotes") from None
 
 
-def _line(file: Path | None, details: ErrorDetails) -> str:
+def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) -> str:
     # A union's tag stands among the keys of the path, though nobody wrote it.
     path = [key for key in details["loc"] if key not in {"RLS", "RML", "RBF", "Auto"}]
     field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
-    variable = "VALVEMAP_" + "__".join(str(key).upper() for key in path)
+    prefix = kind.model_config.get("env_prefix", "")
+    variable = prefix + "__".join(str(key).upper() for key in path)
     where = f"environment variable {variable}" if variable in os.environ else (file or "defaults")
     message = _sentence(details)
     if details["type"] == "extra_forbidden":
-        return f"{where}: {field}: there is no such field{_nearest(path)}"
+        return f"{where}: {field}: there is no such field{_nearest(kind, path)}"
     if details["type"] == "missing":
         return f"{where}: {field}: this field is required"
     value = details["input"]

@@ -15,6 +15,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from service.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from service.config.estimators import EstimatorConfig, default_estimators
 from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
@@ -75,6 +76,12 @@ class SourceConfig(_Section):
     startup_timeout_s: float = Field(
         10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
     )
+
+
+class NamedSourceConfig(SourceConfig):
+    """One of several servers that publish signals; valves name theirs."""
+
+    name: Name = Field(description="by which valves name it")
 
 
 class ServerConfig(_Section):
@@ -310,10 +317,14 @@ class ValveConfig(_Section):
     """One valve."""
 
     name: Name = Field("Valvistor", description="its name in every node id")
+    source: Name | None = Field(
+        None, description="which of [[sources]] publishes its signals; none with [source]"
+    )
     nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
     signals: SignalsConfig = SignalsConfig()
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
+    alarms: AlarmsConfig = AlarmsConfig()
     insist: bool = Field(
         default=False, description="learn from data that look wrong, such as p1 below p2"
     )
@@ -417,12 +428,16 @@ class Config(BaseSettings):
     )
 
     source: SourceConfig = SourceConfig()
+    sources: tuple[NamedSourceConfig, ...] = Field(
+        (), description="several servers in place of [source]; each valve names its own"
+    )
     server: ServerConfig = ServerConfig()
     security: SecurityConfig = SecurityConfig()
     state: StateConfig = StateConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
     recording: RecordingConfig = RecordingConfig()
+    alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 
     @field_validator("valves")
@@ -435,14 +450,54 @@ class Config(BaseSettings):
         return valves
 
     @model_validator(mode="after")
-    def _samples_come_often_enough(self) -> Self:
-        interval_s = self.source.publishing_interval_ms * 1e-3
+    def _sources_fit(self) -> Self:
+        names = [source.name for source in self.sources]
+        _unique("source", names)
+        if names and "source" in self.model_fields_set:
+            raise ValueError("[source] and [[sources]]: only one of both is allowed")
         for number, valve in enumerate(self.valves):
+            where = f"valves[{number}].source"
+            if not names and valve.source is not None:
+                raise ValueError(f"{where} = {valve.source!r}: there are no [[sources]]")
+            if names and valve.source not in names:
+                given = "is missing" if valve.source is None else f"= {valve.source!r}"
+                raise ValueError(f"{where} {given}: allowed is one of {', '.join(names)}")
+        idle = sorted(set(names) - {valve.source for valve in self.valves})
+        if idle:
+            raise ValueError(f"source {idle[0]!r} is named by no valve")
+        return self
+
+    @property
+    def all_sources(self) -> tuple[SourceConfig, ...]:
+        """[source], or all [[sources]]."""
+        return self.sources or (self.source,)
+
+    def source_of(self, valve: ValveConfig) -> SourceConfig:
+        """The server that publishes a valve's signals."""
+        return next((s for s in self.sources if s.name == valve.source), self.source)
+
+    def only(self, source: str) -> Self:
+        """The same with one of [[sources]] as [source], and its valves alone."""
+        (own,) = (s for s in self.sources if s.name == source)
+        given = {name: getattr(own, name) for name in own.model_fields_set - {"name"}}
+        valves = tuple(
+            valve.model_copy(update={"source": None})
+            for valve in self.valves
+            if valve.source == source
+        )
+        return self.model_copy(
+            update={"source": SourceConfig(**given), "sources": (), "valves": valves}
+        )
+
+    @model_validator(mode="after")
+    def _samples_come_often_enough(self) -> Self:
+        for number, valve in enumerate(self.valves):
+            interval_s = self.source_of(valve).publishing_interval_ms * 1e-3
             max_age_s = valve.feed_forward.max_age_s
             if valve.nodes.required_U is not None and max_age_s <= interval_s:
                 raise ValueError(
                     f"valves[{number}].feed_forward.max_age_s = {max_age_s:g}: must be longer than "
-                    f"source.publishing_interval_ms = {self.source.publishing_interval_ms:g}"
+                    f"source.publishing_interval_ms = {interval_s * 1e3:g}"
                 )
         return self
 

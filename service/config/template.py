@@ -23,6 +23,9 @@ password_file = {quoted(data / "source-password")}
 publishing_interval_ms = 100
 # check_host_name = false # where the source's certificate does not name its host
 
+# Several servers: [[sources]] with a name each, in place of [source]; then `source = "NAME"` in
+# every [[valves]].
+
 [server] # our own, with the results
 url = "opc.tcp://127.0.0.1:4841/valvemap/service/"
 host_names = {quoted(list(host_names))} # further names in its certificate

@@ -1,6 +1,7 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Final, Self
@@ -12,10 +13,11 @@ from service.identification import coloured_noise, drift, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, lag, map_fit
+from service.identification.kernels import grid, ladder, lag, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
@@ -32,9 +34,11 @@ from service.identification.map_search import (
 from service.identification.map_shapes import (
     AXES,
     BAND,
+    CELLS,
     MOST,
     MOST_S,
     MOST_U,
+    PRESSURES,
     Shape,
     Variety,
     dp_top,
@@ -101,6 +105,47 @@ class AutoState(State):
     scalars: Floats
     counters: Counts
     progress: Counts
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them; places that kernels count by lie within their arrays."""
+        every, path = slice(None), memory.LAGS
+        scalars = Contents(self.scalars).within(-1.0, 1.0, memory.TOWARDS)
+        scalars.or_nan([memory.LAST_U, memory.VARIANCE, memory.LEFT_U])
+        scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
+        of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
+        scalars.within(0.0, where=of_noise)
+        scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
+        counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
+        counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
+        counters.any_time([memory.LAGGING + lag.TIME, memory.LAGGING + lag.KEPT_TIME])
+        counters.any_time([memory.NEXT_LOOK, memory.NEW_CELLS, memory.SPENT])
+        counters.within(0, grid.SLOTS, memory.TAKEN)
+        shapes = Contents(self.shapes).within(0.0, CELLS[-1], (every, ladder.CELLS_OF))
+        shapes.within(0.0, len(AXES) - 1.0, (every, ladder.AXIS))
+        shapes.within(0.0, ladder.MOST_DEAD, (every, ladder.DEAD_BAND))
+        shapes.within(ladder.LEAST_FULL, 100.0, (every, ladder.SATURATION))
+        shapes.within(0.0, ladder.MOST_PLAY, (every, ladder.PLAY))
+        shapes.within(0.0, 1.0, (every, ladder.TREND))
+        shapes.or_nan((every, [ladder.DEAD_BAND, ladder.SATURATION]))
+        return {
+            "cells": Contents(self.cells).within(0.0, where=(every, grid.WEIGHT)),
+            "slots": Contents(self.slots).within(0, grid.SLOTS),
+            "shapes": shapes,
+            "top": Contents(self.top).within(PRESSURES[0], PRESSURES[-1]),
+            "sizes": Contents(self.sizes).within(0, MOST),
+            "scalars": scalars,
+            "counters": counters,
+        }
+
+    def is_coherent(self) -> bool:
+        """Whether shapes are steps of the ladder, and the maps as large as their shapes."""
+        whole = [ladder.CELLS_OF, ladder.AXIS, ladder.TREND]
+        known = (self.shapes[:, whole] == np.rint(self.shapes[:, whole])).all()
+        if not known or not np.isin(self.shapes[:, ladder.CELLS_OF], CELLS).all():
+            return False
+        return all(_is_of_its_shape(self, which) for which in (CHAMPION, CHALLENGER)) and (
+            _shape(self, EXPLORER).size <= MOST
+        )
 
 
 @dataclass(frozen=True)
@@ -324,6 +369,11 @@ class Auto:
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
 
+    def largest_lags(self, states: AutoState) -> Floats:
+        """The larger of the two `lags` of each of M valves, s (M,)."""
+        path = states.scalars[..., memory.LAGS :]
+        return np.maximum(path[..., lag.LAG_U], path[..., lag.LAG_Q])
+
     def too_fast(self, states: AutoState) -> Counts:
         """How many samples of each of M valves moved too fast for the lags to be learnt from."""
         return np.asarray(states.counters[..., memory.TOO_FAST])
@@ -347,11 +397,23 @@ class Auto:
     def _attend(self, state: AutoState) -> None:
         """Do what is due of one valve; its state is written in place."""
         kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+        self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
             state.counters[memory.NEXT_LOOK] = 2 * kept
         if memory.is_due(state.counters):
             self._refit(state)
+
+    def _doubt_lags(self, state: AutoState, kept: int) -> None:
+        """After a change look for lags soon, and as if for the first time: it may be one."""
+        counters = state.counters
+        looked_for = self.lag_U is None or self.lag_Q is None
+        is_new = counters[memory.ALARMS] and (
+            counters[memory.USED] - counters[memory.CHANGE_SAMPLE] < lag.ROWS
+        )
+        if looked_for and is_new and counters[memory.NEXT_LOOK] > kept + lag.ROWS:
+            counters[memory.NEXT_LOOK] = kept + lag.ROWS
+            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
@@ -485,6 +547,20 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.sizes[which] = n_U, n_s
     state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
     state.coefficients[which, : table.size] = table.ravel()
+
+
+def _is_of_its_shape(state: AutoState, which: int) -> bool:
+    n_U, n_s = state.sizes[which].tolist()
+    shape = _shape(state, which)
+    if not n_U:
+        return not n_s and not shape.size
+    plan = shape.plan(float(state.top[0]))
+    return (
+        shape.size <= MOST
+        and (n_U, n_s) == (len(plan.sites_U), len(plan.sites_s))
+        and np.array_equal(state.knots_U[which, : n_U + 4], plan.knots_U)
+        and np.array_equal(state.knots_s[which, : n_s + 4], plan.knots_s)
+    )
 
 
 def _cost(points: Floats, shape: Shape) -> int:

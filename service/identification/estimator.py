@@ -3,12 +3,15 @@
 import hashlib
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from tokenize import TokenError
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 
 from service.identification.adaptation import Adaptation
+from service.identification.contents import Contents
 from service.identification.samples import Floats, Samples, Trace
 
 STATE_VERSION = 2
@@ -51,13 +54,57 @@ class State:
             record = np.load(io.BytesIO(data), allow_pickle=False)
             header = tuple(record["header_"].tolist())
             arrays = {name: record[name].copy() for name in names}
-        except (ValueError, OSError, KeyError, IndexError, EOFError) as error:
+        except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
         expected = (str(STATE_VERSION), cls.__name__, key)
         if header != expected:
             raise StateMismatchError(f"state of {header}, not of {expected}")
         return cls(**arrays)
 
+    def contents(self) -> Mapping[str, Contents]:
+        """What arrays like these may hold, by name; of those not named see `Contents`."""
+        return {}
+
+    def check(self, like: Self) -> None:
+        """Refuse what cannot have been learnt: a valid digest only says that it was written.
+
+        Raises
+        ------
+        StateMismatchError
+            naming the first array that is not of the shape and type of the one in ``like``, a state
+            of the same estimator, or holds what it may not.
+        """
+        Template(like).check(self)
+
+    def is_coherent(self) -> bool:
+        """Whether arrays fit together that may each hold what they do."""
+        return True
+
+
+class Template:
+    """By which many states of one estimator are judged; ``like`` is one of them."""
+
+    def __init__(self, like: State) -> None:
+        said = like.contents()
+        self._contents = {
+            f.name: said.get(f.name) or Contents(np.asarray(getattr(like, f.name)))
+            for f in fields(like)
+        }
+
+    def check(self, state: State) -> None:
+        """As `State.check`."""
+        for name, contents in self._contents.items():
+            wrong = contents.wrong_in(np.asarray(getattr(state, name)))
+            if wrong is not None:
+                raise StateMismatchError(f"{name} {wrong}")
+        if not state.is_coherent():
+            raise StateMismatchError("its parts do not belong together")
+
+
+_UNREADABLE = (  # what numpy makes of bytes that are no record of arrays
+    *(ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError),
+    *(OSError, EOFError, SyntaxError, TokenError),
+)
 
 S = TypeVar("S", bound=State)
 

@@ -1,11 +1,13 @@
 """The state of recursive least squares, and what can be done with it, on plain arrays."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar, assert_never
 
 import numpy as np
 
 from service.identification.adaptation import Adaptation
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.forgetting import (
     Adaptive,
@@ -21,19 +23,26 @@ from service.identification.kernels import rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
-from service.identification.kernels.places import FIELDS, LONGEST, NODES_A, NODES_B, PROVEN
+from service.identification.kernels.places import FIELDS, KNOWN, LONGEST, NODES_A, NODES_B, PROVEN
 from service.identification.kernels.recursion import Batch, Memory, evaluate, run
 from service.identification.kernels.row_layout import (
     FACTORED,
+    FILLED,
     FLOOR,
     HASTE,
+    HEAD,
     MISFIT,
     MISFIT_POWER,
     NEW,
+    NODE,
     PLACES_OF_COUNTERS,
+    PLACES_OF_NOISE,
     PRODUCT,
     REVISITED,
     SQUARES,
+    STALE,
+    SUSPECT_TIME,
+    TIME,
     VARIANCE,
     WEIGHT,
     Counts,
@@ -95,6 +104,29 @@ class RlsState(State):
     counters: Counts
     window: Floats
     places: Floats
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them; places that kernels count by lie within their arrays."""
+        at, n = self._places, self.rhs.shape[-1]
+        diagonal = np.arange(n) * (np.arange(n) + 3) // 2  # of a lower triangle, row by row
+        row = Contents(self.row).within(0.0, where=slice(at.scale, at.score))
+        row.or_nan(slice(at.early, at.block)).or_nan(slice(at.detector, at.x))
+        row.or_nan(at.detector + NODE, allowed=False)  # it is a place
+        for triangle in (at.factor, at.variance):
+            row.within(0.0, where=triangle + diagonal)
+        row.within(0.0, where=slice(at.noise, at.noise + PLACES_OF_NOISE))
+        row.within(0.0, NODES - 1.0, at.detector + NODE)
+        row.within(0.0, where=[at.detector + place for place in (FLOOR, REVISITED)])
+        counters = Contents(self.counters).any_time([TIME, SUSPECT_TIME])
+        counters.within(0, 1, [FACTORED, STALE]).within(0, len(self.window), FILLED)
+        counters.within(0, max(len(self.window) - 1, 0), HEAD)
+        nodes = Contents(self.places).within(0.0, where=(slice(None), KNOWN)).or_nan()
+        return {"row": row, "counters": counters, "places": nodes}
+
+    def is_coherent(self) -> bool:
+        """Whether P has the inverse it stands for."""
+        determined = not self.counters[FACTORED] or (np.diag(self.factor) > 0.0).all()
+        return bool(determined)
 
     @property
     def theta(self) -> Floats:

@@ -1,10 +1,12 @@
 """A map that is known: theta of a structure and its covariance, from a file or by hand."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from service.identification.adaptation import Adaptation
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.model_structures import Structure
 from service.identification.samples import Floats, Quality, Samples, Status, Trace
@@ -16,6 +18,13 @@ class LinearMapState(State):
 
     theta: Floats
     covariance: Floats
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them."""
+        return {
+            "theta": Contents(self.theta).or_nan(),
+            "covariance": Contents(self.covariance).or_nan(),
+        }
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Recursive maximum likelihood, eq. (29): parameters beside a model of coloured noise."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -9,11 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.adaptation import Adaptation
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
-from service.identification.kernels.filtered_scores import PLACES_OF_COLOUR, ROWS_OF_BLOCKS
+from service.identification.kernels.filtered_scores import (
+    BLOCK_SQUARE,
+    BLOCKS,
+    GATHERED,
+    PLACES_OF_COLOUR,
+    ROWS_OF_BLOCKS,
+    SQUARE,
+)
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
@@ -60,6 +68,20 @@ class MaximumLikelihoodState(State):
     moments: Floats
     blocks: Floats
     colour: Floats
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them."""
+        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE]
+        squares = ("factor", "spread", "rls_factor", "omega", "moments")
+        return {
+            **{name: _with_positive_diagonal(getattr(self, name)) for name in squares},
+            "prior": Contents(self.prior).within(0.0),
+            "monitor": Contents(self.monitor)
+            .within(0.0)
+            .within(0.0, 1.0, [kernel.RAMP, kernel.DETERMINED]),
+            "early": Contents(self.early).or_nan(),
+            "colour": Contents(self.colour).within(0.0, where=of_colour),
+        }
 
 
 @dataclass(frozen=True)
@@ -436,6 +458,11 @@ def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
         blocks=np.zeros((ROWS_OF_BLOCKS, ns)),
         colour=np.zeros(PLACES_OF_COLOUR),
     )
+
+
+def _with_positive_diagonal(square: Floats) -> Contents:
+    places = np.arange(len(square))
+    return Contents(square).within(0.0, where=(places, places))
 
 
 def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:

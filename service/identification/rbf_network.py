@@ -1,11 +1,13 @@
 """The paper's radial basis function network, trained by gradient descent, eqs. (30)-(38)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.adaptation import Adaptation
+from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import rbf_network as kernel
@@ -36,6 +38,17 @@ class RbfNetworkState(State):
     dlog_b: Floats
     monitor: Floats
     noted: Floats
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them."""
+        bound, outside = kernel.WEIGHT_BOUND, kernel.CENTRE_BOUND
+        return {
+            "w": Contents(self.w).within(-bound, bound),
+            "c": Contents(self.c).within(-outside, 1.0 + outside),
+            "log_b": Contents(self.log_b).within(*kernel.LOG_WIDTH_BOUNDS),
+            "monitor": Contents(self.monitor).within(0.0),
+            "noted": Contents(self.noted).within(0.0, where=(slice(None), 3)),
+        }
 
 
 @dataclass(frozen=True)

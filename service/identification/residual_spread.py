@@ -90,12 +90,6 @@ class ResidualSpread:
         """Root mean squares that hold 95 % where it was measured just now; 1.96 if Gaussian."""
         return float(self.overall[kernel.QUANTILE])
 
-    @property
-    def fits(self) -> bool:
-        """Whether the arrays have the shapes that the kernels expect."""
-        none = ResidualSpread.none()
-        return self.cells.shape == none.cells.shape and self.overall.shape == none.overall.shape
-
     def around(self, U: Floats, dp: Floats) -> Floats:
         """Root mean square of the residuals around N points (N,), l/min."""
         out = np.empty(len(U))

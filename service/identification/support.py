@@ -96,15 +96,6 @@ class Support:
         )
 
     @property
-    def fits(self) -> bool:
-        """Whether the arrays have the shapes that the kernels expect."""
-        none = Support.none()
-        return all(
-            getattr(self, name).shape == getattr(none, name).shape
-            for name in ("cells", "fit", "ranges")
-        )
-
-    @property
     def Q_max(self) -> float:
         """The largest flow of the valve, l/min."""
         return float(self.ranges[4])

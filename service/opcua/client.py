@@ -19,7 +19,7 @@ from service.opcua.connection import (
 )
 from service.opcua.decoding import overflown
 from service.opcua.history import Holes, Knowledge, SourceHistory
-from service.opcua.position import Mark, position_from_bytes, position_to_bytes
+from service.opcua.position import Mark, Position, position_from_bytes, position_to_bytes
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
@@ -94,7 +94,7 @@ class OpcUaSource:
         self._history = SourceHistory()
         self._mark: Mark | None = None
         self._holds_back = False
-        self._known_position: bytes | None = None
+        self._known_position: Position | None = None
         self._subscription: Subscription | None = None
         self._writable: dict[tuple[int, str], WritableNode] = {}
         self._scales = Scales(self._valves)
@@ -219,9 +219,15 @@ class OpcUaSource:
             return position_to_bytes(self._binding, mark, None, ())
         return position_to_bytes(self._binding, mark, known.created, known.items)
 
-    def resume_at(self, position: bytes) -> None:
-        """Go on from a position that was kept, if the source still has the subscription."""
-        self._known_position = position
+    def resume_at(self, position: bytes) -> bool:
+        """Go on from a position that was kept, if the source still has the subscription.
+
+        False: it cannot be one of this source, and is forgotten.
+        """
+        items = len(self._knowledge.known_to)
+        latest = self._clock.now() + _MOST_AHEAD_NS
+        self._known_position = position_from_bytes(position, self._binding, items, latest)
+        return self._known_position is not None
 
     async def check(self) -> None:
         """Connect, check every node, and leave: nothing is subscribed to.
@@ -366,12 +372,9 @@ class OpcUaSource:
         self._left = self._surplus = None
         return None
 
-    def _resume(self, position: bytes, nodes: Sequence[MonitoredNode]) -> None:
-        known = self._knowledge
-        found = position_from_bytes(position, self._binding, nodes, len(known.known_to))
-        if found is not None:
-            known.known_to[:] = found.known_to
-            self._left, self._left_at = found.left, self._clock.monotonic()
+    def _resume(self, position: Position, nodes: Sequence[MonitoredNode]) -> None:
+        self._knowledge.known_to[:] = position.known_to
+        self._left, self._left_at = position.left(nodes), self._clock.monotonic()
 
     async def _check_nodes(self, connection: Connection) -> CheckedNodes:
         nodes = await check_nodes(connection, self._valves)
@@ -431,5 +434,6 @@ class _Binding:
     valves: tuple[ValveNodes, ...]
 
 
+_MOST_AHEAD_NS = 86_400_000_000_000  # a day: no source's clock is so far ahead of ours
 _CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

@@ -9,6 +9,7 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Inverse/…         s=<Valve>.Inverse.<Variable>
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
+    Objects/Identification/<Valve>/Alarms/<Alarm>/…  s=<Valve>.Alarms.<Alarm>.<Variable>
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 """
 
@@ -316,6 +317,37 @@ def builds_on_variable(valve: str, estimator: str) -> VariableNode:
     )
 
 
+def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
+    """How one alarm stands; ``prefix`` is the identifier of its object."""
+    return (
+        VariableNode(
+            f"{prefix}.Active",
+            "Whether it is there; when that began or ended is its SourceTimestamp.",
+            ua.VariantType.Boolean,
+        ),
+        VariableNode(
+            f"{prefix}.Severity",
+            "How urgent it is when it is there, 1 to 1,000, as configured.",
+            ua.VariantType.UInt16,
+        ),
+        VariableNode(
+            f"{prefix}.Since",
+            "Source time since when what was measured was beyond the limit, the last time.",
+            ua.VariantType.DateTime,
+        ),
+        VariableNode(
+            f"{prefix}.Text",
+            "What was measured, since when, and what it may be; empty before the first time.",
+            ua.VariantType.String,
+        ),
+        VariableNode(
+            f"{prefix}.Acked",
+            "Whether somebody has acknowledged it since it came last; true before the first time.",
+            ua.VariantType.Boolean,
+        ),
+    )
+
+
 def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
     """The map that was approved as new."""
     prefix = f"{valve}.{BASELINE}"
@@ -543,6 +575,12 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 f"{SERVICE}.Source.FromHistory",
                 "Changes that were not heard and were read from the source's history.",
                 counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.Source.States",
+                "A line for each source: whether it is connected, and what was lost of it.",
+                ua.VariantType.String,
+                dimensions=(0,),
             ),
         ),
     }

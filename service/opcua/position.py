@@ -14,6 +14,8 @@ from service.opcua.source_nodes import MonitoredNode
 from service.opcua.subscription import Left
 
 _FORMAT = 2
+_LARGEST = 2**32 - 1  # of OPC UA's numbers
+_LONGEST_MS = 1e7  # between two messages
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,39 @@ class Mark:
 
 @dataclass(frozen=True)
 class Position:
-    """What a restarted service knows: what there is to take over, and the last time by item."""
+    """What a restarted service knows: the last time by item, and what there is to take over."""
 
-    left: Left | None
     known_to: NDArray[np.int64]
+    subscription: "Kept | None"
+
+    def left(self, nodes: Sequence[MonitoredNode]) -> Left | None:
+        """What there is to take over, with the nodes that the server has now."""
+        kept, by_item = self.subscription, {node.item: node for node in nodes}
+        if kept is None or any(item not in by_item for item, *_ in kept.items):
+            return None
+        return Left(
+            ua.CreateSubscriptionResult(
+                SubscriptionId=kept.number,
+                RevisedPublishingInterval=kept.publishing_interval_ms,
+                RevisedMaxKeepAliveCount=kept.keep_alive_count,
+            ),
+            next_message=kept.message + 1 if kept.message < _LARGEST else 1,
+            acknowledgements=(),
+            buffer=(),
+            items=tuple(Item(by_item[item], *rest) for item, *rest in kept.items),
+            kept_back=(),
+        )
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A subscription; ``items`` are item, number, queue size and handle of each."""
+
+    number: int
+    message: int
+    publishing_interval_ms: float
+    keep_alive_count: int
+    items: tuple[tuple[int, int, int, int], ...]
 
 
 def position_to_bytes(
@@ -62,42 +93,42 @@ def position_to_bytes(
     return json.dumps(kept).encode()
 
 
-def position_from_bytes(
-    position: bytes, binding: str, nodes: Sequence[MonitoredNode], items: int
-) -> Position | None:
-    """Unpack a position; None if it is damaged or belongs to others."""
+def position_from_bytes(position: bytes, binding: str, items: int, latest: int) -> Position | None:
+    """Unpack a position; None if it is damaged, belongs to others or cannot be.
+
+    ``items`` is how many items there may be, ``latest`` the newest time that one can have, UTC ns.
+    """
     try:
         kept = json.loads(position)
         if kept["format"] != _FORMAT or kept["binding"] != binding:
             return None
         known_to = np.array(kept["known_to"], np.int64)
-        if known_to.shape != (items,):
+        if known_to.shape != (items,) or (known_to > latest).any():
             return None
-        return Position(_left(kept["subscription"], nodes), known_to)
+        return Position(known_to, _subscription(kept["subscription"], items))
     except (ValueError, KeyError, TypeError, OverflowError):
         return None
 
 
-def _left(kept: dict[str, Any] | None, nodes: Sequence[MonitoredNode]) -> Left | None:
+def _subscription(kept: dict[str, Any] | None, items: int) -> Kept | None:
     if kept is None:
         return None
-    by_item = {node.item: node for node in nodes}
-    interval, count = float(kept["publishing_interval_ms"]), int(kept["keep_alive_count"])
-    message = int(kept["message"])
-    if not (interval > 0.0 and count > 0 and 0 < message < 2**32):
-        return None
-    return Left(
-        ua.CreateSubscriptionResult(
-            SubscriptionId=int(kept["number"]),
-            RevisedPublishingInterval=interval,
-            RevisedMaxKeepAliveCount=count,
-        ),
-        next_message=message + 1 if message < 2**32 - 1 else 1,
-        acknowledgements=(),
-        buffer=(),
-        items=tuple(
-            Item(by_item[item], int(number), int(queue), int(handle))
-            for item, number, queue, handle in kept["items"]
-        ),
-        kept_back=(),
+    rows = tuple(tuple(map(int, row)) for row in kept["items"])
+    found = Kept(
+        int(kept["number"]),
+        int(kept["message"]),
+        float(kept["publishing_interval_ms"]),
+        int(kept["keep_alive_count"]),
+        tuple((item, number, queue, handle) for item, number, queue, handle in rows),
     )
+    numbers = (found.number, found.message, *(n for _, *rest in rows for n in rest))
+    if not (
+        all(0 <= n <= _LARGEST for n in numbers)
+        and found.message > 0
+        and 0.0 < found.publishing_interval_ms < _LONGEST_MS
+        and 0 < found.keep_alive_count <= _LARGEST
+        and all(0 <= item < items for item, *_ in rows)
+        and len({item for item, *_ in rows}) == len(rows)
+    ):
+        raise ValueError("no subscription is like this")
+    return found

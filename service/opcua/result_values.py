@@ -18,7 +18,7 @@ UncertainLastUsableValue, while the rest is Bad.
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Self
@@ -32,6 +32,7 @@ from service.identification.recursive_least_squares import Change
 from service.identification.samples import Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.opcua.information_model import (
+    ALARMS,
     ARMED,
     BASELINE,
     DIAGNOSTICS,
@@ -44,6 +45,7 @@ from service.opcua.information_model import (
     SIGNALS,
 )
 from service.streaming.ports import (
+    AlarmReport,
     EstimatorResults,
     Health,
     InverseResults,
@@ -141,6 +143,19 @@ def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
     yield Shown(f"{BASELINE}.DataHash", digest, code, now)
 
 
+def alarm_values(alarms: Iterable[AlarmReport], now: int) -> Iterator[Shown]:
+    """How alarms stand, in the service's own words; ``now`` where none ever came."""
+    good = int(_Codes.Good)
+    for alarm in alarms:
+        prefix, t = f"{ALARMS}.{alarm.name}", alarm.at or now
+        since = datetime.fromtimestamp(alarm.since / 1e9, UTC) if alarm.since else None
+        yield Shown(f"{prefix}.Active", alarm.active, good, t)
+        yield Shown(f"{prefix}.Severity", alarm.severity, good, t)
+        yield Shown(f"{prefix}.Since", since, good if since else int(_Codes.BadNoData), t)
+        yield Shown(f"{prefix}.Text", alarm.text, good, t)
+        yield Shown(f"{prefix}.Acked", alarm.acked, good, t)
+
+
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
     """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
     yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
@@ -163,6 +178,7 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.FromHistory", health.source.from_history),
     ):
         yield f"{SERVICE}.{name}", count, int(_Codes.Good)
+    yield f"{SERVICE}.Source.States", list(health.source_states), int(_Codes.Good)
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:

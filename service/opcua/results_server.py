@@ -33,6 +33,7 @@ from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
+    ALARMS,
     ARMED,
     BASELINE,
     DIAGNOSTICS,
@@ -48,6 +49,7 @@ from service.opcua.information_model import (
     SIGNALS,
     U_RANGE,
     VariableNode,
+    alarm_variables,
     axis,
     baseline_variables,
     builds_on_variable,
@@ -73,12 +75,15 @@ from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.opcua.result_values import (
     Column,
     Shown,
+    alarm_values,
     baseline_values,
     columns_of,
     service_values,
 )
+from service.streaming.alarm_words import ALARM_DESCRIPTIONS
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
+    AlarmReport,
     EstimatorDescription,
     Health,
     Operator,
@@ -93,6 +98,7 @@ _PARTS = {
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
 _AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -153,6 +159,7 @@ class ResultsServer(Startable):
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
         self._blocks: ResultBlocks
+        self._service_alarms: tuple[AlarmReport, ...] = ()
 
     @property
     def url(self) -> str:
@@ -226,6 +233,10 @@ class ResultsServer(Startable):
             (self._variables[name], value, code, now)
             for name, value, code in service_values(health)
         )
+        if health.alarms != self._service_alarms:
+            self._service_alarms = tuple(health.alarms)
+            for new in alarm_values(health.alarms, now):
+                self._show(self._server, SERVICE, new)
 
     def _show(self, server: HardenedServer, valve: str, new: Shown) -> None:
         """Write a variable, or keep what is new of it until it has a node."""
@@ -260,6 +271,8 @@ class ResultsServer(Startable):
         await add_part(BASELINE, "The map that was approved as new.", self._add_baseline)
         words = "What became of the valve's data on their way into the model."
         await add_part(DIAGNOSTICS, words, self._add_diagnostics)
+        words = "What needs somebody's attention."
+        await add_part(ALARMS, words, self._add_alarms)
 
     async def _add_part(
         self,
@@ -294,6 +307,46 @@ class ResultsServer(Startable):
         for node in health_variables(valve.name):
             await self._add_variable(server, parent, node, None)
 
+    async def _add_alarms(
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+    ) -> None:
+        await self._add_alarms_of(server, parent, valve.name)
+
+    async def _add_alarms_of(
+        self, server: HardenedServer, parent: ua.NodeId, valve: str | None
+    ) -> None:
+        owner = SERVICE if valve is None else valve
+        reports = self._operator.alarms(valve)
+        now = {new.name: new for new in alarm_values(reports, self._clock.now())}
+        for alarm in reports:
+            prefix = f"{owner}.{ALARMS}.{alarm.name}"
+            each = await add_object(
+                server, parent, prefix, description=ALARM_DESCRIPTIONS[alarm.name]
+            )
+            for node in alarm_variables(prefix):
+                new = now[node.id.partition(".")[2]]
+                self._not_shown.setdefault(node.id, new)
+                await self._add_variable(server, each, node, None)
+            await add_method(
+                server,
+                each,
+                f"{prefix}.Acknowledge",
+                partial(self._acknowledge, valve, alarm.name),
+                inputs=(Argument("Comment", "What was done about it", type=ua.VariantType.String),),
+                required=Role.OPERATOR,
+                description="Say that the alarm was seen. A change of the valve goes with it.",
+            )
+
+    def _acknowledge(self, valve: str | None, alarm: str, comment: str) -> None:
+        now = self._clock.now()
+        _refusing(self._operator.acknowledge)(valve, alarm, now)
+        if self._server is not None:
+            for new in alarm_values(self._operator.alarms(valve), now):
+                if new.name.startswith(f"{ALARMS}.{alarm}."):
+                    self._show(self._server, SERVICE if valve is None else valve, new)
+        if valve is not None:
+            self._note(valve, f"{ALARMS}.{alarm} Acknowledge {comment[:MOST_OF_A_COMMENT]!r}")
+
     async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
         folder = await add_object(
             server, root, SERVICE, description="How the service itself stands."
@@ -302,6 +355,10 @@ class ResultsServer(Startable):
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
                 await self._add_variable(server, parent, node, None)
+        parent = await add_object(
+            server, folder, f"{SERVICE}.{ALARMS}", description="What the service itself needs."
+        )
+        server.add_later(parent, partial(self._add_alarms_of, server, parent, None))
         if self._on_reload is not None:
             await add_method(
                 server,

@@ -51,9 +51,9 @@ class CheckpointFile:
     """Keeps checkpoints; fulfils :class:`service.streaming.ports.CheckpointStore`.
 
     A save is one transaction in a write-ahead log: readers are never held up, and whatever kills
-    the process, the file holds the last complete save. ``synchronous = FULL`` waits for the disk
-    once per save, a few ms at an interval of seconds; what ``save`` returned from survives a power
-    cut, too (with NORMAL everything since the last turn-over of the log could be gone).
+    the process, the file holds the last complete save. Each save folds its log into the file: it
+    waits for the disk when the log is written and when the file is, a few ms at an interval of
+    seconds. What ``save`` returned from survives a power cut, too.
 
     Each state is kept in two generations, each row with a digest of all that it says: of what a
     flipped bit has reached, the one before is taken; a file that is damaged is set aside, and what
@@ -127,8 +127,12 @@ class CheckpointFile:
         with self._lock, _naming(self.path):
             saved = self._saved + 1
             rows = [_Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
-            with _transaction(self._connection):
-                self._connection.executemany(_INSERT, rows)
+            self._connection.execute("PRAGMA synchronous = OFF")  # the fold waits for the disk
+            try:
+                with _transaction(self._connection):
+                    self._connection.executemany(_INSERT, rows)
+            finally:
+                self._connection.execute("PRAGMA synchronous = NORMAL")
             _fold_log(self._connection)
             self._saved = saved
             self._generations.update(((r.valve, r.estimator), r.generation) for r in rows)
@@ -283,7 +287,7 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
         connection.text_factory = _text
         _check(connection, path)
         connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA synchronous = NORMAL")
         with _transaction(connection):
             if _pragma(connection, "application_id") == 0:
                 for statement in _SCHEMA:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.estimator import StateMismatchError
 from service.identification.samples import Samples, Segments, Times
 from service.streaming.data_changes import DataChanges, Signal
 from service.streaming.kernels import alignment as kernel
@@ -119,8 +120,11 @@ class Alignment:
 
     def initial_state(self) -> Waiting:
         """Nothing has arrived yet."""
-        valves, signals = len(self.has_T), slots.SIGNALS
-        pending = min(_FIRST_CAPACITY, self.settings.max_pending)
+        return self.nothing(len(self.has_T), min(_FIRST_CAPACITY, self.settings.max_pending))
+
+    def nothing(self, valves: int, pending: int) -> Waiting:
+        """Nothing has arrived yet at some valves, with room for so many samples of each."""
+        signals = slots.SIGNALS
         order = np.zeros((valves, slots.ORDER_FIELDS), np.int64)
         order[:, [slots.LAST, slots.BASE]] = slots.NO_NUMBER
         order[:, list(_TIMES)] = slots.NEVER
@@ -165,22 +169,17 @@ class Alignment:
 
         Raises
         ------
-        ValueError
-            if they are of another shape than this alignment's.
+        StateMismatchError
+            if more wait than this alignment lets.
         """
         size = one.slots.shape[1]
-        if int(one.order[0, slots.SIZE]) != size or size > self.settings.max_pending:
-            raise ValueError(f"{size} samples wait, {self.settings.max_pending} may")
+        if size > self.settings.max_pending:
+            raise StateMismatchError(f"{size} samples wait, {self.settings.max_pending} may")
         while waiting.slots.shape[1] < size:
             waiting = _grown(waiting, min(2 * waiting.slots.shape[1], self.settings.max_pending))
-        places = []
         for name in Waiting._fields:
             array, kept = getattr(waiting, name), getattr(one, name)
             own = array[valve, :size] if name in _BY_SLOT else array[valve]
-            if own.shape != kept.shape[1:] or own.dtype != kept.dtype:
-                raise ValueError(f"{name} of another shape")
-            places.append((own, kept))
-        for own, kept in places:
             own[...] = kept[0]
         return waiting
 

@@ -3,8 +3,12 @@
 from collections.abc import Iterator
 from itertools import chain, repeat, takewhile
 
+CEILING_S = 5.0  # a source that is back is heard within 9 s, however long it was away
 
-def backoff(first_s: float = 0.5, factor: float = 2.0, ceiling_s: float = 30.0) -> Iterator[float]:
+
+def backoff(
+    first_s: float = 0.5, factor: float = 2.0, ceiling_s: float = CEILING_S
+) -> Iterator[float]:
     """Pauses in s, growing by ``factor`` up to ``ceiling_s``, for ever.
 
     >>> from itertools import islice

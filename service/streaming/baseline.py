@@ -103,9 +103,10 @@ class Baseline:
             }
             keys = dict(zip(map(str, kept.names), map(str, kept.keys), strict=True))
             found = cls(int(kept.number), int(kept.t), str(kept.digest), states, keys)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             raise StateMismatchError(f"not a baseline: {error}") from error
-        if _digest(found.t, states) != found.digest:
+        fits = sum(map(len, states.values())) == len(whole) and found.number >= 0
+        if not fits or _digest(found.t, states) != found.digest:
             raise StateMismatchError("the baseline's hash is another")
         return found
 

@@ -7,7 +7,7 @@ a fleet of one. What is handed out (:class:`~service.streaming.pipeline.Lane`,
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from service.identification.auto import Auto
 from service.identification.change import Change, FindsChanges
-from service.identification.estimator import State
+from service.identification.estimator import State, key_of
 from service.identification.extrapolation import U_range_of
-from service.identification.fleet import ManyModels, copied, member, members, repeated
+from service.identification.fleet import ManyModels, copied, member, members, repeated, stack
 from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import (
@@ -32,6 +32,7 @@ from service.identification.samples import (
 )
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.support import Support
+from service.streaming.alarms import Alarms
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
 from service.streaming.kernels.lanes import NO_STATUS, Notes
@@ -40,6 +41,7 @@ from service.streaming.pipeline import (
     Lane,
     ValvePlan,
     ValveState,
+    finds_changes,
     nothing_seen,
     with_forgetting,
 )
@@ -47,8 +49,10 @@ from service.streaming.ports import EstimatorResults
 from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 from service.streaming.quality_gate import GateState
 from service.streaming.score import Score, recent_rmse
+from service.streaming.valve_columns import Columns
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
+MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
 
 COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
 
@@ -66,6 +70,7 @@ class Fleet:
 
     def __init__(self, plan: ValvePlan, M: int) -> None:
         self.plan = plan
+        self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
         self._lanes = {
             name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
@@ -74,6 +79,11 @@ class Fleet:
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
         self._demand = np.full((M, 2), np.nan)  # Q, dp
+        self.alarms = Alarms(M, plan.alarms, max(plan.map_Q) - min(plan.map_Q))
+        names = [plan.inverse, *plan.estimators]
+        self._finder = next((n for n in names if finds_changes(plan.estimators[n])), None)
+        self._laggard = next((n for n in names if isinstance(plan.estimators[n], Auto)), None)
+        self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples in; return them as the gate judged them, and what every estimator said.
@@ -84,7 +94,26 @@ class Fleet:
         traces = {name: lanes.take(judged, segments) for name, lanes in self._lanes.items()}
         self._t[segments.members] = samples.t[segments.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, segments)
+        self.alarms.watch(judged, traces[self.plan.inverse], segments)
+        self._note(segments.members)
         return judged, traces
+
+    def _note(self, chosen: Times) -> None:
+        """Take up for the alarms what estimators found in the last samples."""
+        if self._finder is not None:
+            found = self._lanes[self._finder].changes(chosen)
+            count, t, size = (
+                np.array([getattr(change, name) if change else 0 for change in found])
+                for name in ("count", "t", "size")
+            )
+            self.alarms.note_changes(chosen, count, t, size.astype(np.float64))
+        if self._laggard is not None:
+            self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
+        due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
+        if len(due):
+            self._misfit_due[due] = self._t[due] + MISFIT_EVERY_NS
+            lanes = self._lanes[self.plan.inverse]
+            self.alarms.note_misfit(due, lanes.adaptations(due), lanes.recent_rmse(due))
 
     def lane(self, m: int, name: str) -> Lane:
         """One estimator of one valve as it stands."""
@@ -135,6 +164,21 @@ class Fleet:
         """Set the standing demand of one valve."""
         self._demand[m] = Q, dp
 
+    def columns(self, valves: Sequence[str]) -> list[Columns]:
+        """All that the valves, whose names are given, remember: the arrays themselves."""
+        gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
+        own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
+        names = tuple(valves)
+        return [
+            Columns(self._key, names, {**gate, **own, "demand": self._demand}),
+            *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
+        ]
+
+    def columns_written(self) -> None:
+        """Somebody has written to what `columns` gave."""
+        for lanes in self._lanes.values():
+            lanes.written()
+
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
@@ -156,6 +200,7 @@ class _Lanes:
         self._overall = np.tile(none.overall, (M, 1))
         self._support = support.of_many(M)
         self._accuracy = accuracy
+        self._key = key_of(_LaneKey(key_of(estimator), accuracy))
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
@@ -189,6 +234,45 @@ class _Lanes:
         self._support.learn(samples, trace.status, segments)
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
+
+    def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
+        support = self._support
+        return Columns(
+            f"{name} {self._key}",
+            valves,
+            {
+                **{f"state_{n}": array for n, array in self._states.columns().items()},
+                **{f"note_{n}": array for n, array in self._notes._asdict().items()},
+                "scores": self._scores,
+                "cells": self._cells,
+                "overall": self._overall,
+                "seen": support.cells,
+                "fit": support.fit,
+                "ranges": support.ranges,
+                "beyond": self.beyond,
+                "frozen": self._frozen,
+                "lam": self._lam,
+            },
+        )
+
+    def written(self) -> None:
+        self._states.written()
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        """The newest change of some valves that was found."""
+        return self._states.changes(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        """The larger of the two lags that were found at some valves, s."""
+        return self._states.largest_lags(chosen)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        """What the estimator makes of its residuals at some valves."""
+        return self._states.adaptations(chosen)
+
+    def recent_rmse(self, chosen: Times) -> Floats:
+        """Root mean square of the last residuals of some valves, l/min."""
+        return recent_rmse(self._scores[chosen])
 
     def too_fast(self) -> Times:
         """How many samples moved too fast for the lags of their signals (M,)."""
@@ -278,6 +362,14 @@ class _Lanes:
         return trace
 
 
+@dataclass(frozen=True)
+class _LaneKey:
+    """What a lane's memory belongs to."""
+
+    estimator: str
+    accuracy: SensorAccuracy
+
+
 def _states_of(estimator: AnyEstimator, M: int) -> "_Stacked | _Listed":
     return _Stacked(estimator, M) if isinstance(estimator, ManyModels) else _Listed(estimator, M)
 
@@ -317,6 +409,11 @@ class _Stacked:
         found = self._estimator.lags if isinstance(self._estimator, Auto) else None
         return [found(member(self._all, m)) if found else None for m in chosen]
 
+    def largest_lags(self, chosen: Times) -> Floats:
+        if isinstance(self._estimator, Auto):
+            return self._estimator.largest_lags(self._all)[chosen]
+        return np.full(len(chosen), np.nan)
+
     def adaptations(self, chosen: Times) -> Codes:
         return self._estimator.adaptation_many(members(self._all, chosen))
 
@@ -324,6 +421,12 @@ class _Stacked:
         if isinstance(self._estimator, Auto):
             return self._estimator.too_fast(self._all)
         return np.zeros(M, np.int64)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
+
+    def written(self) -> None:
+        self._changed[:] = -1
 
     def put(self, m: int, state: State) -> None:
         self._changed[m] = -1
@@ -337,6 +440,7 @@ class _Listed:
     def __init__(self, estimator: AnyEstimator, M: int) -> None:
         self._estimator = estimator
         self._all: list[State] = [estimator.initial_state()] * M
+        self._columns: State | None = None  # as they were handed out, to be written to
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
         N = len(samples)
@@ -366,11 +470,23 @@ class _Listed:
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
         return [None] * len(chosen)
 
+    def largest_lags(self, chosen: Times) -> Floats:
+        return np.full(len(chosen), np.nan)
+
     def adaptations(self, chosen: Times) -> Codes:
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
     def too_fast(self, M: int) -> Times:
         return np.zeros(M, np.int64)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        self._columns = stack(self._all)
+        return {f.name: getattr(self._columns, f.name) for f in fields(self._columns)}
+
+    def written(self) -> None:
+        if self._columns is not None:
+            self._all = [copied(member(self._columns, m)) for m in range(len(self._all))]
+        self._columns = None
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

@@ -7,7 +7,7 @@ time nor network.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,15 @@ from service.identification.samples import (
 )
 from service.identification.survey import Survey
 from service.streaming import pipeline
+from service.streaming.alarms import (
+    ALARM_NAMES,
+    SERVICE_ALARM_NAMES,
+    SERVICE_RULES,
+    Alarm,
+    AlarmRule,
+    ServiceAlarm,
+    ServiceAlarms,
+)
 from service.streaming.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.baseline import Baseline, Difference, difference
@@ -49,6 +58,8 @@ from service.streaming.pipeline import (
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import (
     SIGNALS,
+    AlarmReport,
+    AlarmResults,
     Checkpoint,
     EstimatorDescription,
     EstimatorResults,
@@ -60,6 +71,7 @@ from service.streaming.ports import (
 )
 from service.streaming.quality_gate import QualityGate
 from service.streaming.timing import Timing, TimingSettings, TimingState
+from service.streaming.valve_columns import Columns, copy_rows
 from service.streaming.valve_memory import ValveMemory
 from service.streaming.valve_timing import IN_SCANS, LISTENING
 from service.streaming.waiting import waited_for
@@ -70,10 +82,15 @@ MAPS_AT_ONCE = 100  # 2 ms each
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come
 BASELINE = "Baseline"  # nor so: the map that was approved as new
+ALARMS = "Alarms"  # nor so: how its alarms stand
+OF_SERVICE = "Service"  # no valve is called so
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
 
 _MISSING = OF_ALIGNMENT.index("missing")
+_LOST = [OF_ALIGNMENT.index(name) for name in ("missing", "gaps", "lost_by_time")]
+_ALIGNED = OF_ALIGNMENT.index("aligned")
+_GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
 _DISARMED = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 
 
@@ -101,7 +118,11 @@ class Identification:
     """All valves of one service; fulfils :class:`service.streaming.ports.Operator`."""
 
     def __init__(
-        self, plans: Sequence[ValvePlan], alignment: Alignment, timing: Timing | None = None
+        self,
+        plans: Sequence[ValvePlan],
+        alignment: Alignment,
+        timing: Timing | None = None,
+        service_alarms: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES,
     ) -> None:
         self.plans = tuple(plans)
         self._fleets, self._fleet_of, self._member_of = _fleets(self.plans)
@@ -131,6 +152,7 @@ class Identification:
         self._plausibility = Plausibility(len(self.plans))
         self._insists = np.array([plan.insist for plan in self.plans], np.bool_)
         self._implausible = np.zeros(len(self.plans), np.bool_)
+        self._service_alarms = ServiceAlarms(service_alarms)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""
@@ -138,7 +160,7 @@ class Identification:
 
     def _align(self, changes: DataChanges) -> ByValve:
         self._waiting, arrived = self._alignment.take(self._waiting, changes)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
@@ -154,14 +176,15 @@ class Identification:
         if len(unfinished):
             return self._align(unfinished)
         self._waiting, arrived = self._alignment.flush(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """The source of some valves was restarted: its running numbers begin anew."""
         self._waiting, arrived = self._alignment.begin_anew(self._waiting, valves)
-        return self._learn(arrived)
+        return self.learn(arrived)
 
-    def _learn(self, arrived: ByValve) -> ByValve:
+    def learn(self, arrived: ByValve) -> ByValve:
+        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
@@ -171,7 +194,14 @@ class Identification:
             rows, first, last = _rows(starts[own], stops[own])
             segments = Segments(self._member_of[valves[own]], first, last)
             self._fleets[number].take(arrived.samples[rows], segments)
+            self._note_losses(self._fleets[number], valves[own])
         return arrived
+
+    def _note_losses(self, fleet: Fleet, valves: Times) -> None:
+        counts, places = self._waiting.counters[valves], self._member_of[valves]
+        lost = counts[:, _LOST].sum(axis=1) + self._timing.not_made(valves)
+        fleet.alarms.note_losses(places, lost, counts[:, _ALIGNED])
+        fleet.alarms.be_patient(places, self._timing.holds[valves])
 
     def _note_newest(self, arrived: ByValve) -> None:
         valves, _, stops = arrived.segments
@@ -329,6 +359,10 @@ class Identification:
             counter_names=COUNTERS,
             signals=self._signals(valves, at_best),
             baselines=[self._baselines.get(int(valve)) for valve in valves],
+            alarms=AlarmResults(
+                fleet.alarms.version[places],
+                lambda m: fleet.alarms.reports(int(places[m])),
+            ),
             timing=[self.timing(int(valve)) for valve in valves],
             waiting=[
                 self._reasons(int(valve)) if of_use else self.stand_still(int(valve))
@@ -363,6 +397,8 @@ class Identification:
         for k in np.flatnonzero(demanded):
             valve = int(valves[k])
             U[k], _, status[k] = pipeline.required(*self._inverted(valve))
+        guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
+        fleet.alarms.note_answers(self._member_of[valves], guessed)
         return InverseResults(
             t=t,
             quality=quality,
@@ -408,6 +444,10 @@ class Identification:
         lane = self.lane(valve, estimator)
         fresh = pipeline.fresh_lane(lane.estimator, lane.support.forgotten())
         self._put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
+        number = self._numbers[valve]
+        if estimator == self.plans[number].inverse:
+            fleet, m = self._at(number)
+            fleet.alarms.forget_map(m)
 
     def freeze(self, valve: str, estimator: str) -> None:
         """Stop adaptation."""
@@ -481,15 +521,16 @@ class Identification:
     def roll_back(self, valve: str) -> None:
         """Have every estimator know what it knew when the baseline was approved."""
         number, baseline = self._numbers[valve], self._baseline(valve)
+        before = {}
         for name, configured in self.plans[number].estimators.items():
-            now = self.lane(valve, name)
             try:
-                then = baseline.lane(name, configured)
+                before[name] = baseline.lane(name, configured)
             except StateMismatchError as error:
                 raise CommandRejected(f"{valve}.{name}: {error}") from None
-            if now.lam is not None:
-                then = pipeline.with_forgetting(then, now.lam)
-            self._put(valve, name, replace(then, frozen=now.frozen))
+        for name, then in before.items():
+            now = self.lane(valve, name)
+            known = then if now.lam is None else pipeline.with_forgetting(then, now.lam)
+            self._put(valve, name, replace(known, frozen=now.frozen))
 
     def replace_valve(self, valve: str) -> None:
         """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
@@ -519,6 +560,52 @@ class Identification:
         if found is None:
             raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
         return found
+
+    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        if valve is None:
+            taken = self._service_alarms.acknowledge(
+                ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm)), now
+            )
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            taken = fleet.alarms.acknowledge(m, Alarm(ALARM_NAMES.index(alarm)), now)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
+
+    def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+        if valve is None:
+            return self._service_alarms.reports()
+        fleet, m = self._at(self._numbers[valve])
+        return fleet.alarms.reports(m)
+
+    def was_away(self) -> None:
+        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        for fleet in self._fleets:
+            fleet.alarms.was_away()
+
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Some valves have sent nothing until ``now``, UTC ns by the clocks of their sources.
+
+        Returns those of which that is an alarm only now.
+        """
+        new: list[int] = []
+        for number in np.unique(self._fleet_of[valves]):
+            chosen = self._fleet_of[valves] == number
+            own = valves[chosen]
+            places, alarms = self._member_of[own], self._fleets[number].alarms
+            before = alarms.version[places]
+            alarms.overdue(places, now[chosen])
+            new += own[alarms.version[places] != before].tolist()
+        return new
+
+    def watch_service(
+        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+    ) -> tuple[AlarmReport, ...]:
+        """Judge how the service itself stands: age of what is kept, certificate, share of time."""
+        self._service_alarms.note(now, checkpoint_age_s, days_left, load)
+        return self._service_alarms.reports()
 
     def arm(self, valve: str) -> None:
         """Have the answer to the standing demand written to the valve, while it may be."""
@@ -582,11 +669,27 @@ class Identification:
                     frozen=False,
                 )
             )
+            kept.append(self._alarms_of(valve, state.t))
             if self._finds_timing:
                 kept.append(self._timing_of(valve, state.t))
             if self._approved[valve]:
                 kept.append(self._baseline_of(valve))
+        if self._service_alarms.version:
+            packed, name = self._service_alarms.to_bytes(), OF_SERVICE
+            kept.append(Checkpoint(name, ALARMS, "", 0, packed, lam=None, frozen=False))
         return kept
+
+    def _alarms_of(self, valve: int, t: int) -> Checkpoint:
+        fleet, m = self._at(valve)
+        packed, name = fleet.alarms.to_bytes(m), self.plans[valve].name
+        return Checkpoint(name, ALARMS, "", t, packed, lam=None, frozen=False)
+
+    def _take_alarms(self, kept: Checkpoint) -> None:
+        if kept.valve == OF_SERVICE:
+            self._service_alarms.from_bytes(kept.state)
+        else:
+            fleet, m = self._at(self._number(kept))
+            fleet.alarms.from_bytes(m, kept.state)
 
     def _baseline_of(self, valve: int) -> Checkpoint:
         """The baseline, or, as ``frozen``, that there is none any more."""
@@ -597,18 +700,12 @@ class Identification:
         name = self.plans[valve].name
         return Checkpoint(name, BASELINE, "", t, packed, lam=None, frozen=found is None)
 
-    def _take_baseline(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
-        try:
-            found = Baseline.from_bytes(kept.state)
-        except StateMismatchError:
-            return False
+    def _take_baseline(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        found = Baseline.from_bytes(kept.state)
         self._approved[number] = found.number
         if not kept.frozen:
             self._baselines[number] = found
-        return True
 
     def _timing_of(self, valve: int, t: int) -> Checkpoint:
         key = self._timing_key(valve)
@@ -620,33 +717,25 @@ class Identification:
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
 
-    def _time_as_before(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or not self._finds_timing:
-            return False
-        try:
-            state = TimingState.from_bytes(kept.state, self._timing_key(number))
-            self._timing.put(number, state)
-        except StateMismatchError:
-            return False
-        return True
+    def _time_as_before(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        if not self._finds_timing:
+            raise StateMismatchError("how signals come is configured")
+        self._timing.put(number, TimingState.from_bytes(kept.state, self._timing_key(number)))
 
     def _memory_key(self, valve: int) -> str:
         alignment, plan = self._alignment, self.plans[valve]
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
 
-    def _remember(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None:
-            return False
+    def _remember(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
         fleet, m = self._at(number)
-        try:
-            memory = ValveMemory.from_bytes(kept.state, self._memory_key(number))
-            self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
-            fleet.remember(m, memory.gate, memory.t, memory.T)
-        except (StateMismatchError, ValueError):
-            return False
+        memory = ValveMemory.from_bytes(
+            kept.state, self._memory_key(number), self.plans[number].gate, self._alignment
+        )
+        self._waiting = self._alignment.put(self._waiting, number, memory.waiting)
+        fleet.remember(m, memory.gate, memory.t, memory.T)
         fleet.demand(m, *memory.demand)
         for name, notes in memory.notes.items():
             known = name in self.plans[number].estimators and notes.status in (-1, *Status)
@@ -656,48 +745,88 @@ class Identification:
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
             fleet.count_beyond(m, name, notes.beyond)
-        return True
 
-    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], list[str]]:
+    def _number(self, kept: Checkpoint) -> int:
+        number = self._numbers.get(kept.valve)
+        if number is None:
+            raise StateMismatchError("no such valve is configured")
+        return number
+
+    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
         """Take up what was kept, where the configuration still fits.
 
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; what is refused starts afresh.
+            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
         """
         restored: list[str] = []
-        refused: list[str] = []
+        refused: dict[str, str] = {}
         takers = {
             MEMORY: self._remember,
             TIMING: self._time_as_before,
             BASELINE: self._take_baseline,
+            ALARMS: self._take_alarms,
         }
         known: set[int] = set()
         for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
-            taken = takers.get(kept.estimator, self._restore)(kept)
-            (restored if taken else refused).append(f"{kept.valve}.{kept.estimator}")
-            if taken:
-                known.add(self._numbers[kept.valve])
+            name = f"{kept.valve}.{kept.estimator}"
+            try:
+                takers.get(kept.estimator, self._restore)(kept)
+            except StateMismatchError as error:
+                refused[name] = str(error)
+            else:
+                restored.append(name)
+                known.update({self._numbers[kept.valve]} if kept.valve in self._numbers else ())
         for number in known:
             self._maps[number] = self._inverse_map(number)
         if known:
             self.refresh_maps()
         return restored, refused
 
-    def _restore(self, kept: Checkpoint) -> bool:
-        number = self._numbers.get(kept.valve)
-        if number is None or kept.estimator not in self.plans[number].estimators:
-            return False
-        configured = self.plans[number].estimators[kept.estimator]
-        try:
-            lane = pipeline.lane_from_bytes(
-                kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
-            )
-        except StateMismatchError:
-            return False
+    def _restore(self, kept: Checkpoint) -> None:
+        configured = self.plans[self._number(kept)].estimators.get(kept.estimator)
+        if configured is None:
+            raise StateMismatchError("no such estimator is configured")
+        lane = pipeline.lane_from_bytes(
+            kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
+        )
         self._put(kept.valve, kept.estimator, lane)
-        return True
+
+    def columns(self) -> list[Columns]:
+        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        names = tuple(plan.name for plan in self.plans)
+        newest = self._newest
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": newest.t,
+            "newest_quality": newest.quality,
+            "newest_values": newest.values,
+            "implausible": self._implausible,
+            "approved": self._approved,
+            **{f"plausibility_{n}": array for n, array in self._plausibility.columns().items()},
+        }
+        found = [Columns("signals", names, every)]
+        for number, fleet in enumerate(self._fleets):
+            own = np.flatnonzero(self._fleet_of == number)
+            found += fleet.columns([names[valve] for valve in own])
+        return found
+
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Take up columns and baselines; return (key, valve) of what starts afresh."""
+        own = self.columns()
+        afresh = copy_rows(columns, own)
+        for fleet in self._fleets:
+            fleet.columns_written()
+        for valve, packed in baselines.items():
+            if valve in self._numbers:
+                self._baselines[self._numbers[valve]] = Baseline.from_bytes(packed)
+        return afresh
+
+    def baselines(self) -> dict[str, bytes]:
+        """The approved maps, packed, by valve."""
+        return {self.plans[n].name: found.to_bytes() for n, found in self._baselines.items()}
 
     def _first_maps(self) -> list[Floats]:
         """Tables before the first sample: the same for valves treated alike."""
@@ -745,7 +874,8 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
     for valve, plan in enumerate(plans):
         estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
         ranges = pipeline.nothing_seen(plan).ranges.tolist()
-        key = repr((plan.gate, estimators, ranges, plan.accuracy))
+        watched = plan.inverse, sorted(plan.alarms.items())
+        key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)

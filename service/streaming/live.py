@@ -2,7 +2,7 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -12,7 +12,7 @@ import structlog
 
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
-from service.identification.samples import Floats, Samples
+from service.identification.samples import Floats, Samples, Times
 from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import (
@@ -24,16 +24,26 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import MAPS_AT_ONCE, Identification
-from service.streaming.ports import Checkpoint, CheckpointStore, Health, ResultSink, Source
+from service.streaming.ports import (
+    AlarmReport,
+    AllSources,
+    Checkpoint,
+    CheckpointStore,
+    Health,
+    ResultSink,
+)
 
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
+PACKED_AT_ONCE = 16  # valves, at 3 ms each, before samples that have come are taken in
+KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
 KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
-KEPT_IN_ONE_GO = 32  # of them: what a standstill has made late is caught up bit by bit
 MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+DAY_NS = 86_400_000_000_000
+NAMED = 8  # valves and estimators in one line, until the rest are counted
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
@@ -61,6 +71,8 @@ class LiveSettings:
     publish_share : float
         Most of the time that goes into publishing as long as there is more to publish than that:
         samples that come in go before results that go out.
+    certificate_until_ns : int
+        End of the service's own certificate, UTC ns; 0: it has none that lasts.
     """
 
     stale_after_s: float = 2.0
@@ -69,6 +81,7 @@ class LiveSettings:
     map_interval_s: float = 1.0
     publish_budget_s: float = 0.02
     publish_share: float = 0.25
+    certificate_until_ns: int = 0
 
 
 class LiveService:
@@ -77,7 +90,7 @@ class LiveService:
     def __init__(
         self,
         identification: Identification,
-        source: Source,
+        source: AllSources,
         sink: ResultSink,
         store: CheckpointStore,
         clock: Clock,
@@ -95,11 +108,12 @@ class LiveService:
         self._last_sample = np.full(len(identification.plans), now)
         self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
         self._held_until = now
-        self._source_started = 0
+        self._source_started = np.zeros(len(identification.plans), np.int64)
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
+        self._worked_s, self._worked_since = 0.0, now
         self._kept_at = math.nan
         self._failures = 0
         self._refused = 0
@@ -107,13 +121,14 @@ class LiveService:
         self._mark_of_round: Any = None
         self._left_in_round: set[int] = set()
         self._keeping: asyncio.Task[None] | None = None
+        self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
         self._unpublished: dict[int, None] = {}  # valves, the oldest first
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
         self._publish_due = now
         self._under_way = False
-        self._connected = False
-        self._fed_at = now
+        self._connected = np.zeros(len(identification.plans), np.bool_)
+        self._fed_at = np.full(len(identification.plans), now)
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
         self._newest_U = np.full(len(identification.plans), np.nan)
         self._fed = {
@@ -127,14 +142,17 @@ class LiveService:
 
         ``known`` is newer than what was kept, if there is something.
         """
-        kept = []
+        kept, lost_place = [], False
         for one in known or self._store.load():
-            if (one.valve, one.estimator) == POSITION:
-                self._source.resume_at(one.state)
-            else:
+            if (one.valve, one.estimator) != POSITION:
                 kept.append(one)
+            elif not self._source.resume_at(one.state):
+                lost_place = True
         self._source.hold_back()
         restored, refused = self.identification.restore(kept)
+        if lost_place:
+            refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
+        self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
@@ -142,27 +160,34 @@ class LiveService:
         if restored:
             log.info("states restored", estimators=restored)
         if refused:
-            log.warning("states of another configuration left aside", estimators=refused)
+            log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._unpublished = dict.fromkeys(range(len(self._lost)))
         while self._unpublished:  # in turns: clients are answered meanwhile
             await self._publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
-    async def connected(self, source_started: int) -> None:
-        """The source is there; if it was restarted, its samples are counted anew."""
-        before, self._source_started = self._source_started, source_started
-        if before and source_started and source_started != before:
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """A source is there; if it was restarted, its samples are counted anew."""
+        own = self._own(valves)
+        before = self._source_started[own]
+        self._source_started[own] = source_started
+        if source_started and ((before != 0) & (before != source_started)).any():
             log.warning("source restarted")
-            every = np.arange(len(self._lost))
-            await self._use(self.identification.begin_source_anew(every))
+            await self._use(self.identification.begin_source_anew(own), own)
 
-    async def take(self, changes: DataChanges) -> None:
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
         """Identify, publish, feed forward."""
-        self._connected = True
+        own = self._own(valves)
+        self._connected[own] = True
         self._mark = self._source.mark
-        await self._use(self.identification.take(changes))
+        began = self._clock.monotonic()
+        await self._use(self.identification.take(changes), own)
+        self._worked_s += self._clock.monotonic() - began
 
-    async def _use(self, samples: ByValve) -> None:
+    def _own(self, valves: Times | None) -> Times:
+        return np.arange(len(self._lost)) if valves is None else valves
+
+    async def _use(self, samples: ByValve, own: Times | None = None) -> None:
         members, _, stops = samples.segments
         self._last_sample[members] = self._clock.monotonic()
         self._held_s[members] = 0.0
@@ -178,19 +203,18 @@ class LiveService:
         self._unpublished.update(dict.fromkeys(samples))
         self._say_what_is_doubted()
         self._say_what_was_found()
-        await self._feed_forward()
+        await self._feed_forward(self._own(own))
         await self._publish_in_turn()
         if not self._under_way and len(samples):
             self._under_way = True
             log.info("first results published")
 
-    async def tick(self) -> None:
-        """Look after what is due by the clock."""
-        now = self._clock.monotonic()
+    async def tick(self, valves: Times | None = None) -> None:
+        """Look after what is due by the clock; only these valves are fed forward."""
+        now, own = self._clock.monotonic(), self._own(valves)
         await self._wait_no_longer(now)
         await self._doubt(now)
-        if now - self._fed_at >= FEED_AGAIN_S:
-            await self._feed_forward()
+        await self._feed_forward(own[now - self._fed_at[own] >= FEED_AGAIN_S])
         await self._publish_in_turn()
         if now >= self._map_due:
             parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
@@ -205,6 +229,9 @@ class LiveService:
         silent = self.identification.holds() & self._connected  # nothing has changed
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        silent_now = np.flatnonzero(stale)
+        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
+        self._unpublished.update(dict.fromkeys(overdue))
         old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
@@ -212,24 +239,44 @@ class LiveService:
 
     def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
-        now = self._clock.now() + round(self._source.clock_offset_s * 1e9)
         newest = self._newest[valves]
-        return np.where(newest > 0, np.maximum((now - newest) * 1e-9, 0.0), np.nan)
+        ages = np.maximum((self._source_now()[valves] - newest) * 1e-9, 0.0)
+        return np.where(newest > 0, ages, np.nan)
+
+    def _source_now(self) -> Times:
+        """Time by each valve's source, UTC ns."""
+        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
 
     async def _show_health(self, now: float) -> None:
         if now < self._health_due:
             return
         self._health_due = now + HEALTH_EVERY_S
+        alarms = self._watch_service(now)
         await self._sink.show_health(
             Health(
                 age_s=self._ages(),
                 waiting=self.identification.pending(),
                 source=self._source.counters,
+                source_states=self._source.states,
                 checkpoint_age_s=now - self._kept_at,
                 checkpoint_failures=self._failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
+                alarms=alarms,
             )
+        )
+
+    def _watch_service(self, now: float) -> Sequence[AlarmReport]:
+        passed, worked = now - self._worked_since, self._worked_s
+        self._worked_s, self._worked_since = 0.0, now
+        until, utc = self._settings.certificate_until_ns, self._clock.now()
+        kept_at = self._began if math.isnan(self._kept_at) else self._kept_at
+        return self.identification.watch_service(
+            utc,
+            checkpoint_age_s=now - kept_at,
+            days_left=(until - utc) / DAY_NS if until else math.nan,
+            load=min(worked / passed, 1.0) if passed > 0.0 else math.nan,
         )
 
     async def _wait_no_longer(self, now: float) -> None:
@@ -238,30 +285,51 @@ class LiveService:
         Time counts only while there is a connection, and our own standstills do not.
         """
         passed, self._held_until = now - self._held_until, now
-        if not self._connected:
+        if not self._connected.any():
             return
-        self._held_s += min(passed, LONGEST_TICK_S)
+        self._held_s[self._connected] += min(passed, LONGEST_TICK_S)
         self._held_s[~self.identification.waits()] = 0.0
-        due = self._held_s > self._settings.reorder_s
+        due = self._connected & (self._held_s > self._settings.reorder_s)
         if due.any():
-            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)))
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)), _NONE)
 
-    async def lost(self, reason: SourceError) -> None:  # noqa: ARG002 - the supervisor logs it
-        """Call every result bad: there is no connection."""
-        self._connected = False
-        await self._feed_forward()
-        await self._lose(np.flatnonzero(~self._lost).tolist())
+    async def lost(
+        self,
+        reason: SourceError,  # noqa: ARG002 - the supervisor logs it
+        valves: Times | None = None,
+    ) -> None:
+        """Call every result of these valves bad: there is no connection to their source."""
+        own = self._own(valves)
+        self._connected[own] = False
+        await self._feed_forward(own)
+        await self._lose(own[~self._lost[own]].tolist())
 
-    async def keep(self) -> None:
-        """Keep all states now.
+    async def keep(self, within_s: float = math.inf) -> bool:
+        """Keep all states now, or those kept longest ago, as far as the disk does it in this time.
+
+        False: not all are. What was kept before is older, and the source is asked again for what
+        came since.
 
         Raises
         ------
         StorageError
             naming the file; the states go on in memory.
         """
+        end, M = self._clock.monotonic() + within_s, len(self._lost)
         await self.settle()
-        await asyncio.to_thread(self._store.save, [*self.states(), *self._position(self._mark)])
+        oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
+        at_once = M if math.isinf(within_s) else KEPT_AT_ONCE
+        for start in range(0, M, at_once):
+            some = oldest_first[start : start + at_once]
+            if self._clock.monotonic() + len(some) * self._packing_s + self._saving_s > end:
+                return False
+            states = await self._packed(some)
+            if start + at_once >= M:
+                states += self._position(self._mark)
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
+            self._saving_s = self._clock.monotonic() - began
+        return True
 
     def states(self) -> list[Checkpoint]:
         """All that is known of all valves."""
@@ -282,11 +350,25 @@ class LiveService:
         state = self._source.position(mark)
         return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]
 
-    async def _keep(self, some: list[Checkpoint], mark: Any) -> None:  # noqa: ANN401
+    async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
+        """States as bytes, a few valves at a time: samples come in between."""
+        packed = []
+        for start in range(0, len(valves), PACKED_AT_ONCE):
+            began = self._clock.monotonic()
+            some = valves[start : start + PACKED_AT_ONCE]
+            packed += self._states(some)
+            self._packing_s = (self._clock.monotonic() - began) / len(some)
+            await asyncio.sleep(0)
+        return packed
+
+    async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """The disk may be slow, or full: nothing waits for it."""
         try:
-            await asyncio.to_thread(self._store.save, some)
+            states = [*await self._packed(valves), *self._position(mark)]
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
             self._kept_at = self._clock.monotonic()
+            self._saving_s = self._kept_at - began
             if mark is not None:
                 self._source.commit(mark)
         except StorageError as error:
@@ -299,16 +381,16 @@ class LiveService:
             return
         M = len(self._lost)
         interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
-        due = min(int(M * (now - self._began) / interval_s), self._turns + KEPT_IN_ONE_GO)
-        some = {turn % M for turn in range(self._turns, due)}
-        self._turns = due
+        due = int(M * (now - self._began) / interval_s)
+        turns = range(self._turns, min(due, self._turns + min(M, KEPT_AT_ONCE)))
+        self._turns = due if M <= KEPT_AT_ONCE else turns.stop
+        some = {turn % M for turn in turns}
         if some:
             if not self._left_in_round:
                 self._left_in_round, self._mark_of_round = set(range(M)), self._mark
             self._left_in_round -= some
             mark = None if self._left_in_round else self._mark_of_round
-            states = [*self._states(sorted(some)), *self._position(mark)]
-            self._keeping = asyncio.create_task(self._keep(states, mark))
+            self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
 
     def _say_what_is_doubted(self) -> None:
         """Name the valves that are not learnt from, each once."""
@@ -357,10 +439,11 @@ class LiveService:
             if self._clock.monotonic() >= end:
                 break
 
-    async def _feed_forward(self) -> None:
-        """Lead every valve that is armed a step on, all at once."""
-        self._fed_at = self._clock.monotonic()
-        steps = (self._lead(valve) for valve in self._fed)
+    async def _feed_forward(self, valves: Times) -> None:
+        """Lead each of these valves that is armed a step on, all at once."""
+        self._fed_at[valves] = self._clock.monotonic()
+        chosen = set(valves.tolist()) & self._fed.keys() if self._fed else ()
+        steps = (self._lead(valve) for valve in self._fed if valve in chosen)
         for outcome in await asyncio.gather(*steps, return_exceptions=True):
             if isinstance(outcome, BaseException):
                 raise outcome
@@ -389,8 +472,9 @@ class LiveService:
 
     def _situation(self, valve: int) -> Situation:
         armed = self.identification.is_armed(valve)
-        if not (armed and self._connected):
-            return Situation(armed, self._connected)
+        connected = bool(self._connected[valve])
+        if not (armed and connected):
+            return Situation(armed, connected)
         waited = self._clock.monotonic() - self._last_sample[valve]
         behind = float(self._ages(slice(valve, valve + 1))[0])
         answer, status = self.identification.required(valve)
@@ -410,6 +494,19 @@ class LiveService:
         self._unpublished[valve] = None
         name = self.identification.plans[valve].name
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
+
+
+_NONE: Times = np.empty(0, np.int64)  # the next tick feeds these forward
+
+
+def _by_reason(refused: Mapping[str, str]) -> str:
+    """Each reason once, with the first names that it holds for."""
+    lines = []
+    for reason in dict.fromkeys(refused.values()):
+        names = [name for name, why in refused.items() if why == reason]
+        rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        lines.append(f"{', '.join(names[:NAMED])}{rest}: {reason}")
+    return "; ".join(lines)
 
 
 async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:

@@ -1,17 +1,21 @@
 """One valve: what is done with it, how it stands, and what follows from that. Pure."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 
 from service.identification.change import FindsChanges
-from service.identification.estimator import Estimator, State, StateMismatchError, key_of
+from service.identification.contents import Contents
+from service.identification.estimator import Estimator, State, StateMismatchError, Template, key_of
 from service.identification.extrapolation import U_range_of, trusted
 from service.identification.forgetting import Adaptive
 from service.identification.inverse_map import inverse_table, invert
 from service.identification.inversion import InverseStatus, Inversion
+from service.identification.kernels import lack_of_fit
+from service.identification.kernels import residual_spread as of_spread
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import TWO_SIDED_95, ResidualSpread
@@ -19,11 +23,19 @@ from service.identification.samples import Codes, Floats, Samples, Status
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
+from service.streaming.alarms import RULES, Alarm, AlarmRule
 from service.streaming.feedforward import FeedForward
+from service.streaming.kernels import score as of_score
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
 
 AnyEstimator = Estimator[Any]
+
+_OF_CELL = [of_spread.WEIGHT, of_spread.SQUARES, of_spread.NUMBER]  # never negative, nor are …
+_OF_SCORE = [
+    *(of_score.N, of_score.SQUARES, of_score.SCATTER_Q),
+    *(of_score.RECENT, of_score.WEIGHT, of_score.LARGEST),
+]
 
 
 @runtime_checkable
@@ -66,7 +78,8 @@ class ValvePlan:
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
     valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
-    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing.
+    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing,
+    ``alarms`` when each comes and goes.
     """
 
     name: str
@@ -80,6 +93,7 @@ class ValvePlan:
     insist: bool = False
     accuracy: SensorAccuracy = EXACT
     nodes: Mapping[str, str] = field(default_factory=dict)
+    alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
 
 
 @dataclass(frozen=True)
@@ -256,22 +270,44 @@ class _Kept(State):
     ranges: Any
     count: Any
 
+    @classmethod
+    def of(cls, lane: Lane, packed: bytes) -> Self:
+        """A lane, and its estimator's state as bytes."""
+        spread, support = lane.spread, lane.support
+        return cls(
+            estimator=np.frombuffer(packed, np.uint8),
+            score=lane.score.sums,
+            cells=spread.cells,
+            overall=spread.overall,
+            seen=support.cells,
+            fit=support.fit,
+            ranges=support.ranges,
+            count=np.array(lane.count),
+        )
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them."""
+        score = Contents(self.score).within(0.0, where=_OF_SCORE)
+        score.or_infinite([of_score.LOWEST_Q, of_score.HIGHEST_Q])
+        cells = Contents(self.cells).within(0.0, where=(slice(None), _OF_CELL))
+        overall = Contents(self.overall).within(0.0)
+        multiples = slice(of_spread.QUANTILE, of_spread.TIMES)
+        return {
+            "score": score,
+            "cells": cells,
+            "overall": overall.within(0.0, of_spread.LARGEST, multiples),
+            "fit": Contents(self.fit).within(0.0, where=slice(lack_of_fit.SEEN, None)),
+        }
+
+    def is_coherent(self) -> bool:
+        """Whether the ranges are some."""
+        U_low, U_high, dp_low, dp_high, Q_max = self.ranges.tolist()
+        return bool(U_low < U_high and dp_low < dp_high and Q_max > 0.0)
+
 
 def lane_to_bytes(lane: Lane, key: str) -> bytes:
     """Pack a lane; ``key`` is that of the estimator as configured, whatever operators changed."""
-    packed = np.frombuffer(lane.state.to_bytes(key), np.uint8)
-    spread, support = lane.spread, lane.support
-    kept = _Kept(
-        estimator=packed,
-        score=lane.score.sums,
-        cells=spread.cells,
-        overall=spread.overall,
-        seen=support.cells,
-        fit=support.fit,
-        ranges=support.ranges,
-        count=np.array(lane.count),
-    )
-    return kept.to_bytes(key)
+    return _Kept.of(lane, lane.state.to_bytes(key)).to_bytes(key)
 
 
 def lane_from_bytes(
@@ -282,28 +318,34 @@ def lane_from_bytes(
     Raises
     ------
     StateMismatchError
-        if the bytes belong to another estimator or other hyper-parameters.
+        if the bytes belong to another estimator or other hyper-parameters, or hold what cannot
+        have been learnt.
     """
-    key = key_of(configured)
+    key, kind, of_state, of_lane = _templates(cast("Hashable", configured))
     kept = _Kept.from_bytes(data, key)
-    state = type(configured.initial_state()).from_bytes(kept.estimator.tobytes(), key)
+    of_lane.check(kept)
+    state = kind.from_bytes(kept.estimator.tobytes(), key)
+    of_state.check(state)
     score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
     support = Support(kept.seen, kept.fit, kept.ranges)
-    if not _is_like(state, configured.initial_state()):
-        raise StateMismatchError("the state is of another shape")
-    if not (spread.fits and support.fits):
-        raise StateMismatchError("residuals by region are kept in another way today")
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
-    return lane if lam is None else with_forgetting(lane, lam)
+    if lam is None:
+        return lane
+    if not (isinstance(configured, Forgetful) and 0.0 < lam <= 1.0):
+        raise StateMismatchError(f"forgetting factor {lam!r}: allowed is 0 < lam <= 1")
+    try:
+        return with_forgetting(lane, lam)
+    except ValueError as error:
+        raise StateMismatchError(str(error)) from None
 
 
-def _is_like(state: State, other: State) -> bool:
-    """Whether all arrays of two states are of the same shapes and types."""
-    pairs = (
-        (np.asarray(getattr(state, f.name)), np.asarray(getattr(other, f.name)))
-        for f in fields(state)
-    )
-    return all(one.shape == two.shape and one.dtype == two.dtype for one, two in pairs)
+@lru_cache(maxsize=64)
+def _templates(configured: Hashable) -> tuple[str, type[State], Template, Template]:
+    """Hash of an estimator, type of its states, and by what they and its lanes are judged."""
+    estimator = cast("AnyEstimator", configured)
+    key, fresh = key_of(estimator), fresh_lane(estimator)
+    packed = _Kept.of(fresh, fresh.state.to_bytes(key))
+    return key, type(fresh.state), Template(fresh.state), Template(packed)
 
 
 def with_forgetting(lane: Lane, lam: float) -> Lane:

@@ -8,7 +8,7 @@ be is a hint. Pure; samples are counted, so it does not matter how they are cut 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,10 @@ class Plausibility:
         self._counts[:, kernel.LOWEST_U], self._counts[:, kernel.HIGHEST_U] = np.inf, -np.inf
         self._times: Times = np.zeros(M, np.int64)
         self._sums: Floats = np.zeros((M, kernel.CELLS, kernel.SUMS))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All counts, each (M, …): the arrays themselves."""
+        return {"counts": self._counts, "times": self._times, "sums": self._sums}
 
     def count(self, samples: Samples, segments: Segments) -> None:
         """Count samples in, as they come from the sensors."""

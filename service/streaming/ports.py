@@ -4,7 +4,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 :mod:`service.errors`, and the supervisor decides.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -32,33 +32,8 @@ class SourceCounters:
     from_history: int = 0
 
 
-class Source(Protocol):
-    """Where data changes come from.
-
-    Order of calls: ``connect``, then ``receive`` and ``write`` in any order, then ``close``;
-    after ``close`` or a :class:`~service.errors.SourceLost`, ``connect`` may be called again.
-    Cancelling ``receive`` loses nothing: what has arrived is handed out by the next call.
-    """
-
-    async def connect(self) -> None:
-        """Connect, check every node, subscribe.
-
-        Raises
-        ------
-        SourceLost
-            if the server cannot be reached: worth another try.
-        SourceRejected
-            if it refuses certificate, user or node: names the node and what is allowed.
-        """
-
-    async def receive(self) -> DataChanges:
-        """Wait for data changes and return all that have arrived, in order.
-
-        Raises
-        ------
-        SourceLost
-            if the connection was cut, or fell silent for longer than its keep-alives allow.
-        """
+class Upstream(Protocol):
+    """What is asked of a source, or of several together, by who does not mind connections."""
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -89,8 +64,59 @@ class Source(Protocol):
     def position(self, mark: Any) -> bytes:  # noqa: ANN401
         """What `resume_at` goes on from after a restart."""
 
-    def resume_at(self, position: bytes) -> None:
-        """Go on from a position that was kept, if the source still can; before `connect`."""
+    def resume_at(self, position: bytes) -> bool:
+        """Go on from a position that was kept, if the source still can; before `connect`.
+
+        False: it cannot be one of this source, and is forgotten.
+        """
+
+    @property
+    def counters(self) -> SourceCounters:
+        """What was seen so far."""
+
+    @property
+    def clock_offset_s(self) -> float | Floats:
+        """By how much the source's clock was ahead of ours at `connect`; 0 if it did not say.
+
+        Where there are several sources, by valve.
+        """
+
+
+class AllSources(Upstream, Protocol):
+    """All sources of a service."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """A line for each source: whether it is there, and what was lost of it."""
+
+
+class Source(Upstream, Protocol):
+    """Where data changes come from.
+
+    Order of calls: ``connect``, then ``receive`` and ``write`` in any order, then ``close``;
+    after ``close`` or a :class:`~service.errors.SourceLost`, ``connect`` may be called again.
+    Cancelling ``receive`` loses nothing: what has arrived is handed out by the next call.
+    """
+
+    async def connect(self) -> None:
+        """Connect, check every node, subscribe.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate, user or node: names the node and what is allowed.
+        """
+
+    async def receive(self) -> DataChanges:
+        """Wait for data changes and return all that have arrived, in order.
+
+        Raises
+        ------
+        SourceLost
+            if the connection was cut, or fell silent for longer than its keep-alives allow.
+        """
 
     async def drop(self) -> None:
         """Leave a connection that is lost: what the source holds for us is there at `connect`."""
@@ -101,14 +127,6 @@ class Source(Protocol):
 
     async def close(self) -> None:
         """Disconnect for good; safe to call twice, and after a loss."""
-
-    @property
-    def counters(self) -> SourceCounters:
-        """What was seen so far."""
-
-    @property
-    def clock_offset_s(self) -> float:
-        """By how much the source's clock was ahead of ours at `connect`; 0 if it did not say."""
 
     @property
     def started(self) -> int:
@@ -254,6 +272,37 @@ class SignalResults:
     values: Floats
 
 
+@dataclass(frozen=True)
+class AlarmReport:
+    """How one alarm stands.
+
+    ``since`` is when it came last, ``at`` when it last came, went or was acknowledged, both UTC ns,
+    0 if it never did; ``count`` is how often it came; ``text`` says what was measured, since when,
+    and what it may be.
+    """
+
+    name: str
+    active: bool
+    acked: bool
+    severity: int
+    since: int
+    at: int
+    count: int
+    text: str
+
+
+@dataclass(frozen=True)
+class AlarmResults:
+    """The alarms of M valves.
+
+    ``version`` (M,) grows with whatever changes of any of a valve's alarms; ``reports`` says how
+    all of the m-th one's stand, and is asked before anything else is done.
+    """
+
+    version: Times
+    reports: Callable[[int], Sequence[AlarmReport]]
+
+
 class Version(Protocol):
     """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
 
@@ -300,7 +349,7 @@ class Results:
 
     ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
     ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
-    ``baselines`` names the approved map that its results build on.
+    ``baselines`` names the approved map that its results build on, ``alarms`` how those stand.
     """
 
     valves: Times
@@ -312,6 +361,7 @@ class Results:
     waiting: Sequence[tuple[str, ...]] = ()
     timing: Sequence[tuple[str, ...]] = ()
     baselines: Sequence[Version | None] = ()
+    alarms: AlarmResults | None = None
 
     def one(self, m: int) -> ValveResult:
         """What there is of the m-th of them."""
@@ -361,22 +411,26 @@ class Health:
         By how much the newest sample is behind the source's clock, s; NaN before the first.
     waiting : int64
         Samples that wait for signals of theirs, or for earlier samples.
-    source
-        What was seen of the source.
+    source, source_states
+        What was seen of all sources; a line on each.
     checkpoint_age_s : float
         Since the states were last kept; NaN before.
     checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
         How often they could not be, how much room they take, and how many were found at the start
         that could not be used.
+    alarms
+        How those of the service stand.
     """
 
     age_s: Floats
     waiting: Times
     source: SourceCounters = SourceCounters()
+    source_states: tuple[str, ...] = ()
     checkpoint_age_s: float = np.nan
     checkpoint_failures: int = 0
     checkpoint_bytes: int = 0
     checkpoints_refused: int = 0
+    alarms: Sequence[AlarmReport] = ()
 
 
 class ResultSink(Protocol):
@@ -445,6 +499,12 @@ class Operator(Protocol):
     def disarm(self, valve: str) -> None:
         """Write nothing to the valve any more."""
 
+    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service; UTC ns."""
+
+    def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+
 
 class CheckpointStore(Protocol):
     """Keeps the newest state of every estimator over restarts."""
@@ -481,3 +541,61 @@ class Checkpoint:
     state: bytes
     lam: float | None
     frozen: bool
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Successive rows of one series, to be kept.
+
+    Times ``t`` (n,) in UTC ns, OPC UA status ``codes`` (n,), and columns (n,) by name.
+    """
+
+    series: str
+    t: Times
+    codes: NDArray[np.uint32]
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Past:
+    """What one column of a series was: times (n,) in UTC ns, values (n,), status codes (n,)."""
+
+    t: Times
+    values: Floats
+    codes: NDArray[np.uint32]
+
+    def __getitem__(self, rows: slice) -> "Past":
+        return Past(self.t[rows], self.values[rows], self.codes[rows])
+
+
+class PastStore(Protocol):
+    """Keeps what signals and results were, and gives it back; from any thread, one at a time."""
+
+    def save(self, pieces: Sequence[Piece]) -> int:
+        """Keep all pieces or none; return how many values were left out as not newer.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
+    def forget(self, now: int) -> int:
+        """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
+
+    def read(
+        self,
+        series: str,
+        column: str,
+        low: int,
+        high: int,
+        *,
+        backwards: bool = False,
+        skip: int = 0,
+        most: int,
+    ) -> Past:
+        """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+
+    @property
+    def size(self) -> int:
+        """Bytes that all of it takes."""

@@ -10,6 +10,7 @@ import structlog
 
 from service.clock import Clock
 from service.errors import SourceError, SourceLost, SourceRejected
+from service.identification.samples import Times
 from service.streaming.backoff import backoff
 from service.streaming.data_changes import DataChanges
 from service.streaming.ports import Source
@@ -20,17 +21,20 @@ log = structlog.get_logger(__name__)
 class Consumer(Protocol):
     """Who uses the data changes; called by the supervisor, one call at a time."""
 
-    async def connected(self, source_started: int) -> None:
-        """There is a connection, to a source started then (UTC ns; 0: unknown)."""
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """There is a connection, to a source started then (UTC ns; 0: unknown).
 
-    async def take(self, changes: DataChanges) -> None:
-        """Data changes have arrived."""
+        ``valves`` are the numbers of those that it publishes; None: all.
+        """
 
-    async def tick(self) -> None:
-        """Time has passed; called about every ``tick_s``, connected or not."""
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
+        """Data changes have arrived from the source of these valves."""
 
-    async def lost(self, reason: SourceError) -> None:
-        """The connection is gone, or could not be made."""
+    async def tick(self, valves: Times | None = None) -> None:
+        """Time has passed; called about every ``tick_s``, connected or not, for each source."""
+
+    async def lost(self, reason: SourceError, valves: Times | None = None) -> None:
+        """The connection is gone, or could not be made, to the source of these valves."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,12 @@ class SupervisorSettings:
     Until the first connection a source that cannot be reached within ``startup_timeout_s``, or
     that rejects us, ends the run with its error: it is a mistake of the set-up. Afterwards it is
     trouble of the plant: everything is tried again, for ever. ``connected_before``: it is that from
-    the start.
+    the start. ``name`` is that of one of several sources, to log it by.
     """
 
     startup_timeout_s: float = 10.0
     connected_before: bool = False
+    name: str | None = None
     tick_s: float = 0.25
     longest_pause_while_held_s: float = 2.0
     pauses: Callable[[], Iterator[float]] = backoff
@@ -64,6 +69,7 @@ async def supervise(
     SourceLost, SourceRejected
         only before the first connection, see :class:`SupervisorSettings`.
     """
+    say = log if settings.name is None else log.bind(source=settings.name)
     started = clock.monotonic()
     ever_connected = settings.connected_before
     pauses = settings.pauses()
@@ -71,7 +77,7 @@ async def supervise(
         while not stop.is_set():
             try:
                 await source.connect()
-                log.info("source connected")
+                say.info("source connected")
                 await consumer.connected(source.started)
                 ever_connected, pauses = True, settings.pauses()
                 await _receive(source, consumer, stop, settings.tick_s)
@@ -88,9 +94,9 @@ async def supervise(
                     pause = min(pause, settings.longest_pause_while_held_s)
                 if ever_connected:
                     await consumer.lost(error)
-                    log.warning("source lost", reason=str(error), next_try_in_s=pause)
+                    say.warning("source lost", reason=str(error), next_try_in_s=pause)
                 else:
-                    log.info("waiting for the source", reason=str(error), next_try_in_s=pause)
+                    say.info("waiting for the source", reason=str(error), next_try_in_s=pause)
                 await _wait(stop, pause, consumer, settings.tick_s)
     finally:
         await source.close()

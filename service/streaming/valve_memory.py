@@ -1,15 +1,23 @@
 """All that a valve remembers beside its estimators' states, as bytes: gate, alignment, demand."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from service.identification.contents import Contents
 from service.identification.estimator import State, StateMismatchError
+from service.identification.samples import Status
+from service.streaming.alignment import Alignment
+from service.streaming.kernels import waiting as slots
 from service.streaming.kernels.gate import Memory
 from service.streaming.kernels.waiting import Waiting
 from service.streaming.pipeline import ValveState
-from service.streaming.quality_gate import GateState
+from service.streaming.quality_gate import GateState, QualityGate
+
+_COUNTED = [slots.GIVEN_UP, slots.GAPS_KEPT, slots.DOUBTFUL, slots.TIMES_KEPT]
+_MOST_SAMPLES = 2.0**53  # that a float counts exactly
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,50 @@ class _Kept(State):
     demand: Any
     names: Any
     lanes: Any
+
+    @classmethod
+    def like(cls, other: Self, gate: QualityGate, alignment: Alignment) -> Self:
+        """Of a valve that has seen nothing, with as many samples and estimators as another."""
+        waiting = alignment.nothing(1, _length(other.slots, 1))
+        waiting.order[0, slots.SIZE] = _length(other.slots, 1)
+        memory, names = gate.initial_state(1), np.asarray(other.names)
+        nothing = np.full(2, np.nan)
+        return cls(
+            *memory.memory,
+            memory.bad_status,
+            *waiting,
+            moment=np.array(0),
+            T=nothing[0],
+            demand=nothing,
+            names=names,
+            lanes=np.zeros((_length(names, 0), 4)),
+        )
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them; ``order`` says that all that is kept waits."""
+        raw = ("last", "window", "values", "held_value", "T", "demand")
+        times = ("last_time", "still_since", "slots", "held_time", "lost", "left", "order")
+        found = {name: Contents(np.asarray(getattr(self, name))).or_nan() for name in raw}
+        for name in ("values", "held_value"):
+            found[name].or_infinite()
+        found.update({name: Contents(getattr(self, name)).any_time() for name in times})
+        found["moment"] = Contents(np.asarray(self.moment)).any_time()
+        size = int(self.order[0, slots.SIZE])
+        found["order"].within(size, size, (0, slots.SIZE))
+        found["order"].within(0, np.inf, (0, _COUNTED))
+        found["order"].within(0, slots.ENOUGH, (0, slots.REGULAR))
+        found["order"].within(0, slots.NEW_PACE, (0, slots.LONG_STEPS))
+        found["slots"].within(0, 2**slots.STRIDE - 1, (0, slice(None), slots.FILLED))
+        lanes = Contents(self.lanes).within(0.0, _MOST_SAMPLES, (slice(None), 0))
+        lanes.within(-1.0, float(max(Status)), (slice(None), 3)).or_nan((slice(None), [1, 2]))
+        return {**found, "lanes": lanes}
+
+
+def _length(array: Any, axis: int) -> int:  # noqa: ANN401 - whatever was kept
+    shape: tuple[int, ...] = np.shape(array)
+    if len(shape) <= axis:
+        raise StateMismatchError("an array of another shape")
+    return shape[axis]
 
 
 @dataclass(frozen=True)
@@ -103,19 +155,23 @@ class ValveMemory:
         ).to_bytes(key)
 
     @classmethod
-    def from_bytes(cls, data: bytes, key: str) -> "ValveMemory":
-        """Unpack it.
+    def from_bytes(
+        cls, data: bytes, key: str, gate: QualityGate, alignment: Alignment
+    ) -> "ValveMemory":
+        """Unpack it; ``gate`` and ``alignment`` are what the valve's samples go through.
 
         Raises
         ------
         StateMismatchError
-            if the bytes are damaged or belong to a valve whose samples go through something else.
+            if the bytes are damaged, belong to a valve whose samples go through something else, or
+            hold what cannot be.
         """
         kept = _Kept.from_bytes(data, key)
+        kept.check(_Kept.like(kept, gate, alignment))
         try:
-            gate = (kept.last, kept.last_time, kept.still_since, kept.window, kept.gate_counters)
+            of_gate = (kept.last, kept.last_time, kept.still_since, kept.window, kept.gate_counters)
             return cls(
-                gate=GateState(Memory(*gate), kept.bad_status),
+                gate=GateState(Memory(*of_gate), kept.bad_status),
                 waiting=Waiting(*(getattr(kept, name) for name in Waiting._fields)),
                 t=int(kept.moment),
                 T=float(kept.T),

@@ -6,11 +6,13 @@ Signals that carry one time pass unchanged. Others are held back until it is fou
 are cut into batches.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from service.identification.contents import Contents
 from service.identification.estimator import State, StateMismatchError
 from service.identification.samples import Times
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
@@ -27,6 +29,7 @@ ENOUGH_PER_SIGNAL: Final = 20  # values, after which a source that stamps alike 
 MOST_HELD_BACK: Final = 8192  # changes of a valve
 _PENDING: Final = 1024  # changes of a valve on their way into scans
 _AGAIN: Final = 1.25  # by so much more has to be held back before it is looked at again
+_BACK: Final = ("back_signal", "back_value", "back_status", "back_time")
 _OF_SIGNALS: Final = ("comes", "offset", "limit", "jitter")
 
 LISTENING, DOUBTFUL, ALIKE, IN_SCANS = range(4)  # how a valve stands
@@ -76,6 +79,23 @@ class TimingState(State):
     lacking: Any
     moved: Any
     course: Any
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them; ``course`` says that all that is kept is on its way."""
+        times = ("offset", "back_time", "time", "now_time", "seen", "course")
+        found = {name: Contents(getattr(self, name)).any_time() for name in times}
+        raw = ("limit", "jitter", "back_value", "value", "now_value", "now_rate")
+        for name in raw:
+            found[name] = Contents(getattr(self, name)).or_nan().or_infinite()
+        for name in ("back_signal", "signal"):
+            found[name] = Contents(getattr(self, name)).within(0, SIGNALS_PER_VALVE - 1)
+        for name in ("limit", "jitter"):
+            found[name].within(0.0)
+        size = int(self.course[kernel.SIZE])
+        found["course"].within(size, size, kernel.SIZE)
+        found["stands"] = Contents(self.stands).within(LISTENING, IN_SCANS)
+        found["comes"] = Contents(self.comes).within(min(Comes), max(Comes))
+        return found
 
 
 class ValveTiming:
@@ -255,19 +275,16 @@ class ValveTiming:
         Raises
         ------
         StateMismatchError
-            if it is of another shape.
+            if it is of another shape, or holds what cannot be.
         """
-        shape = (SIGNALS_PER_VALVE,)
-        try:
-            fresh = _no_scans(_PENDING if int(state.stands) == IN_SCANS else 0)
-            for name, own in fresh._asdict().items():
-                kept = getattr(state, name)
-                own[: len(kept)] = kept
-            stands = int(state.stands)
-            of_signals = [np.reshape(getattr(state, name), shape) for name in _OF_SIGNALS]
-            back = Changed(state.back_signal, state.back_value, state.back_status, state.back_time)
-        except (ValueError, TypeError) as error:
-            raise StateMismatchError(f"not how a valve's signals come: {error}") from error
+        state.check(_like(state))
+        stands = int(state.stands)
+        fresh = _no_scans(_PENDING if stands == IN_SCANS else 0)
+        for name, own in fresh._asdict().items():
+            kept = getattr(state, name)
+            own[: len(kept)] = kept
+        of_signals = [getattr(state, name) for name in _OF_SIGNALS]
+        back = Changed(state.back_signal, state.back_value, state.back_status, state.back_time)
         self.stands, self._back, self._scans = stands, back, fresh
         self._looked_at = len(back.time)
         self.found = None
@@ -293,6 +310,17 @@ _NOT_FOUND = Found(
     period=0,
     window=0,
 )
+
+
+def _like(state: TimingState) -> TimingState:
+    """Of a valve that has seen nothing, with as many changes on their way as another."""
+    waiting, back = (np.size(array) for array in (state.time, state.back_time))
+    if waiting > (_PENDING if np.all(state.stands == IN_SCANS) else 0):
+        raise StateMismatchError("more is on its way than can be")
+    scans = _no_scans(waiting)
+    scans.course[kernel.SIZE] = waiting
+    held_back = dict(zip(_BACK, _room(back), strict=True))
+    return replace(_NOTHING_SEEN, **scans._asdict(), **held_back)
 
 
 def _no_scans(room: int) -> Scans:
@@ -338,3 +366,6 @@ def _joined(first: Changed, second: Changed) -> Changed:
         np.concatenate((first.status, second.status)),
         np.concatenate((first.time, second.time)),
     )
+
+
+_NOTHING_SEEN: Final = ValveTiming(TimingSettings(), has_T=False, has_sequence=False).state

@@ -129,3 +129,44 @@ def test_a_valve_may_not_be_called_service(tmp_path):
     file.write_text('[[valves]]\nname = "Service"\n')
     with pytest.raises(ConfigurationError, match="'Service' is taken"):
         load_config(file)
+
+
+TWO_SOURCES = (
+    "[[sources]]\nname = 'north'\nurl = 'opc.tcp://n:1'\n"
+    "[[sources]]\nname = 'south'\nurl = 'opc.tcp://s:1'\nsecurity = 'None'\n"
+    "[[valves]]\nname = 'A'\nsource = 'south'\n[[valves]]\nname = 'B'\nsource = 'north'\n"
+)
+
+
+def test_each_valve_names_its_source(tmp_path):
+    config = load_config(write(tmp_path, TWO_SOURCES))
+    assert [config.source_of(valve).url for valve in config.valves] == [
+        "opc.tcp://s:1",
+        "opc.tcp://n:1",
+    ]
+    alone = config.only("south")
+    assert (alone.source.url, alone.source.security) == ("opc.tcp://s:1", "None")
+    assert [valve.name for valve in alone.valves] == ["A"]
+    assert alone.valves[0].source is None
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("[[valves]]\nname = 'A'\nsource = 'south'\n", "[[valves]]\nname = 'A'\n", "is missing"),
+        ("source = 'south'", "source = 'west'", "valves[0].source = 'west': allowed is one of"),
+        ("source = 'south'", "source = 'north'", "source 'south' is named by no valve"),
+        ("name = 'south'", "name = 'north'", "source name 'north' is taken twice"),
+        ("[[sources]]\nname = 'north'", "[source]\n[[sources]]\nname = 'north'", "only one of"),
+        ("name = 'south'\n", "", "name"),
+    ],
+)
+def test_sources_that_do_not_fit_are_refused_in_a_line(tmp_path, before, after, said):
+    assert before in TWO_SOURCES
+    line = complaint(tmp_path, TWO_SOURCES.replace(before, after, 1))
+    assert said in line
+    assert len(line.splitlines()) == 1
+
+
+def test_a_source_named_without_sources_is_refused(tmp_path):
+    assert "there are no [[sources]]" in complaint(tmp_path, "[[valves]]\nsource = 'x'\n")

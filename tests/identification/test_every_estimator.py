@@ -4,6 +4,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from service.identification.estimator import StateMismatchError, key_of
 from service.identification.samples import Quality, Samples, Status
@@ -190,3 +192,91 @@ def test_the_key_names_its_hyper_parameters(estimator):
     assert key_of(estimator) == key_of(replace(estimator))
     if hasattr(estimator, "with_forgetting") and "SlidingWindow" not in repr(estimator):
         assert key_of(estimator) != key_of(estimator.with_forgetting(0.97))
+
+
+CANNOT_BE = (np.nan, np.inf, -np.inf, -1.0, -1e300, 1e300, 2.0**62, 2.5, 0.0, 1e6)
+
+
+def hurt(state, data):
+    """The same state with one number changed; None where the type cannot hold it."""
+    name = data.draw(st.sampled_from([n for n, a in arrays(state).items() if a.size]))
+    array = arrays(state)[name].copy()
+    place = data.draw(st.integers(0, array.size - 1))
+    number = data.draw(st.sampled_from(CANNOT_BE))
+    if array.dtype.kind in "iu":
+        limits = np.iinfo(array.dtype)
+        whole = 0 if np.isnan(number) else int(np.clip(number, -(2.0**62), 2.0**62))
+        number = max(int(limits.min), min(whole, int(limits.max)))
+    with np.errstate(over="ignore"):
+        array.reshape(-1)[place] = number
+    return replace(state, **{name: array})
+
+
+@st.composite
+def circumstances(draw):
+    """Samples of any valve, good and absurd, scattered and at rest."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    N, scale = draw(st.sampled_from((40, 400, 1500))), draw(st.sampled_from((0.0, 1e-6, 1.0, 1e4)))
+    samples = valve(N, int(rng.integers(1000)), draw(st.sampled_from((0.0, 1.0, 30.0))))
+    if draw(st.booleans()):  # levels, one after another
+        for name in ("U", "p2"):
+            signal = getattr(samples, name)
+            signal[:] = np.repeat(signal[::25], 25)[:N]
+    samples.Q[:] *= scale
+    for name in ("U", "p1", "Q", "T"):
+        where = rng.integers(0, N, draw(st.sampled_from((0, 3))))
+        getattr(samples, name)[where] = rng.choice(ABSURD, len(where))
+    return samples
+
+
+@pytest.mark.parametrize("cases", [4, pytest.param(300, marks=pytest.mark.soak)])
+def test_whatever_it_has_learnt_can_be(estimator, cases):
+    fresh = estimator.initial_state()
+
+    @settings(max_examples=cases)
+    @given(circumstances())
+    def holds(samples):
+        state = fresh
+        for part in np.array_split(np.arange(len(samples)), 5):
+            state, _ = estimator.update(state, samples[part])
+            state.check(fresh)
+
+    holds()
+
+
+@pytest.mark.parametrize("cases", [20, pytest.param(2000, marks=pytest.mark.soak)])
+def test_a_state_that_cannot_be_is_refused_or_does_no_harm(estimator, cases):
+    fresh, samples = estimator.initial_state(), valve(300, seed=8)
+    learnt, _ = run(estimator, valve(900, seed=7))
+
+    @settings(max_examples=cases)
+    @given(st.data())
+    def holds(data):
+        state = hurt(learnt, data)
+        try:
+            state.check(fresh)
+        except StateMismatchError:
+            return
+        with np.errstate(all="ignore"):
+            after, trace = estimator.update(state, samples[:100])
+            theta, std = estimator.parameters(after)
+            Q, _ = estimator.predict(after, samples.U, samples.dp, samples.T)
+        assert theta.shape == std.shape == (len(estimator.parameter_names),)
+        assert len(trace.predicted) == 100
+        assert Q.shape == samples.U.shape
+
+    holds()
+
+
+def test_a_state_without_numbers_or_of_another_size_is_refused(estimator):
+    fresh = estimator.initial_state()
+    learnt, _ = run(estimator, valve(300))
+    for name, array in arrays(learnt).items():
+        if not array.size:
+            continue
+        wrong = [np.delete(array, 0, axis=0) if array.ndim else array[None], array.astype(complex)]
+        if array.dtype.kind == "f":
+            wrong.append(np.full_like(array, np.inf))
+        for other in wrong:
+            with pytest.raises(StateMismatchError, match=name):
+                replace(learnt, **{name: other}).check(fresh)

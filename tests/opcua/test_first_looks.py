@@ -81,6 +81,9 @@ class Operator:
     def predict(self, valve, estimator, U, dp, T):
         return U, 0.1, Status.OK
 
+    def alarms(self, valve):
+        return ()
+
     def __getattr__(self, name):
         return lambda *_: None
 

@@ -34,6 +34,9 @@ class Operator:
     def invert(self, _valve, Q, _dp, _T):
         return Inversion(*(np.array([x]) for x in (Q, Q - 1, Q + 1)), np.array([0], np.uint8))
 
+    def alarms(self, _valve):
+        return ()
+
     def __getattr__(self, name):  # the other commands: nothing happens
         return lambda *_: None
 

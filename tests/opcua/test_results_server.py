@@ -18,6 +18,8 @@ from service.identification.survey import Survey
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
+    AlarmReport,
+    AlarmResults,
     EstimatorDescription,
     EstimatorResult,
     Health,
@@ -97,6 +99,20 @@ def result(estimator=ESTIMATOR, inverse=INVERSE, **counters):
     return results_of(0, {"RLS": estimator, "RBF": other}, inverse, **counters)
 
 
+CHANGED = AlarmReport(
+    name="Changed",
+    active=True,
+    acked=False,
+    severity=600,
+    since=T - 2_000_000_000,
+    at=T - 1_000_000_000,
+    count=1,
+    text="The flow changed by -4 l/min.",
+)
+LAG_FOUND = replace(CHANGED, name="LagFound", active=False, acked=True, since=0, at=0, text="")
+ALARMS_OF_A_VALVE = (CHANGED, LAG_FOUND)
+
+
 class Operator:
     """Remembers what it was told."""
 
@@ -139,6 +155,14 @@ class Operator:
 
     def disarm(self, valve):
         self.told.append(("disarm", valve))
+
+    def alarms(self, valve):
+        return ALARMS_OF_A_VALVE if valve else ()
+
+    def acknowledge(self, valve, alarm, now):
+        if alarm != "Changed":
+            raise CommandRejected(f"{valve}.{alarm}: there is nothing to acknowledge")
+        self.told.append(("acknowledge", valve, alarm, now))
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -343,6 +367,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
         source=SourceCounters(
             100, 10, missing_messages=2, overflows=4, undecodable=1, from_history=6
         ),
+        source_states=("north: connected", "south: away"),
         checkpoint_age_s=1.5,
         checkpoint_failures=7,
         checkpoint_bytes=4096,
@@ -361,6 +386,7 @@ async def test_the_service_s_own_condition_is_shown(server, observer):
         "Source.MissingMessages": 2,
         "Source.Undecodable": 1,
         "Source.FromHistory": 6,
+        "Source.States": ["north: connected", "south: away"],
     }
     for name, expected in shown.items():
         assert (await value(observer, f"Service.{name}"))[:2] == (expected, Codes.Good)
@@ -589,3 +615,52 @@ async def test_a_structure_that_was_chosen_is_told_in_words(server, observer):
     assert (await value(observer, "V3.Auto.Structure"))[:2] == (chosen.structure, Codes.Good)
     with pytest.raises(ua.UaStatusCodeError):
         await (await node(observer, "V3.Auto.ChangeCount")).read_value()
+
+
+def alarms_of(valve, *alarms, version=1):
+    found = AlarmResults(np.array([version]), lambda _m: alarms)
+    lanes = {"RLS": replace(ESTIMATOR, theta=np.ones(1), std=np.ones(1))}
+    return replace(results_of(valve, lanes, INVERSE), alarms=found)
+
+
+async def test_an_alarm_stands_as_plain_tags_before_and_after_it_comes(server, observer):
+    prefix = "V2.Alarms.LagFound"
+    assert await value(observer, f"{prefix}.Active") == (False, Codes.Good, T)
+    assert await value(observer, f"{prefix}.Acked") == (True, Codes.Good, T)
+    assert await value(observer, f"{prefix}.Text") == ("", Codes.Good, T)
+    assert (await value(observer, f"{prefix}.Since"))[:2] == (None, Codes.BadNoData)
+    came = replace(LAG_FOUND, active=True, acked=False, since=T - 10**9, at=T, text="It lags.")
+    await server.publish(alarms_of(1, came))
+    assert await value(observer, f"{prefix}.Active") == (True, Codes.Good, T)
+    assert await value(observer, f"{prefix}.Acked") == (False, Codes.Good, T)
+    assert await value(observer, f"{prefix}.Severity") == (600, Codes.Good, T)
+    assert await value(observer, f"{prefix}.Text") == ("It lags.", Codes.Good, T)
+    since, code, _ = await value(observer, f"{prefix}.Since")
+    assert (ua.datetime_to_win_epoch(since), code) == (
+        (T - 10**9) // 100 + 116_444_736_000_000_000,
+        Codes.Good,
+    )
+    kinds = {
+        name: (await (await node(observer, f"{prefix}.{name}")).read_data_type_as_variant_type())
+        for name in ("Active", "Severity", "Since", "Text", "Acked")
+    }
+    types = ua.VariantType
+    assert list(kinds.values()) == [
+        types.Boolean,
+        types.UInt16,
+        types.DateTime,
+        types.String,
+        types.Boolean,
+    ]
+
+
+async def test_operators_acknowledge_and_observers_do_not(client, observer, operator):
+    comment = ua.Variant("seen", ua.VariantType.String)
+    with pytest.raises(ua.uaerrors.BadUserAccessDenied):
+        await called(observer, "Valvistor.Alarms.Changed", "Acknowledge", comment)
+    await called(client, "Valvistor.Alarms.Changed", "Acknowledge", comment)
+    assert operator.told == [("acknowledge", "Valvistor", "Changed", T)]
+    said = (await value(observer, "Valvistor.Diagnostics.LastAction"))[0]
+    assert said == "operator: Alarms.Changed Acknowledge 'seen'"
+    with pytest.raises(ua.uaerrors.BadInvalidState):
+        await called(client, "Valvistor.Alarms.LagFound", "Acknowledge", comment)

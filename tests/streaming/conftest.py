@@ -58,6 +58,7 @@ class FakeSource:
     counters: SourceCounters = field(default_factory=SourceCounters)
     started: int = 0
     clock_offset_s: float = 0.0
+    states: tuple = ()
 
     async def connect(self):
         if self.connects:
@@ -90,7 +91,7 @@ class FakeSource:
         pass
 
     def resume_at(self, position):
-        pass
+        return True
 
     async def drop(self):
         self.dropped += 1

@@ -14,7 +14,7 @@ from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.identification import MEMORY, Identification
+from service.streaming.identification import ALARMS, MEMORY, Identification
 from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
 from service.streaming.supervisor import SupervisorSettings, supervise
 
@@ -254,6 +254,23 @@ async def test_a_valve_without_a_node_to_write_to_cannot_be_armed(plan):
     assert inverse.feed_forward is FeedForwardStatus.NOT_CONFIGURED
 
 
+async def test_a_state_that_cannot_be_is_said_in_a_line_and_published(
+    live, fresh, store, source, sink, clock
+):
+    live.identification.take_samples(0, plant(50))
+    await live.keep()
+    store.kept = [replace(c, lam=7.0) if c.estimator == "RLS" else c for c in store.kept]
+    again = LiveService(fresh(), source, sink, store, clock, LiveSettings())
+    with structlog.testing.capture_logs() as logs:
+        await again.start()
+        await again.tick()
+    (line,) = [entry["why"] for entry in logs if "left aside" in entry["event"]]
+    assert line.startswith("Valvistor.RLS: forgetting factor 7.0")
+    assert sink.health.checkpoints_refused == 1
+    assert again.identification.result(0).estimators["RLS"].sample_count == 0
+    assert again.identification.result(0).estimators["RML"].sample_count == 50
+
+
 async def test_states_are_kept_at_their_interval(live, store, clock):
     await live.take(as_changes(plant(100)))
     await live.tick()
@@ -261,7 +278,53 @@ async def test_states_are_kept_at_their_interval(live, store, clock):
     clock.advance(10.0)
     await live.tick()
     await live.settle()
-    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY]
+    assert [c.estimator for c in store.kept] == ["RLS", "RML", "RBF", MEMORY, ALARMS]
+
+
+def a_disk_that_takes(store, clock, seconds):
+    save = store.save
+
+    def slowly(checkpoints):
+        clock.advance(seconds)
+        save(checkpoints)
+
+    store.save = slowly
+
+
+async def test_an_end_does_not_wait_for_a_disk_that_is_too_slow(live, store, clock):
+    a_disk_that_takes(store, clock, 4.0)
+    await live.take(as_changes(plant(100)))
+    clock.advance(10.0)
+    await live.tick()
+    began = clock.monotonic()
+    assert not await live.keep(within_s=4.2)  # what is being kept is waited for, not more
+    assert clock.monotonic() - began < 5.0
+    kept = store.kept
+    assert [c.estimator for c in kept] == ["RLS", "RML", "RBF", MEMORY]
+    assert not await live.keep(within_s=3.0)
+    assert store.kept is kept
+
+
+async def test_an_end_keeps_all_where_there_is_time(live, store, clock):
+    a_disk_that_takes(store, clock, 0.5)
+    await live.take(as_changes(plant(100)))
+    clock.advance(10.0)
+    await live.tick()
+    await live.take(as_changes(plant(100, first=100)))
+    assert await live.keep(within_s=4.2)
+    again = live.identification.checkpoints()
+    assert [c.state for c in store.kept[:3]] == [c.state for c in again]
+
+
+async def test_states_of_many_valves_are_packed_a_few_at_a_time(plan, source, sink, store, clock):
+    plans = [replace(plan, name=f"V{n}") for n in range(100)]
+    many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 100))
+    live = LiveService(many, source, sink, store, clock, LiveSettings())
+    most, states = [], live._states
+    live._states = lambda valves: most.append(len(valves)) or states(valves)
+    await live.keep()
+    assert max(most) <= 16
+    assert len({c.valve for c in store.kept}) == 100
 
 
 async def test_a_full_disk_stops_nothing(live, store, clock, sink):

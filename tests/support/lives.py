@@ -13,6 +13,7 @@ from service.streaming.identification import Identification
 from service.streaming.live import LiveService, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from service.streaming.sources import Part, Sources
 from service.streaming.supervisor import SupervisorSettings, supervise
 
 GATE = QualityGate(limits={s: SignalLimits(*PLAUSIBLE[s], spike=60.0) for s in SENSORS})
@@ -40,7 +41,8 @@ async def lived(served, store, seconds):
         f"opc.tcp://127.0.0.1:{plant.port}/plant/", user="operator", password=password
     )
     source, clock = OpcUaSource(settings, [NODES]), SystemClock()
-    live = LiveService(fresh(), source, Sink(), store, clock, LiveSettings())
+    sources = Sources([Part(None, source, (0,))])
+    live = LiveService(fresh(), sources, Sink(), store, clock, LiveSettings())
     await live.start()
     running = asyncio.create_task(
         supervise(source, live, clock, asyncio.Event(), SupervisorSettings())

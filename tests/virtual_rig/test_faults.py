@@ -15,6 +15,7 @@ from virtual_rig.faults import (
     sensor_faults,
     still_felt,
     temperature_rise,
+    worn_gap,
 )
 
 RATE, N = 100.0, 1000
@@ -164,3 +165,18 @@ def test_a_command_that_makes_no_sense_is_told_so_in_one_line(arguments, sentenc
     with pytest.raises(FaultError, match=sentence) as caught:
         commanded_fault(*arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_a_worn_gap_is_there_for_its_duration_and_gaps_add_up():
+    gap = worn_gap(active("edge", size=0.3) + active("edge", size=0.2, duration_s=1), INDEX, RATE)
+    assert (gap[:200] == 0).all()
+    assert (gap[200:300] == 0.5).all()
+    assert (gap[300:] == 0.3).all()
+
+
+def test_a_signal_lags_more_for_the_duration_and_others_do_not():
+    faults = active("lag", size=0.2, duration_s=1)
+    assert (felt(faults).lag_s[200:300] == 0.2).all()
+    assert np.count_nonzero(felt(faults).lag_s) == 100
+    assert not felt(faults, "p1").lag_s.any()
+    assert felt(active("lag", size=0.2, signal="p1"), "p1").lag_s.any()

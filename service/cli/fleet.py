@@ -1,0 +1,63 @@
+"""``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
+
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.logs import set_up_logs
+from service.errors import ConfigurationError
+
+FleetOption = Annotated[
+    Path,
+    typer.Option(
+        "--config",
+        "-c",
+        metavar="FILE",
+        help="The fleet's configuration (TOML); VALVEMAP_FLEET_<SECTION>__<FIELD> overrides it.",
+    ),
+]
+CONFIG = Path("config/fleet.toml")
+
+fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True)
+
+
+@fleet.callback()
+def _needs_the_extra() -> None:
+    for needed in ("confluent_kafka", "pyarrow", "quixstreams"):
+        if find_spec(needed) is None:
+            raise ConfigurationError(f"a fleet needs {needed}: pip install 'valvemap[fleet]'")
+
+
+@fleet.command()
+def topics(config: FleetOption = CONFIG) -> None:
+    """Make the topics that are missing; check those that are there."""
+    from service.fleet.settings import load_fleet
+    from service.fleet.topics import create_or_check
+
+    for line in create_or_check(load_fleet(config)):
+        typer.echo(line)
+
+
+@fleet.command()
+def work(config: FleetOption = CONFIG) -> None:
+    """Learn from what the topics bring, beside other workers, until Ctrl-C."""
+    from service.fleet.settings import load_fleet
+    from service.fleet.work import work as run
+
+    loaded = load_fleet(config)
+    set_up_logs()
+    run(loaded)
+
+
+@fleet.command()
+def status(config: FleetOption = CONFIG) -> None:
+    """Show each group: who learns it, how far behind, what came of its blocks."""
+    from service.fleet.settings import load_fleet
+    from service.fleet.status import lines
+    from service.fleet.status import status as look
+
+    for line in lines(look(load_fleet(config)), time.time_ns()):
+        typer.echo(line)

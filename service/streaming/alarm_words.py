@@ -1,0 +1,188 @@
+"""What an alarm says: what was measured, since when, and what else it could be. Pure."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import IntEnum
+
+SIGNALS = ("U", "p1", "p2", "Q", "T")
+HOUR_S = 3_600.0
+
+
+class Cause(IntEnum):
+    """What can be behind residuals; what U, p1, p2 and Q cannot tell apart is one cause."""
+
+    NONE = 0
+    EDGE = 1
+    METER = 2
+    SIGNAL = 3
+    LAG = 4
+    OIL = 5
+
+    @property
+    def words(self) -> str:
+        """What to call it."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    Cause.NONE: "",
+    Cause.EDGE: "the valve's edge (damaged or worn)",
+    Cause.METER: "the flow meter (scale or offset)",
+    Cause.SIGNAL: "U, p1 or p2 (offset, or standing still)",
+    Cause.LAG: "a lag (of the flow meter, or of U's effect)",
+    Cause.OIL: "the oil (another temperature or viscosity)",
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What an alarm rests on.
+
+    Attributes
+    ----------
+    value, limit : float
+        The largest value that was measured, and what it was held against.
+    detail : float
+        What else was measured, depending on the alarm.
+    causes
+        Numbers of :class:`Cause`.
+    since : int
+        UTC ns; 0: it never came.
+    """
+
+    value: float
+    limit: float
+    detail: float = 0.0
+    causes: tuple[int, ...] = ()
+    since: int = 0
+
+
+def text_of(name: str, measured: Measured) -> str:
+    """What is said of an alarm; nothing, if it never came.
+
+    >>> text_of("Changed", Measured(2.0, 0.25, -4.1, (1, 2, 0), 1_800_000_000_000_000_000))
+    "The flow changed by -4.1 l/min, since 2027-01-15 08:00:00 UTC. It may be: the valve's edge \
+(damaged or worn); the flow meter (scale or offset)."
+    """
+    if measured.since == 0:
+        return ""
+    said, others = _TEXTS[name]
+    moment = datetime.fromtimestamp(measured.since // 1_000_000_000, UTC)
+    since = f"{moment:%Y-%m-%d %H:%M:%S} UTC"
+    causes = [Cause(c).words for c in measured.causes if c] or list(others)
+    may_be = f" It may be: {'; '.join(causes)}." if causes else ""
+    return f"{said(measured)}, since {since}.{may_be}"
+
+
+def _duration(seconds: float) -> str:
+    if not seconds < float("inf"):
+        return "ever"
+    return f"{seconds:.1f} s" if seconds < HOUR_S else f"{seconds / HOUR_S:.1f} h"
+
+
+def _changed(m: Measured) -> str:
+    return f"The flow changed by {m.detail:+.3g} l/min"
+
+
+def _residual(m: Measured) -> str:
+    return (
+        f"Residuals, averaged over 16 samples, up to {m.value:.3g} times what they usually are "
+        f"(limit {m.limit:g}); their root mean square was {m.detail:.3g} l/min"
+    )
+
+
+def _misfit(m: Measured) -> str:
+    return (
+        f"The structure misses the flow by up to {m.value:.3g} % of its range, always at the same "
+        f"places (limit {m.limit:g} %)"
+    )
+
+
+def _lost(m: Measured) -> str:
+    if not m.value < float("inf"):
+        return "No sample has come that was of use"
+    return f"No sample of use for {_duration(m.value)} (limit {m.limit:g} s)"
+
+
+def _frozen(m: Measured) -> str:
+    return (
+        f"{SIGNALS[int(m.detail)]} stood still to the last digit for {_duration(m.value)} while "
+        f"other signals moved (limit {m.limit:g} s)"
+    )
+
+
+def _unexcited(m: Measured) -> str:
+    return f"Nothing was learnt for {_duration(m.value)}: the inputs hold still"
+
+
+def _extrapolated(_: Measured) -> str:
+    return "The standing demand is answered from where nothing was measured"
+
+
+def _samples_lost(m: Measured) -> str:
+    return f"Up to {m.value:.3g} % of the samples of a minute were lost (limit {m.limit:g} %)"
+
+
+def _lag(m: Measured) -> str:
+    return f"A signal lags by {m.value:.3g} s (limit {m.limit:g} s)"
+
+
+def _checkpoint(m: Measured) -> str:
+    return f"What is learnt was not kept for {_duration(m.value)} (limit {m.limit:g} s)"
+
+
+def _certificate(m: Measured) -> str:
+    return f"The service's certificate is valid for {-m.value:.0f} more days (limit {m.limit:g})"
+
+
+def _load(m: Measured) -> str:
+    return f"The service works {100.0 * m.value:.0f} % of the time (limit {100.0 * m.limit:g} %)"
+
+
+ALARM_DESCRIPTIONS = {
+    "Changed": "The flow changed abruptly; it stays until it is acknowledged.",
+    "Residual": "Residuals are larger than they usually are at the same places.",
+    "Misfit": "The structure cannot follow the valve.",
+    "SensorLost": "No sample comes that is of use.",
+    "SensorFrozen": "A sensor's value stands still while others move.",
+    "Unexcited": "Nothing was learnt for long.",
+    "Extrapolated": "The standing demand is answered where nothing was measured.",
+    "SamplesLost": "Samples are lost on their way.",
+    "LagFound": "A signal lags behind the others.",
+    "Checkpoint": "What is learnt is not kept.",
+    "Certificate": "The service's certificate expires soon.",
+    "Load": "The service can hardly keep up.",
+}
+_TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
+    "Changed": (_changed, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
+    "Residual": (_residual, (Cause.EDGE.words, Cause.METER.words, Cause.SIGNAL.words)),
+    "Misfit": (
+        _misfit,
+        ("another shape of the valve than the estimator can follow", Cause.SIGNAL.words),
+    ),
+    "SensorLost": (
+        _lost,
+        ("a sensor or its cable", "the source or the way to it", "a gate that refuses the values"),
+    ),
+    "SensorFrozen": (
+        _frozen,
+        ("a dead sensor", "a source that repeats its last value", "a coarse resolution"),
+    ),
+    "Unexcited": (_unexcited, ("a machine that stands", "a valve that is never moved")),
+    "Extrapolated": (
+        _extrapolated,
+        ("a demand beyond what the machine did so far", "a map that was forgotten"),
+    ),
+    "SamplesLost": (
+        _samples_lost,
+        ("a queue of the source that is too short", "the network", "a source that pauses"),
+    ),
+    "LagFound": (
+        _lag,
+        ("a filter of the flow meter", "the valve's own dynamics", "time stamps made too late"),
+    ),
+    "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
+    "Certificate": (_certificate, ()),
+    "Load": (_load, ("too many valves or clients", "other work on this machine")),
+}

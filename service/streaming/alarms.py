@@ -1,0 +1,464 @@
+"""Alarms of a valve: what is known of it after its samples, against limits. Pure.
+
+=============  ======================================================  =========================
+alarm          what is measured                                        limit by default
+=============  ======================================================  =========================
+Changed        size of a change of the flow that was found             0.25 % of the flow's range
+Residual       residuals, over what they usually are at these places   3
+Misfit         residuals of a structure that does not fit              1 % of the flow's range
+SensorLost     time without a sample that is of use                    2 s
+SensorFrozen   time that a sensor's value stands still, others move    10 s
+Unexcited      time that the inputs teach nothing                      a day
+Extrapolated   the standing demand is answered where nothing was       yes
+               measured
+SamplesLost    share of the samples that were lost lately              1 %
+LagFound       lag of a signal that was found                          0.08 s
+=============  ======================================================  =========================
+
+An alarm comes when its limit was exceeded for ``delay_s`` and goes when what is measured falls
+below the limit less the hysteresis. A change stays until somebody has acknowledged it. Time is that
+of the samples, so the same recording gives the same alarms. Changed, Misfit, SamplesLost, LagFound
+and Extrapolated are judged at the end of each batch, all others sample by sample.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from service.identification.adaptation import Adaptation
+from service.identification.estimator import State, StateMismatchError
+from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
+from service.streaming.alarm_words import Measured, text_of
+from service.streaming.kernels import alarms as kernel
+from service.streaming.kernels.alarms import Conditions, Flags, Senses, Watched
+from service.streaming.ports import AlarmReport
+
+LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
+ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
+DAY_S = 86_400.0
+
+
+class Alarm(IntEnum):
+    """Alarms of a valve."""
+
+    CHANGED = 0
+    RESIDUAL = 1
+    MISFIT = 2
+    SENSOR_LOST = 3
+    SENSOR_FROZEN = 4
+    UNEXCITED = 5
+    EXTRAPOLATED = 6
+    SAMPLES_LOST = 7
+    LAG_FOUND = 8
+
+    @property
+    def title(self) -> str:
+        """Its name in configuration and node ids."""
+        return "".join(part.capitalize() for part in self.name.split("_"))
+
+
+class ServiceAlarm(IntEnum):
+    """Alarms of the service itself."""
+
+    CHECKPOINT = 0
+    CERTIFICATE = 1
+    LOAD = 2
+
+    @property
+    def title(self) -> str:
+        """Its name in configuration and node ids."""
+        return self.name.capitalize()
+
+
+ALARM_NAMES = tuple(alarm.title for alarm in Alarm)
+SERVICE_ALARM_NAMES = tuple(alarm.title for alarm in ServiceAlarm)
+
+
+@dataclass(frozen=True)
+class AlarmRule:
+    """When an alarm comes and goes.
+
+    Attributes
+    ----------
+    limit, hysteresis : float
+        It comes above the limit and goes below the limit less the hysteresis.
+    delay_s : float
+        For so long the limit must be exceeded.
+    severity : int
+        1 … 1,000 (Part 5, 6.4.2).
+    """
+
+    limit: float
+    hysteresis: float
+    delay_s: float
+    severity: int
+
+
+RULES: Mapping[Alarm, AlarmRule] = {
+    Alarm.CHANGED: AlarmRule(limit=0.25, hysteresis=0.0, delay_s=0.0, severity=600),
+    Alarm.RESIDUAL: AlarmRule(limit=3.0, hysteresis=1.0, delay_s=2.0, severity=500),
+    Alarm.MISFIT: AlarmRule(limit=1.0, hysteresis=0.3, delay_s=60.0, severity=300),
+    Alarm.SENSOR_LOST: AlarmRule(limit=2.0, hysteresis=0.0, delay_s=0.0, severity=800),
+    Alarm.SENSOR_FROZEN: AlarmRule(limit=10.0, hysteresis=0.0, delay_s=0.0, severity=700),
+    Alarm.UNEXCITED: AlarmRule(limit=DAY_S, hysteresis=0.0, delay_s=0.0, severity=100),
+    Alarm.EXTRAPOLATED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=5.0, severity=300),
+    Alarm.SAMPLES_LOST: AlarmRule(limit=1.0, hysteresis=0.5, delay_s=0.0, severity=400),
+    Alarm.LAG_FOUND: AlarmRule(limit=0.08, hysteresis=0.02, delay_s=0.0, severity=300),
+}
+SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
+    ServiceAlarm.CHECKPOINT: AlarmRule(limit=60.0, hysteresis=0.0, delay_s=0.0, severity=700),
+    ServiceAlarm.CERTIFICATE: AlarmRule(limit=30.0, hysteresis=0.0, delay_s=0.0, severity=500),
+    ServiceAlarm.LOAD: AlarmRule(limit=0.9, hysteresis=0.2, delay_s=30.0, severity=600),
+}
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    """One valve's alarms as they go into a checkpoint."""
+
+    over: Any
+    since: Any
+    at: Any
+    active: Any
+    acked: Any
+    value: Any
+    detail: Any
+    causes: Any
+    came: Any
+    version: Any
+    last: Any
+    still: Any
+    longest: Any
+    moves: Any
+    others: Any
+    weight: Any
+    bias: Any
+    square: Any
+    sums: Any
+    memory: Any
+    times: Any
+
+
+class Alarms:
+    """The alarms of M valves that share a plan; their state is written in place.
+
+    Parameters
+    ----------
+    M
+        How many valves.
+    rules
+        When each alarm comes and goes.
+    Q_span
+        Range of the flow, l/min.
+
+    Examples
+    --------
+    >>> alarms = Alarms(1, RULES, 200.0)
+    >>> alarms.overdue(np.array([0]), 5_000_000_000)
+    >>> [report.name for report in alarms.reports(0) if report.active]
+    ['SensorLost']
+    """
+
+    def __init__(self, M: int, rules: Mapping[Alarm, AlarmRule], Q_span: float) -> None:
+        self._rules = [rules[alarm] for alarm in Alarm]
+        self._limits = _limits(self._rules)
+        self._Q_span = Q_span
+        self._conditions = _nothing_wrong(M, len(Alarm))
+        self._senses = _nothing_seen(M)
+        self._patient = np.zeros(M, np.bool_)
+
+    @property
+    def version(self) -> Times:
+        """How often anything changed of each valve's alarms (M,)."""
+        return self._conditions.version
+
+    def watch(self, samples: Samples, trace: Trace, segments: Segments) -> None:
+        """Take samples in, as judged by the gate, with what the watched estimator said of them."""
+        seen = Watched(
+            samples.t,
+            samples.U,
+            samples.p1,
+            samples.p2,
+            samples.Q,
+            samples.T,
+            samples.quality,
+            trace.predicted,
+            trace.residual,
+            trace.status,
+        )
+        kernel.watch(seen, self._patient, self._limits, self._conditions, self._senses, segments)
+
+    def be_patient(self, chosen: Times, patient: Flags) -> None:
+        """Say whose signals come on change: their silence is no loss."""
+        self._patient[chosen] = patient
+
+    def note_changes(self, chosen: Times, counts: Times, t: Times, size: Floats) -> None:
+        """Take up how many changes of the flow were found of K valves, and the newest of each."""
+        memory, detail = self._senses.memory, self._conditions.detail
+        memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
+            memory[chosen, kernel.CHANGES_SEEN], counts
+        )
+        unseen = counts > memory[chosen, kernel.CHANGES_SEEN]
+        detail[chosen, Alarm.CHANGED, 1] = counts
+        x = np.where(unseen, 100.0 * np.abs(size) / self._Q_span, 0.0)
+        came = self._move_on(chosen, Alarm.CHANGED, x, t)
+        if came.any():
+            detail[chosen[came], Alarm.CHANGED, 0] = size[came]
+            new = chosen[came]
+            kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses)
+
+    def note_lags(self, chosen: Times, lags: Floats) -> None:
+        """Take up the largest lag of K valves, s; NaN where none is looked for."""
+        self._move_on(chosen, Alarm.LAG_FOUND, lags)
+
+    def note_misfit(self, chosen: Times, adaptation: Codes, rmse: Floats) -> None:
+        """Take up what the watched estimator of K valves makes of its residuals, l/min."""
+        misfits = adaptation == Adaptation.MISFIT
+        x = np.where(misfits, 100.0 * rmse / self._Q_span, 0.0)
+        self._move_on(chosen, Alarm.MISFIT, x)
+
+    def note_losses(self, chosen: Times, lost: Times, taken: Times) -> None:
+        """Take up how many samples of K valves were lost, and how many came, since the start."""
+        memory, times = self._senses.memory[chosen], self._senses.times[chosen]
+        now, before = times[:, kernel.NEWEST], times[:, kernel.LOSS_TIME]
+        first = before == kernel.NEVER
+        before = np.where(first, now, before)
+        share = np.exp(-np.clip((now - before) * 1e-9, 0.0, 1e6) / LOSS_MEMORY_S)
+        for sum_, last, count in (
+            (kernel.LOST, kernel.LOST_BEFORE, lost),
+            (kernel.TAKEN, kernel.TAKEN_BEFORE, taken),
+        ):
+            new = np.where(first, 0.0, np.maximum(count - memory[:, last], 0.0))
+            memory[:, sum_] = share * memory[:, sum_] + new
+            memory[:, last] = count
+        self._senses.memory[chosen] = memory
+        self._senses.times[chosen, kernel.LOSS_TIME] = now
+        total = memory[:, kernel.LOST] + memory[:, kernel.TAKEN]
+        known = total >= ENOUGH_SAMPLES
+        x = np.where(known, 100.0 * memory[:, kernel.LOST] / np.maximum(total, 1.0), 0.0)
+        self._move_on(chosen, Alarm.SAMPLES_LOST, x)
+
+    def note_answers(self, chosen: Times, guessed: Floats) -> None:
+        """Take up whether K valves' standing demands are answered where nothing was measured."""
+        self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
+
+    def overdue(self, chosen: Times, now: Times) -> None:
+        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
+        usable = self._senses.times[chosen, kernel.USABLE]
+        began = np.where(usable == kernel.NEVER, 0, usable)
+        waited = np.where(usable == kernel.NEVER, np.inf, (now - began) * 1e-9)
+        began = np.where(usable == kernel.NEVER, now, began)
+        self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
+
+    def acknowledge(self, m: int, alarm: Alarm, now: int) -> bool:
+        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        conditions = self._conditions
+        if conditions.acked[m, alarm]:
+            return False
+        conditions.acked[m, alarm] = True
+        conditions.at[m, alarm] = now
+        conditions.version[m] += 1
+        if alarm is Alarm.CHANGED:
+            seen = conditions.detail[m, alarm, 1]
+            self._senses.memory[m, kernel.CHANGES_SEEN] = seen
+            conditions.active[m, alarm], conditions.over[m, alarm] = False, 0
+        return True
+
+    def was_away(self) -> None:
+        """Take up that nobody listened: silence until now is no loss, and no standstill."""
+        times = self._senses.times
+        times[:, [kernel.NEWEST, kernel.USABLE, kernel.LOSS_TIME]] = kernel.NEVER
+
+    def forget_map(self, m: int) -> None:
+        """Forget what residuals usually are: the map they are of is forgotten, too."""
+        fresh = _nothing_seen(1)
+        kept = [kernel.T_USUAL, *_LOSSES]
+        fresh.memory[0, kept] = self._senses.memory[m, kept]
+        for name in ("memory", "weight", "bias", "square", "sums"):
+            getattr(self._senses, name)[m] = getattr(fresh, name)[0]
+        one = np.array([m])
+        self._move_on(one, Alarm.RESIDUAL, np.zeros(1))
+        self._move_on(one, Alarm.CHANGED, np.zeros(1))
+
+    def reports(self, m: int) -> tuple[AlarmReport, ...]:
+        """How every alarm of one valve stands, in words."""
+        return _reports(ALARM_NAMES, self._rules, self._conditions, m)
+
+    def to_bytes(self, m: int) -> bytes:
+        """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
+        arrays = {**self._conditions._asdict(), **self._senses._asdict()}
+        kept = {name: array[m].copy() for name, array in arrays.items()}
+        kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
+        return _Kept(**kept).to_bytes(_KEY)
+
+    def from_bytes(self, m: int, data: bytes) -> None:
+        """Unpack it.
+
+        Raises
+        ------
+        StateMismatchError
+            if the bytes are damaged, or of other alarms than there are today.
+        """
+        kept = _Kept.from_bytes(data, _KEY)
+        arrays = {**self._conditions._asdict(), **self._senses._asdict()}
+        for name, array in arrays.items():
+            new = getattr(kept, name)
+            if new.shape != array[m].shape or new.dtype != array.dtype:
+                raise StateMismatchError(f"alarms are kept in another way today: {name}")
+        for f in fields(kept):
+            arrays[f.name][m] = getattr(kept, f.name)
+
+    def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
+        t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)
+        return self._step(chosen, alarm, x, t, t if began is None else began)
+
+    def _step(self, chosen: Times, alarm: Alarm, x: Floats, t: Times, began: Times) -> Flags:
+        x = np.ascontiguousarray(x, np.float64)
+        return kernel.move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions)
+
+
+class ServiceAlarms:
+    """The alarms of the service itself."""
+
+    def __init__(self, rules: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES) -> None:
+        self._rules = [rules[alarm] for alarm in ServiceAlarm]
+        self._limits = _limits(self._rules)
+        falls = self._limits[ServiceAlarm.CERTIFICATE]
+        hysteresis = falls[0] - falls[1]
+        falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # it comes when too few are left
+        self._conditions = _nothing_wrong(1, len(ServiceAlarm))
+
+    @property
+    def version(self) -> int:
+        """How often anything changed."""
+        return int(self._conditions.version[0])
+
+    def note(self, now: int, checkpoint_age_s: float, days_left: float, load: float) -> None:
+        """Take up how the service stands; NaN is not known, and changes nothing."""
+        for alarm, x in (
+            (ServiceAlarm.CHECKPOINT, checkpoint_age_s),
+            (ServiceAlarm.CERTIFICATE, -days_left),
+            (ServiceAlarm.LOAD, load),
+        ):
+            t, one = np.array([now]), np.zeros(1, np.int64)
+            kernel.move_on(
+                one, t, t, np.array([x], np.float64), int(alarm), self._limits, self._conditions
+            )
+
+    def acknowledge(self, alarm: ServiceAlarm, now: int) -> bool:
+        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        conditions = self._conditions
+        if conditions.acked[0, alarm]:
+            return False
+        conditions.acked[0, alarm], conditions.at[0, alarm] = True, now
+        conditions.version[0] += 1
+        return True
+
+    def reports(self) -> tuple[AlarmReport, ...]:
+        """How every alarm stands, in words."""
+        return _reports(SERVICE_ALARM_NAMES, self._rules, self._conditions, 0)
+
+    def to_bytes(self) -> bytes:
+        """Pack them."""
+        kept = {name: array[0] for name, array in self._conditions._asdict().items()}
+        return _KeptOfService(**kept).to_bytes(_KEY_OF_SERVICE)
+
+    def from_bytes(self, data: bytes) -> None:
+        """Unpack them.
+
+        Raises
+        ------
+        StateMismatchError
+        """
+        kept = _KeptOfService.from_bytes(data, _KEY_OF_SERVICE)
+        for name, array in self._conditions._asdict().items():
+            array[0] = getattr(kept, name)
+
+
+@dataclass(frozen=True)
+class _KeptOfService(State):
+    over: Any
+    since: Any
+    at: Any
+    active: Any
+    acked: Any
+    value: Any
+    detail: Any
+    causes: Any
+    came: Any
+    version: Any
+
+
+_LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
+_KEY = f"alarms 1: {' '.join(ALARM_NAMES)}"
+_KEY_OF_SERVICE = f"alarms 1: {' '.join(SERVICE_ALARM_NAMES)}"
+
+
+def _limits(rules: list[AlarmRule]) -> Floats:
+    return np.array([(r.limit, r.limit - r.hysteresis, 1e9 * r.delay_s) for r in rules])
+
+
+def _nothing_wrong(M: int, A: int) -> Conditions:
+    return Conditions(
+        over=np.zeros((M, A), np.int64),
+        since=np.zeros((M, A), np.int64),
+        at=np.zeros((M, A), np.int64),
+        active=np.zeros((M, A), np.bool_),
+        acked=np.ones((M, A), np.bool_),
+        value=np.zeros((M, A)),
+        detail=np.zeros((M, A, 2)),
+        causes=np.zeros((M, A, 3), np.uint8),
+        came=np.zeros((M, A), np.int64),
+        version=np.zeros(M, np.int64),
+    )
+
+
+def _nothing_seen(M: int) -> Senses:
+    signals, places = (M, kernel.SIGNALS), (M, kernel.CELLS_U * kernel.CELLS_S)
+    memory = np.zeros((M, kernel.MEMORY))
+    memory[:, kernel.CELL] = -1.0
+    memory[:, [kernel.T_USUAL, kernel.Q_BEFORE]] = np.nan
+    sums = kernel.DIRECTIONS + 1
+    return Senses(
+        last=np.full(signals, np.nan),
+        still=np.zeros(signals, np.int64),
+        longest=np.zeros(signals, np.int64),
+        moves=np.zeros(signals, np.int64),
+        others=np.zeros(signals, np.int64),
+        weight=np.zeros(places, np.float32),
+        bias=np.zeros(places, np.float32),
+        square=np.zeros(places, np.float32),
+        sums=np.zeros((M, sums, sums)),
+        memory=memory,
+        times=np.full((M, kernel.TIMES), kernel.NEVER),
+    )
+
+
+def _reports(
+    names: tuple[str, ...], rules: list[AlarmRule], conditions: Conditions, m: int
+) -> tuple[AlarmReport, ...]:
+    return tuple(
+        AlarmReport(
+            name=name,
+            active=bool(conditions.active[m, a]),
+            acked=bool(conditions.acked[m, a]),
+            severity=rule.severity,
+            since=int(conditions.since[m, a]),
+            at=int(conditions.at[m, a]),
+            count=int(conditions.came[m, a]),
+            text=text_of(
+                name,
+                Measured(
+                    value=float(conditions.value[m, a]),
+                    limit=rule.limit,
+                    detail=float(conditions.detail[m, a, 0]),
+                    causes=tuple(conditions.causes[m, a].tolist()),
+                    since=int(conditions.since[m, a]),
+                ),
+            ),
+        )
+        for a, (name, rule) in enumerate(zip(names, rules, strict=True))
+    )

@@ -1,0 +1,173 @@
+"""The file of what signals and results have been."""
+
+import sqlite3
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.errors import StorageError
+from service.storage.history import BLOCK, HistoryFile
+from service.streaming.ports import Piece
+
+EVER = -(2**63), 2**63 - 1
+S = 1_000_000_000
+
+
+def piece(start, n, series="V1.Signals", columns=("U", "Q"), step=1):
+    t = start + step * np.arange(n, dtype=np.int64)
+    values = {name: t + k / 8 for k, name in enumerate(columns)}
+    return Piece(series, t, (t % 3).astype(np.uint32), values)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "kept" / "history.sqlite"
+
+
+def whole(store, series="V1.Signals", column="Q", **how):
+    return store.read(series, column, *EVER, most=10**9, **how)
+
+
+def test_what_was_saved_is_read_again_after_a_restart(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 10), piece(0, 5, "V2.Signals")])
+        store.save([piece(10, 10)])
+    with HistoryFile(path) as store:
+        store.save([piece(20, 10)])
+        found = whole(store)
+        np.testing.assert_array_equal(found.t, np.arange(30))
+        np.testing.assert_array_equal(found.values, np.arange(30) + 1 / 8)
+        np.testing.assert_array_equal(found.codes, np.arange(30) % 3)
+        assert len(whole(store, "V2.Signals").t) == 5
+
+
+def test_what_is_not_newer_is_left_out_and_counted(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 10)])
+        assert store.save([piece(5, 10)]) == 2 * 5
+    with HistoryFile(path) as store:
+        assert store.save([piece(12, 5)]) == 2 * 3
+        np.testing.assert_array_equal(whole(store).t, np.arange(17))
+
+
+SPANS = st.tuples(st.integers(-5, 60), st.integers(-5, 60), st.integers(0, 12), st.integers(1, 40))
+
+
+@given(
+    sizes=st.lists(st.integers(1, 9), min_size=1, max_size=8),
+    span=SPANS,
+    backwards=st.booleans(),
+)
+def test_any_span_in_any_order_a_page_at_a_time(tmp_path_factory, sizes, span, backwards):
+    low, high, skip, most = span
+    with HistoryFile(tmp_path_factory.mktemp("h") / "f") as store:
+        for start, n in zip(np.cumsum([0, *sizes]), sizes, strict=False):
+            store.save([piece(int(start), n)])
+        t = np.arange(sum(sizes))
+        expected = t[(t >= low) & (t <= high)]
+        expected = (expected[::-1] if backwards else expected)[skip : skip + most]
+        found = store.read("V1.Signals", "Q", low, high, backwards=backwards, skip=skip, most=most)
+        np.testing.assert_array_equal(found.t, expected)
+        np.testing.assert_array_equal(found.values, expected + 1 / 8)
+
+
+def blocks(path):
+    with sqlite3.connect(path) as connection:
+        return [n for (n,) in connection.execute("SELECT rows FROM block ORDER BY first")]
+
+
+def test_small_pieces_become_large_blocks(path):
+    with HistoryFile(path) as store:
+        for k in range(90):
+            store.save([piece(100 * k, 100)])
+        assert len(whole(store).t) == 9_000
+    assert blocks(path)[:2] == [BLOCK + 4, BLOCK + 4]
+    assert len(blocks(path)) < 12
+
+
+def test_a_column_may_come_later(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 2_000, columns=("U",)), piece(2_000, 2_200)])
+        assert len(whole(store, column="U").t) == 4_200
+        late = whole(store)
+        assert np.isnan(late.values[:2_000]).all()
+        assert late.values[-1] == 4_199 + 1 / 8
+
+
+def test_nothing_is_known_of_what_was_never_kept(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 3)])
+        assert len(whole(store, "V9.Signals").t) == len(whole(store, column="p9").t) == 0
+
+
+def test_what_is_old_is_forgotten(path):
+    with HistoryFile(path, keep_s=50.0) as store:
+        for k in range(10):
+            store.save([piece(10 * k * S, 10, step=S)])
+        assert store.forget(now=100 * S) == 5
+        assert whole(store).t[0] == 50 * S
+        store.save([piece(100 * S, 5_000, step=S)])  # joins what is left
+        assert len(whole(store).t) == 5_050
+
+
+def test_the_oldest_goes_where_there_is_too_much(path):
+    with HistoryFile(path, most_bytes=300_000) as store:
+        for k in range(40):
+            store.save([piece(1_000 * k, 1_000)])
+            store.forget(now=0)
+        assert store.size < 400_000
+        assert whole(store).t[-1] == 39_999
+        assert len(whole(store).t) < 20_000
+
+
+def test_a_kill_loses_what_was_not_saved_alone(path):
+    script = (
+        "import os, sys; sys.path.insert(0, 'tests/storage')\n"
+        "from test_history import *\n"
+        f"store = HistoryFile({str(path)!r})\n"
+        "for k in range(50): store.save([piece(100 * k, 100)])\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
+    with HistoryFile(path) as store:
+        np.testing.assert_array_equal(whole(store).t, np.arange(5_000))
+
+
+def test_a_flipped_bit_costs_its_block_and_nothing_wrong_is_read(path):
+    with HistoryFile(path) as store:
+        for k in range(3):
+            store.save([piece(5_000 * k, 5_000)])
+    with sqlite3.connect(path) as connection:
+        (found,) = connection.execute("SELECT id FROM name WHERE name = 'Q'").fetchone()
+        connection.execute(
+            "UPDATE part SET data = zeroblob(40000) WHERE name = ? AND block = "
+            "(SELECT min(id) FROM block)",
+            (found,),
+        )
+    with HistoryFile(path) as store:
+        np.testing.assert_array_equal(whole(store).t, np.arange(5_000, 15_000))
+
+
+def test_a_file_of_others_is_left_alone(path):
+    path.parent.mkdir()
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE theirs (x)")
+    with pytest.raises(StorageError, match=r"history\.sqlite belongs to another program"):
+        HistoryFile(path)
+
+
+def test_a_file_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="file"):
+        HistoryFile(tmp_path / "file" / "history.sqlite")
+
+
+def test_readers_do_not_wait_for_who_writes(path):
+    with HistoryFile(path) as store:
+        store.save([piece(0, 10)])
+        with store._writing:
+            assert len(whole(store).t) == 10

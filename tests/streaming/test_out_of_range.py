@@ -1,0 +1,171 @@
+"""A valid digest says that something was written, not that it can be: what cannot is refused."""
+
+import io
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.plant import as_changes, plant
+
+from service.identification.auto import Auto
+from service.identification.forgetting import SlidingWindow
+from service.identification.maximum_likelihood import MaximumLikelihood
+from service.identification.rbf_network import RbfNetwork
+from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.streaming import pipeline
+from service.streaming.alignment import Alignment, AlignmentSettings
+from service.streaming.data_changes import DataChanges
+from service.streaming.identification import Identification
+from service.streaming.pipeline import ValvePlan
+from service.streaming.ports import Checkpoint
+from service.streaming.quality_gate import QualityGate
+from service.streaming.timing import Timing, TimingSettings
+
+CANNOT_BE = (np.nan, np.inf, -np.inf, -1.0, -1e300, 1e300, 2.0**62, 2.5, 77.0)
+KEPT = ("RLS", "window", "RML", "RBF", "Auto", "Diagnostics", "Signals")
+TWO = 2
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    estimators = {
+        "RLS": RecursiveLeastSquares(),
+        "window": RecursiveLeastSquares(forgetting=SlidingWindow(30)),
+        "RML": MaximumLikelihood(),
+        "RBF": RbfNetwork(),
+        "Auto": Auto(),
+    }
+    plans = [ValvePlan(name, QualityGate(), estimators, "RLS") for name in ("a", "b")]
+    align = Alignment(AlignmentSettings(), (True,) * TWO, (False,) * TWO)
+    return lambda: Identification(plans, align, Timing(TimingSettings(), (True,) * TWO))
+
+
+def changes(n, first=0):
+    """Of two valves; of the last sample only some signals have come."""
+    parts = [as_changes(plant(n, seed, first)) for seed in (1, 2)]
+    parts = [part[part.item != 5] for part in parts]
+    moved = [replace(part, item=part.item + np.int32(6 * v)) for v, part in enumerate(parts)]
+    return DataChanges.concatenate([moved[0], moved[1][: len(moved[1]) - 2]])
+
+
+@pytest.fixture(scope="module")
+def kept(fresh):
+    learnt = fresh()
+    learnt.take(changes(400))
+    learnt.set_forgetting_factor("a", "RLS", 0.99)
+    return [*learnt.checkpoints(), *learnt.memories()]
+
+
+def with_one_changed(state, name, place, number):
+    """Bytes of a state with one number of one array changed."""
+    record = np.load(io.BytesIO(state), allow_pickle=False)
+    array = record[name].copy()
+    flat = array.reshape(-1)
+    if array.dtype.kind in "iu":
+        limits = np.iinfo(array.dtype)
+        number = (
+            0
+            if np.isnan(number)
+            else max(min(int(np.clip(number, -9e18, 9e18)), limits.max), limits.min)
+        )
+    with np.errstate(over="ignore"):
+        flat[place % flat.size] = number
+    record[name] = array
+    buffer = io.BytesIO()
+    np.save(buffer, record, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def arrays_of(state):
+    record = np.load(io.BytesIO(state), allow_pickle=False)
+    return [n for n in record.dtype.names if record[n].size and record[n].dtype.kind in "iuf"]
+
+
+def known(identification, valve):
+    result = identification.result(valve)
+    return {name: (r.theta.tobytes(), r.t, r.sample_count) for name, r in result.estimators.items()}
+
+
+def test_what_was_kept_is_taken_up_whole(fresh, kept):
+    restored, refused = fresh().restore(kept)
+    assert not refused
+    assert len(restored) == TWO * len(KEPT)
+
+
+@pytest.mark.parametrize("cases", [12, pytest.param(600, marks=pytest.mark.soak)])
+def test_whatever_stands_in_what_was_kept_the_other_valve_goes_on(fresh, kept, cases):
+    unharmed = fresh()
+    unharmed.restore(kept)
+    unharmed.take(changes(50, first=400))
+    before = known(unharmed, 1)
+
+    @settings(max_examples=cases)
+    @given(st.data())
+    def holds(data):
+        number = data.draw(st.sampled_from([k for k, c in enumerate(kept) if c.valve == "a"]))
+        name = data.draw(st.sampled_from(arrays_of(kept[number].state)))
+        place, value = data.draw(st.integers(0, 2**20)), data.draw(st.sampled_from(CANNOT_BE))
+        hurt = list(kept)
+        state = with_one_changed(kept[number].state, name, place, value)
+        hurt[number] = replace(kept[number], state=state)
+        again = fresh()
+        restored, refused = again.restore(hurt)
+        assert set(refused) <= {f"a.{kept[number].estimator}"}
+        assert len(restored) + len(refused) == len(kept)
+        with np.errstate(all="ignore"):
+            again.take(changes(50, first=400))
+            again.result(0)
+        assert known(again, 1) == before
+
+    holds()
+
+
+@pytest.mark.parametrize("lam", [0.0, -0.5, 1.5, np.nan, np.inf])
+def test_a_forgetting_factor_that_is_none_is_refused(fresh, kept, lam):
+    hurt = [replace(c, lam=lam) if (c.valve, c.estimator) == ("a", "RLS") else c for c in kept]
+    again = fresh()
+    _, refused = again.restore(hurt)
+    assert list(refused) == ["a.RLS"]
+    assert "forgetting factor" in refused["a.RLS"]
+    assert again.result(0).estimators["RLS"].sample_count == 0
+    assert again.result(1).estimators["RLS"].sample_count > 0
+
+
+def of_lane(fresh, kept, change):
+    """What becomes of a's RLS if its state is another one."""
+    (own,) = (c for c in kept if (c.valve, c.estimator) == ("a", "RLS"))
+    configured = RecursiveLeastSquares()
+    lane = pipeline.lane_from_bytes(own.state, configured, None, frozen=False, t=own.t)
+    packed = pipeline.lane_to_bytes(change(lane), own.key)
+    return fresh().restore([replace(own, state=packed)])
+
+
+@pytest.mark.parametrize("what", ["theta", "D", "another n", "samples", "no count"])
+def test_a_state_that_cannot_have_been_learnt_is_refused(fresh, kept, what):
+    def change(lane):
+        state = lane.state
+        arrays = {f.name: getattr(state, f.name).copy() for f in fields(state)}
+        other = replace(state, **arrays)
+        match what:
+            case "theta":
+                other.theta[2] = np.nan
+            case "D":
+                other.row[other._places.factor + 2] = -1e-9
+            case "another n":
+                n = len(state.rhs) - 1
+                other = replace(other, rhs=state.rhs[:n], R=state.R[:n, :n], row=state.row[:170])
+            case "samples":
+                other.counters[0] = 2**60
+            case _:
+                return replace(lane, count=-1)
+        return replace(lane, state=other)
+
+    restored, refused = of_lane(fresh, kept, change)
+    assert (restored, list(refused)) == ([], ["a.RLS"])
+
+
+def test_it_is_said_which_valve_starts_afresh_and_why(fresh):
+    nobody = Checkpoint("gone", "RLS", "k", 1, b"", lam=None, frozen=False)
+    assert fresh().restore([nobody])[1] == {"gone.RLS": "no such valve is configured"}
