@@ -48,7 +48,7 @@ class Picture:
 _RESIDUALS = r"[1-9]\d\d residuals"
 _ANSWERED = r"95 %: [\d.]+ to"
 PICTURES = (
-    Picture("commissioning", "commissioning/Boom", "Red: the map.*samples learnt from"),
+    Picture("commissioning", "commissioning/Boom", "Red: the map.*samples learnt from", look_s=6.0),
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "Auto found an abrupt change"),
