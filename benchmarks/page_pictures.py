@@ -5,6 +5,7 @@ Starts a demo of three valves, breaks something of one and looks at every view. 
 """
 
 import asyncio
+import re
 import shutil
 import sys
 from contextlib import asynccontextmanager
@@ -17,7 +18,7 @@ from playwright.async_api import Browser, Page, async_playwright
 DOCS = Path(__file__).parents[1] / "docs"
 _GRAPHICS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 _DESK, _TABLET = (1280, 800), (820, 1180)
-_STARTS_S = 180.0  # the first start of all compiles
+_STARTS_S = 400.0  # the first start of all compiles
 _SEEN_S = 240.0  # time that a busy machine may need
 _SCENARIO = """
 name = "pictures"
@@ -47,7 +48,7 @@ class Picture:
 _RESIDUALS = r"[1-9]\d\d residuals"
 _ANSWERED = r"95 %: [\d.]+ to"
 PICTURES = (
-    Picture("commissioning", "commissioning/Boom", r"samples learnt from[^]*Red: the map"),
+    Picture("commissioning", "commissioning/Boom", "Red: the map.*samples learnt from", look_s=6.0),
     Picture("rig", "rig/Arm", "Injected"),
     Picture("overview", "overview", "valve changed"),
     Picture("timeline", "timeline", "Auto found an abrupt change"),
@@ -77,8 +78,8 @@ async def _draw(program: str) -> None:
             await page.goto(f"{url}/#/{picture.view}")
             if picture.name == "rig":
                 await _break_something(page, password)
-            seen = f"/{picture.seen}/.test(document.querySelector('main').textContent)"
-            await page.wait_for_function(seen, timeout=1_000.0 * _SEEN_S)
+            seen = page.locator("main", has_text=re.compile(picture.seen, re.DOTALL))
+            await seen.wait_for(timeout=1_000.0 * _SEEN_S)
             await page.wait_for_timeout(1_000.0 * picture.look_s)
             await page.screenshot(path=picture.file)
             print(picture.file, flush=True)

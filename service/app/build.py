@@ -24,6 +24,7 @@ from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from service.opcua.namespaces import SERVICE_NAMESPACE
+from service.storage.history import HistoryFile
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
@@ -182,6 +183,14 @@ def build_server_settings(config: Config) -> ServerSettings:
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
         product=PRODUCT,
     )
+
+
+def build_history(config: Config) -> HistoryFile | None:
+    """The file of what signals and results have been, if there is to be one."""
+    given = config.history
+    if given.file is None:
+        return None
+    return HistoryFile(given.file, given.keep_days * 86_400.0, given.most_mb * 1_000_000)
 
 
 def load_users(file: Path) -> UserStore:

@@ -136,6 +136,20 @@ class StateConfig(_Section):
     )
 
 
+class HistoryConfig(_Section):
+    """What signals and results have been, for trends that reach back."""
+
+    file: Path | None = Field(
+        None, description="SQLite file of the history; none: there is no history"
+    )
+    keep_days: float = Field(
+        7.0, gt=0.0, le=3_650.0, description="what is older is forgotten, in days"
+    )
+    most_mb: int = Field(
+        2_000, ge=10, le=1_000_000, description="the oldest goes where the file is larger, in MB"
+    )
+
+
 class AlignmentConfig(_Section):
     """How the signals of one sample find together."""
 
@@ -440,6 +454,7 @@ class Config(BaseSettings):
     server: ServerConfig = ServerConfig()
     security: SecurityConfig = SecurityConfig()
     state: StateConfig = StateConfig()
+    history: HistoryConfig = HistoryConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
     recording: RecordingConfig = RecordingConfig()

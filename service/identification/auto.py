@@ -56,6 +56,9 @@ UNKNOWN: Final = 1e4  # variance over σ² of a map that says nothing
 SPIKE, FEW = 30.0, 3.0  # usual misfits, samples: farther off and of fewer, a cell is a spike
 NEW_START: Final = 1.25  # growth of the known cells that has the search start anew
 FIRST_LOOK: Final = lag.ROWS  # samples kept before lags are looked for
+SURE_AFTER: Final = 12_000  # samples: what changes before may still be the map itself
+AFTER_CHANGE: Final = 300  # samples in which a map follows what is no lag
+STAYS: Final = 0.5  # of the change's square: so large residuals are after one that is a lag
 LAG_MOVED: Final = 0.15, 0.004  # share, s: a lag that moves farther has the map start anew
 Counts = NDArray[np.int64]
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
@@ -405,13 +408,20 @@ class Auto:
             self._refit(state)
 
     def _doubt_lags(self, state: AutoState, kept: int) -> None:
-        """After a change look for lags soon, and as if for the first time: it may be one."""
+        """After a change that no map follows look for lags soon, as if for the first time."""
         counters = state.counters
         looked_for = self.lag_U is None or self.lag_Q is None
-        is_new = counters[memory.ALARMS] and (
-            counters[memory.USED] - counters[memory.CHANGE_SAMPLE] < lag.ROWS
-        )
-        if looked_for and is_new and counters[memory.NEXT_LOOK] > kept + lag.ROWS:
+        at = counters[memory.CHANGE_SAMPLE]
+        is_new = AFTER_CHANGE <= counters[memory.USED] - at < lag.ROWS
+        size, variance = state.scalars[[memory.CHANGE_SIZE, memory.VARIANCE]]
+        stays = at > SURE_AFTER and variance > STAYS * size * size
+        if (
+            looked_for
+            and counters[memory.ALARMS]
+            and is_new
+            and stays
+            and counters[memory.NEXT_LOOK] > kept + lag.ROWS
+        ):
             counters[memory.NEXT_LOOK] = kept + lag.ROWS
             state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
 

@@ -557,6 +557,21 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
             ),
             VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
         ),
+        f"{SERVICE}.History": (
+            VariableNode(
+                f"{SERVICE}.History.Lost",
+                "Rows of the history that found no room, or that the disk did not take.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.History.Failures",
+                "How often the history could not be kept since the service started.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.History.Size", "Bytes that it takes on disk; 0: there is none.", counts
+            ),
+        ),
         f"{SERVICE}.Source": (
             VariableNode(
                 f"{SERVICE}.Source.Notifications", "Changes that the source sent.", counts

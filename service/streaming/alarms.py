@@ -27,6 +27,7 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.adaptation import Adaptation
 from service.identification.estimator import State, StateMismatchError
@@ -38,6 +39,8 @@ from service.streaming.ports import AlarmReport
 
 LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
 ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
+SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # of a change, by residuals
+CLEAR_CHANGE = 2.5  # of the usual residual: a smaller change is one of the map
 DAY_S = 86_400.0
 
 
@@ -196,12 +199,23 @@ class Alarms:
         self._patient[chosen] = patient
 
     def note_changes(self, chosen: Times, counts: Times, t: Times, size: Floats) -> None:
-        """Take up how many changes of the flow were found of K valves, and the newest of each."""
+        """Take up how many changes of the flow were found of K valves, and the newest of each.
+
+        What changes while the map is new may be the map itself, and what residuals do not show
+        is a change of nothing but the estimator's mind.
+        """
         memory, detail = self._senses.memory, self._conditions.detail
         memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
             memory[chosen, kernel.CHANGES_SEEN], counts
         )
+        settled = memory[chosen, kernel.USUAL_N] >= kernel.SETTLED_BLOCKS
+        memory[chosen[~settled], kernel.CHANGES_SEEN] = counts[~settled]
         unseen = counts > memory[chosen, kernel.CHANGES_SEEN]
+        times = self._senses.times[chosen]
+        shown = times[:, kernel.LARGE_UNTIL] >= t - SHOWN_BEFORE_NS
+        shown &= times[:, kernel.LARGE_SINCE] <= t + SHOWN_WITHIN_NS
+        shown &= size**2 >= CLEAR_CHANGE**2 * memory[chosen, kernel.USUAL_SQUARE]
+        unseen &= shown | self._conditions.active[chosen, Alarm.CHANGED]
         detail[chosen, Alarm.CHANGED, 1] = counts
         x = np.where(unseen, 100.0 * np.abs(size) / self._Q_span, 0.0)
         came = self._move_on(chosen, Alarm.CHANGED, x, t)
@@ -310,6 +324,11 @@ class Alarms:
                 raise StateMismatchError(f"alarms are kept in another way today: {name}")
         for f in fields(kept):
             arrays[f.name][m] = getattr(kept, f.name)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All that the alarms are and rest on, each (M, …): the arrays themselves."""
+        own = {**self._conditions._asdict(), **self._senses._asdict()}
+        return {**own, "patient": self._patient}
 
     def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
         t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from asyncua import Client, ua
 from support import fuxa
 from support.processes import run
 from support.services import until_rejected
@@ -21,6 +22,18 @@ def program(tmp_path, request):
         yield program
 
 
+async def break_sensors(demo):
+    """Let the demo's sensors be of Bad quality for ten seconds."""
+    client = Client(demo.rig)
+    client.set_user("operator")
+    client.set_password(demo.password)
+    async with client:
+        index = await client.get_namespace_index("urn:valvemap:rig")
+        valve = client.get_node(ua.NodeId("Valvistor", index))
+        inject = ua.NodeId("Valvistor.InjectFault", index)
+        await valve.call_method(inject, "bad_quality", 1.0, 10.0)
+
+
 @pytest.fixture
 def password_file(tmp_path):
     def written(password):
@@ -31,12 +44,17 @@ def password_file(tmp_path):
     return written
 
 
-def test_one_connection_shows_a_demo_and_the_operator_demands_a_flow(program, demo, password_file):
+async def test_one_connection_shows_a_demo_its_alarms_and_what_flow_is_demanded(
+    program, demo, password_file
+):
     program.load(demo.url, "--user", "operator", "--password-file", password_file(demo.password))
     shows_what_the_valve_does(program)
     demands_a_flow(program)
     program.load(demo.url)  # keeps what is there
     assert program.values()["Inverse.FlowDemand"] == 60.0
+    await break_sensors(demo)
+    values = program.once(lambda values: "SensorLost" in program.alarms())
+    assert values["Alarms.SensorLost.Text"]
 
 
 def test_signed_and_encrypted_it_is_let_in_once_its_certificate_is_trusted(
@@ -58,7 +76,7 @@ def shows_what_the_valve_does(program):
     )
     assert abs(values["RLS.Parameters.a4"] - 0.25) < 0.1
     assert abs(values["Signals.p1"] - values["Signals.p2"] - values["Signals.dp"]) < 1e-6
-    assert program.alarms() == {}
+    assert "SensorLost" not in program.alarms()
 
 
 def demands_a_flow(program):

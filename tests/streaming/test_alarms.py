@@ -197,15 +197,18 @@ def test_inputs_that_hold_still_for_longer_than_the_limit_teach_nothing():
 
 def test_a_change_stays_until_it_is_acknowledged_and_the_next_one_comes_anew(known):
     one = np.array([0])
+    samples, trace = later(4)
+    shifted = replace(samples, Q=samples.Q - 4.0)
+    watch(known, shifted, said(shifted, trace.predicted))
 
     def found(count, size):
-        t = np.array([START + 250 * S])
+        t = np.array([START + 300 * S])
         known.note_changes(one, np.array([count]), t, np.array([size]))
 
     found(1, -4.0)
     report = of(known, "Changed")
-    assert (report.active, report.since) == (True, START + 250 * S)
-    assert report.text.startswith("The flow changed by -4 l/min, since 2027-01-15 08:04:10 UTC.")
+    assert (report.active, report.since) == (True, START + 300 * S)
+    assert report.text.startswith("The flow changed by -4 l/min, since 2027-01-15 08:05:00 UTC.")
     found(1, -4.0)
     assert of(known, "Changed").count == 1
     assert known.acknowledge(0, Alarm.CHANGED, START + 301 * S)
@@ -218,6 +221,19 @@ def test_a_change_stays_until_it_is_acknowledged_and_the_next_one_comes_anew(kno
     assert of(known, "Changed").count == 2
     found(0, 0.0)  # a Reset
     assert not of(known, "Changed").active
+
+
+def test_a_change_that_residuals_do_not_show_is_none(known):
+    one, t = np.array([0]), np.array([START + 300 * S])
+    watch(known, *later(4))
+    known.note_changes(one, np.array([1]), t, np.array([4.0]))
+    assert active(known) == []
+    new = Alarms(1, RULES, 200.0)  # its map is not settled
+    watch(new, *working(10 * HZ))
+    new.note_changes(one, np.array([1]), t, np.array([40.0]))
+    watch(new, *working(300 * HZ, first=10 * HZ))
+    new.note_changes(one, np.array([1]), t, np.array([40.0]))
+    assert active(new) == []
 
 
 def test_lags_losses_misfit_and_guesses_have_their_limits(known):

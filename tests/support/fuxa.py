@@ -57,7 +57,8 @@ class Fuxa:
 
     def alarms(self):
         """The alarms that stand, by name."""
-        return {one["name"]: one for one in self.http.get("/api/alarms").raise_for_status().json()}
+        found = self.http.get("/api/alarms").raise_for_status().json()
+        return {one["name"].partition("^")[0]: one for one in found}  # name, ^~^, priority
 
 
 def project_tags():

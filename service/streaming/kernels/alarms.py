@@ -22,17 +22,22 @@ CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar: the places by which residuals are compared
 BLOCK = 16.0  # residuals that are averaged: what stays, stands out against noise
 RECENT_BLOCKS = 32.0  # memory of what they are now: 5 s at 100 Hz
-USUAL_BLOCKS = 2_000.0  # memory of what they usually are: minutes
+USUAL_BLOCKS = 1_000.0  # memory of what they usually are: minutes
 ENOUGH_BLOCKS = 64.0  # from so many on it is known what is usual
-PLACE_MEMORY = 300.0  # samples of one place
+SETTLED_BLOCKS = 400.0  # from so many on a change is one of the valve: a minute or two
+PLACE_MEMORY = 1_000.0  # samples of one place
 KNOWN_PLACE = 50.0  # samples from which on a place's usual residual is known
 OUTLIER = 25.0  # squares: more is not taken for usual
-LARGEST = 100.0  # squares: more does not count, or one spike would be an alarm for minutes
+LARGEST = 400.0  # squares: more does not count, or one spike would be an alarm for seconds
+CONFIRMED = 1.6  # times the usual: residuals that confirm a change
+USUAL_SAMPLES = 5_000.0  # memory of the usual mean square, over all places
 STILL_TIMES = 10.0  # so many times its longest standstill a signal stands still when it is dead
 ENOUGH_MOVES = 100  # changes of a signal, and of the others meanwhile, before it is called dead
 PAUSE_NS = 2_000_000_000  # between samples: nobody saw whether a signal stood still
 OIL_MEMORY_S = 1_800.0  # memory of the oil's usual temperature
 CAUSE_MEMORY = 1.0 - 1.0 / 1000.0  # of the sums by which causes are told apart, per sample
+AS_USUAL = 4.0  # times the usual squares: below, a block has nothing to say of causes
+HALF_FORGOTTEN = 0.5  # of the sums, at such a block: what was before a change blurs it
 LEAST_DP = 1.0  # bar
 
 # Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
@@ -40,15 +45,18 @@ CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, DIRECTIONS = range(6)
 
 # What can be the cause, in the order of `streaming.alarm_words.Cause`.
 NO_CAUSE, EDGE, METER, SIGNAL, LAG, HOT_OIL, CAUSES = range(7)
-TELLING = 0.15  # share of the squares by which a cause must explain less to be ruled out
+TELLING = 0.15  # share of the squares: two that differ by less explain the same
+RULED_OUT = 4.0  # times what the best leaves unexplained: who leaves more is not the cause
+LEFT = 0.1  # share of the squares that nobody explains: they are noise
 CLEAR = 0.1  # share that a lag must explain more to be named: what is constant looks like one
 LEAST_SHARE = 1e-6  # what an edge, a meter or an offset always may be
 OTHER_OIL_K = 3.0  # K: so far from usual the oil is named, whatever else explains the residual
 
 # Places in `Senses.memory` and `Senses.times`.
 CELL, KNOWN, BLOCK_SUM, BLOCK_N, RECENT, RECENT_N, USUAL, USUAL_N, T_USUAL, Q_BEFORE = range(10)
-SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN, MEMORY = range(10, 18)
-NEWEST, USABLE, EXCITED, LOSS_TIME, TIMES = range(5)
+SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN = range(10, 17)
+USUAL_SQUARE, USUAL_SQUARE_N, MEMORY = range(17, 20)
+NEWEST, USABLE, EXCITED, LOSS_TIME, LARGE_SINCE, LARGE_UNTIL, TIMES = range(7)
 NEVER = np.iinfo(np.int64).min
 
 
@@ -306,13 +314,23 @@ def _look_at_residual(
         memory[BLOCK_SUM] += (e - bias[c]) / np.sqrt(square[c])
         memory[BLOCK_N] += 1.0
         if memory[BLOCK_N] >= BLOCK:
-            _take_block(memory, usual_now)
+            if _take_block(memory, usual_now):
+                senses.sums[m] *= HALF_FORGOTTEN
             enough = memory[USUAL_N] >= ENOUGH_BLOCKS
             ratio = np.sqrt(memory[RECENT] / memory[USUAL]) if enough else 0.0
+            times = senses.times[m]
+            if ratio > CONFIRMED:
+                times[LARGE_SINCE] = times[LARGE_SINCE] if memory[RATIO] > CONFIRMED else t
+                times[LARGE_UNTIL] = t
             memory[RATIO] = ratio
             if _step(m, RESIDUAL, t, t, ratio, rules, conditions):
                 conditions.detail[m, RESIDUAL, 0] = np.sqrt(memory[SQUARES])
                 _name_causes(m, RESIDUAL, conditions, senses)
+    if usual_now:
+        memory[USUAL_SQUARE_N] = min(memory[USUAL_SQUARE_N] + 1.0, USUAL_SAMPLES)
+        seldom = memory[USUAL_SQUARE_N] >= KNOWN_PLACE
+        new = min(e * e, OUTLIER * memory[USUAL_SQUARE]) if seldom else e * e
+        memory[USUAL_SQUARE] += (new - memory[USUAL_SQUARE]) / memory[USUAL_SQUARE_N]
     if usual_now or weight[c] < KNOWN_PLACE:
         weight[c] = min(weight[c] + 1.0, PLACE_MEMORY)
         most = OUTLIER * square[c] if weight[c] >= KNOWN_PLACE else 1e30
@@ -322,8 +340,8 @@ def _look_at_residual(
 
 
 @njit(cache=True)
-def _take_block(memory: Floats, usual_now: bool) -> None:  # noqa: FBT001 - numba takes positions
-    """End a block: what residuals are now, and what they usually are."""
+def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
+    """End a block: what residuals are now, and usually are; whether this one is as usual."""
     mean = memory[BLOCK_SUM] / memory[BLOCK_N]
     memory[BLOCK_SUM] = memory[BLOCK_N] = 0.0
     new = mean * mean
@@ -335,6 +353,7 @@ def _take_block(memory: Floats, usual_now: bool) -> None:  # noqa: FBT001 - numb
         memory[USUAL_N] = min(memory[USUAL_N] + 1.0, USUAL_BLOCKS)
         memory[USUAL] += (new - memory[USUAL]) / memory[USUAL_N]
         memory[USUAL] = max(memory[USUAL], 1.0 / BLOCK)  # as if it were white noise
+    return bool(new < AS_USUAL * memory[USUAL])
 
 
 @njit(cache=True)
@@ -382,7 +401,7 @@ def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> 
             if shares[cause] > shares[chosen]:
                 chosen = cause
         share = min(shares[chosen], 1.0)
-        if chosen == NO_CAUSE or (share < best - TELLING and place > 0):
+        if chosen == NO_CAUSE or (place > 0 and 1.0 - share > LEFT + RULED_OUT * (1.0 - best)):
             return
         best = share if shares[chosen] <= 1.0 and best == 0.0 else best
         causes[place] = chosen
