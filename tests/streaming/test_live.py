@@ -300,7 +300,7 @@ async def test_an_end_does_not_wait_for_a_disk_that_is_too_slow(live, store, clo
     assert not await live.keep(within_s=4.2)  # what is being kept is waited for, not more
     assert clock.monotonic() - began < 5.0
     kept = store.kept
-    assert [c.estimator for c in kept] == ["RLS", "RML", "RBF", MEMORY]
+    assert {"RLS", "RML", "RBF", MEMORY} <= {c.estimator for c in kept}
     assert not await live.keep(within_s=3.0)
     assert store.kept is kept
 
