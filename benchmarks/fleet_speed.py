@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.broker import artifacts, brokers
 from support.fleet import block, group
 
-from service.fleet.blocks import SamplesBlock, write_samples
+from service.fleet.blocks import write_samples
 from service.fleet.catalogue import Catalogue, load_catalogue
 from service.fleet.result_blocks import read_results
 from service.fleet.settings import FleetConfig, load_fleet
@@ -33,7 +33,8 @@ from service.fleet.topics import create_or_check
 
 GROUPS, VALVES, SAMPLES = 8, 50, 20  # 400 valves; a block is 1,000 samples
 KINDS = {"rls": ("RLS",), "three": ("RLS", "RML", "RBF"), "default": ("RLS", "RML", "RBF", "Auto")}
-BLOCKS = {"rls": 200, "three": 80, "default": 20}  # of each group
+BLOCKS = {"rls": 150, "three": 50, "default": 10}  # of each group
+WARM = 3  # blocks of each group before anything is measured
 CACHE = Path.home() / ".cache" / "valvemap" / "kafka"
 BARS = {"rls": 500_000, "three": 180_000, "default": 40_000, "two": 800_000}
 LATENCY_S, LATENCY_HZ = 20.0, 50.0  # blocks/s: a tenth of what one worker learns
@@ -78,18 +79,25 @@ class Feeder:
         self._plant = plant
         self._producer = Producer({"bootstrap.servers": plant.broker, "compression.type": "none"})
         self._numbers = dict.fromkeys(plant.catalogue.groups, 0)
-        self._kept: dict[str, SamplesBlock] = {}
 
     def send(self, blocks: int) -> None:
+        self.send_prepared(self.prepared(blocks))
+
+    def prepared(self, blocks: int) -> list[tuple[int, bytes, bytes]]:
+        """The next blocks of each group: partition, key, message."""
+        found = []
         for _ in range(blocks):
             for partition, (name, plan) in enumerate(self._plant.catalogue.groups.items()):
                 n = self._numbers[name] = self._numbers[name] + 1
                 lengths = [SAMPLES] * len(plan.plans)
-                packed = write_samples(block(plan, n, lengths, seed=n, first=n * SAMPLES))
-                self._producer.produce(
-                    self._plant.topic("samples"), packed, name.encode(), partition
-                )
-                self._producer.poll(0)
+                packed = write_samples(block(plan, n, lengths, seed=n % 16, first=n * SAMPLES))
+                found.append((partition, name.encode(), packed))
+        return found
+
+    def send_prepared(self, messages: list[tuple[int, bytes, bytes]]) -> None:
+        for partition, key, packed in messages:
+            self._producer.produce(self._plant.topic("samples"), packed, key, partition)
+            self._producer.poll(0)
         self._producer.flush()
 
 
@@ -146,30 +154,37 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
-def rate(plant: Plant, pids: list[int], blocks: int, consumer: str) -> tuple[float, float]:
-    """Samples/s by the clock, and by the processors' time of those who learn."""
-    _until(lambda: min(learnt(plant, consumer).values()) > 0, 240.0)
-    before, began = sum(learnt(plant, consumer).values()), time.monotonic()
-    used = sum(map(cpu_s, pids))
-    _until(lambda: sum(learnt(plant, consumer).values()) >= GROUPS * blocks, 400.0, 0.02)
-    samples = (GROUPS * blocks - before) * VALVES * SAMPLES
+def rate(
+    plant: Plant, feeder: Feeder, pids: list[int], blocks: int, consumer: str
+) -> tuple[float, float]:
+    """Samples/s by the clock, and by the processors' time of those who learn.
+
+    Once they have learnt from three blocks of each group: what is done once is done then.
+    """
+    messages = feeder.prepared(blocks)
+    _until(lambda: min(learnt(plant, consumer).values()) >= WARM, 240.0)
+    began, used = time.monotonic(), sum(map(cpu_s, pids))
+    feeder.send_prepared(messages)
+    _until(lambda: min(learnt(plant, consumer).values()) >= WARM + blocks, 400.0, 0.05)
+    samples = GROUPS * blocks * VALVES * SAMPLES
     return samples / (time.monotonic() - began), samples / (sum(map(cpu_s, pids)) - used)
 
 
 def speed(folder: Path, broker: str, kind: str, workers: int) -> dict[str, float]:
     """One or two workers, and the bare client, on the same blocks."""
-    plant = set_up(folder, broker, f"{kind}{workers}", kind)
     blocks = BLOCKS[kind]
-    Feeder(plant).send(blocks)
+    plant = set_up(folder, broker, f"{kind}{workers}-bare", kind)
+    feeder = Feeder(plant)
+    feeder.send(WARM)
     file = str(plant.folder / "fleet.toml")
     with process("benchmarks.fleet_client", file, log=plant.folder / "bare.log") as pid:
-        bare, bare_cpu = rate(plant, [pid], blocks, "bare")
-    if workers == 1:
-        with worker(plant, 1) as pid:
-            ours, ours_cpu = rate(plant, [pid], blocks, "work")
-    else:
-        with worker(plant, 1) as one, worker(plant, 2) as two:
-            ours, ours_cpu = rate(plant, [one, two], blocks, "work")
+        bare, bare_cpu = rate(plant, feeder, [pid], blocks, "bare")
+    plant = set_up(folder, broker, f"{kind}{workers}", kind)
+    feeder = Feeder(plant)
+    feeder.send(WARM)
+    with ExitStack() as stack:
+        pids = [stack.enter_context(worker(plant, n)) for n in range(workers)]
+        ours, ours_cpu = rate(plant, feeder, pids, blocks, "work")
     return {
         "samples/s, by the clock": ours,
         "samples/s per worker core (processor's time)": ours_cpu,

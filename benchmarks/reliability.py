@@ -6,14 +6,18 @@ through a proxy that cuts and stalls; every sample is numbered, so every loss sh
 
 import argparse
 import asyncio
+import io
+import sqlite3
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from service.errors import StorageError
 from service.hardened import Role, UserStore
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.alignment import Alignment, AlignmentSettings
@@ -23,6 +27,7 @@ from service.streaming.ports import Checkpoint
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from support.lives import fresh, lived
+from support.plant import plant as samples_of
 from support.stream import NumberedServer, until, watching
 
 PAGE = Path(__file__).parents[1] / "docs" / "reliability.md"
@@ -140,6 +145,69 @@ def flips(count: int, seed: int) -> str:
     )
 
 
+def short_and_foreign(count: int, seed: int) -> str:
+    """A file of states that is cut short, of another program, of the format before."""
+    rng, wrong, silent, refused = np.random.default_rng(seed), 0, 0, 0
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "state.sqlite"
+        with CheckpointFile(file) as store:
+            for t in (1, 2):
+                state = bytes([t]) * 3_000
+                store.save([Checkpoint("V1", e, "k", t, state, 0.99, frozen=False) for e in "abcd"])
+        whole = file.read_bytes()
+        for part in rng.integers(1, len(whole), count).tolist():
+            file.write_bytes(whole[:part])
+            with CheckpointFile(file) as store:
+                loaded = store.load()
+                wrong += any(c.state != bytes([c.t]) * 3_000 for c in loaded)
+                silent += len(loaded) < 4 and not (store.damaged or store.set_aside)
+                if store.set_aside is not None:
+                    store.set_aside.unlink()
+        for statement in ("PRAGMA user_version = 1", "PRAGMA application_id = 7"):
+            file.write_bytes(whole)
+            with closing(sqlite3.connect(file)) as other:
+                other.execute(statement)
+            try:
+                with CheckpointFile(file) as store:
+                    refused += store.set_aside is not None
+            except StorageError:
+                refused += 1
+    return (
+        f"Cut short, {count} times: {wrong} wrong, {silent} silent. Of the format before, of "
+        f"another program: {refused} of 2 said."
+    )
+
+
+def out_of_range(count: int, seed: int) -> str:
+    """One number of what was kept changed to one that can hardly be, under a valid digest."""
+    rng, refused, crashes = np.random.default_rng(seed), 0, 0
+    learnt = fresh()
+    learnt.take_samples(0, samples_of(400))
+    kept = [*learnt.checkpoints(), *learnt.memories()]
+    for _ in range(count):
+        k = int(rng.integers(len(kept)))
+        record = np.load(io.BytesIO(kept[k].state), allow_pickle=False)
+        arrays = [n for n in record.dtype.names if record[n].size and record[n].dtype.kind in "if"]
+        name = arrays[int(rng.integers(len(arrays)))]
+        array = record[name].copy()
+        strange = (-1.0, 2.0**62) if array.dtype.kind == "i" else (np.nan, np.inf, -1e300)
+        array.reshape(-1)[int(rng.integers(array.size))] = rng.choice(strange)
+        record[name] = array
+        file = io.BytesIO()
+        np.save(file, record, allow_pickle=False)
+        hurt = list(kept)
+        hurt[k] = replace(kept[k], state=file.getvalue())
+        again = fresh()
+        try:
+            refused += bool(again.restore(hurt)[1])
+            again.take_samples(0, samples_of(50, first=400))
+        except Exception:  # noqa: BLE001 - it is counted
+            crashes += 1
+    return (
+        f"Out of range under a valid digest, {count} times: {refused} refused, {crashes} crashes."
+    )
+
+
 async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
     """All rows of the page."""
     rows = []
@@ -179,7 +247,10 @@ def main() -> None:
     given = parser.parse_args()
     rows = asyncio.run(measured(given.cuts, given.kills, given.seed))
     table = "\n".join([FIRST, "|---|---|---|---|---|", *rows])
-    text = f"{table}\n\nSeed {given.seed}. Kept states, {flips(given.flips, given.seed)}\n"
+    files = " ".join(
+        damage(given.flips, given.seed) for damage in (flips, short_and_foreign, out_of_range)
+    )
+    text = f"{table}\n\nSeed {given.seed}. Kept states, {files}\n"
     print(text)
     page = PAGE.read_text(encoding="utf-8")
     head, mark, _ = page.partition("<!-- measured -->\n")

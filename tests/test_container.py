@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from container.scada import load_project
+
 ROOT = Path(__file__).parent.parent
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
 SERVICES = COMPOSE["services"]
@@ -194,16 +196,17 @@ def test_every_container_is_locked_down(name):
     assert "data" in COMPOSE["volumes"]
 
 
-def test_there_are_four_containers_and_two_more_to_watch_them():
+def test_there_are_four_containers_and_more_to_watch_them_where_they_are_wanted():
     of_profile = {name: service.get("profiles") for name, service in SERVICES.items()}
-    monitoring = ["monitoring"]
+    monitoring, scada = ["monitoring"], ["scada"]
     assert of_profile == {
         **dict.fromkeys(["init", "rig", "service", "page"]),
         **dict.fromkeys(["prometheus", "grafana"], monitoring),
+        **dict.fromkeys(["fuxa", "fuxa-project"], scada),
     }
 
 
-@pytest.mark.parametrize("name", ["prometheus", "grafana"])
+@pytest.mark.parametrize("name", ["prometheus", "grafana", "fuxa"])
 def test_what_watches_is_locked_down_too_and_changes_nothing(name):
     container = SERVICES[name]
     assert container["read_only"] is True
@@ -218,10 +221,31 @@ def test_what_watches_is_locked_down_too_and_changes_nothing(name):
             assert source in COMPOSE["volumes"]
 
 
+def test_fuxa_s_project_is_loaded_by_a_container_that_changes_nothing_of_ours():
+    loader = SERVICES["fuxa-project"]
+    assert loader["user"] == FINAL.last("USER")
+    assert loader["read_only"] is True
+    assert loader["cap_drop"] == ["ALL"]
+    mounted = {}
+    for volume in loader["volumes"]:
+        source, target, read_only = volume.split(":")
+        assert read_only == "ro"
+        mounted[target] = source
+    assert mounted.pop("/data") == "data"
+    assert all((ROOT / source).is_file() for source in mounted.values())
+    assert set(loader["entrypoint"][1:]) == set(mounted)
+    asked = load_project.arguments([*loader["entrypoint"][2:], *loader["command"]])
+    assert asked.service == environment("page")["VALVEMAP_SERVICE_URL"]
+    assert asked.user == "dashboard"
+    assert asked.driver
+
+
 def test_ports_are_published_on_loopback_alone():
     assert "ports" not in SERVICES["init"]
-    ports = {"rig": 4840, "service": 4841, "page": 8080, "prometheus": 9090, "grafana": 3000}
-    for name, port in ports.items():
+    assert "ports" not in SERVICES["fuxa-project"]
+    ports = {"rig": 4840, "service": 4841, "page": 8080}
+    watching = {"prometheus": 9090, "grafana": 3000, "fuxa": 1881}
+    for name, port in {**ports, **watching}.items():
         (published,) = SERVICES[name]["ports"]
         assert re.fullmatch(rf"127\.0\.0\.1:\$\{{\w+:-{port}\}}:{port}", published)
 

@@ -2,7 +2,9 @@
 
 from enum import StrEnum
 
-from service.app.page_access import SERVICE_NAMESPACE, Watched, settings_of
+from service.app.page_access import Watched, settings_of
+from service.errors import CommandRejected
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.opcua.results_client import ResultsClient
 
 
@@ -23,6 +25,9 @@ _METHODS = {
 }
 
 
+_INVALID_STATE = "BadInvalidState"
+
+
 async def act(service: Watched, valve: str, action: Action, estimator: str = "Auto") -> str:
     """Do it, and say how the valve stands then, in a line.
 
@@ -32,20 +37,37 @@ async def act(service: Watched, valve: str, action: Action, estimator: str = "Au
         if the service refuses it: in its words.
     SourceLost, SourceRejected
     """
-    client, node = ResultsClient(settings_of(service), SERVICE_NAMESPACE), f"{valve}.Baseline"
+    client = ResultsClient(settings_of(service), SERVICE_NAMESPACE)
     await client.connect()
     try:
-        if action is Action.COMPARE:
-            ((mean, largest, U, dp, points),) = await client.call(node, "Compare", [[estimator]])
-            return (
-                f"{valve}.{estimator}: {mean:+.3g} l/min on average, {largest:+.3g} at most (at "
-                f"U = {U:.3g} %, dp = {dp:.3g} bar), at {points} points"
-            )
-        if action in _METHODS:
-            await client.call(node, _METHODS[action], [[]])
-        version, digest = await client.read([f"{node}.Version", f"{node}.DataHash"])
-        if not version.value:
-            return f"{valve}: no map is approved"
-        return f"{valve}: builds on {version.value}, SHA-256 {digest.value}"
+        return await _done(client, valve, action, estimator)
+    except CommandRejected as refusal:
+        raise await _in_its_words(client, valve, refusal) from None
     finally:
         await client.close()
+
+
+async def _done(client: ResultsClient, valve: str, action: Action, estimator: str) -> str:
+    node = f"{valve}.Baseline"
+    if action is Action.COMPARE:
+        ((mean, largest, U, dp, points),) = await client.call(node, "Compare", [[estimator]])
+        return (
+            f"{valve}.{estimator}: {mean:+.3g} l/min on average, {largest:+.3g} at most (at "
+            f"U = {U:.3g} %, dp = {dp:.3g} bar), at {points} points"
+        )
+    if action in _METHODS:
+        await client.call(node, _METHODS[action], [[]])
+    version, digest = await client.read([f"{node}.Version", f"{node}.DataHash"])
+    if not version.value:
+        return f"{valve}: no map is approved"
+    return f"{valve}: builds on {version.value}, SHA-256 {digest.value}"
+
+
+async def _in_its_words(
+    client: ResultsClient, valve: str, refusal: CommandRejected
+) -> CommandRejected:
+    """Why the service refused: a method's StatusCode does not say it."""
+    if _INVALID_STATE not in str(refusal):
+        return refusal
+    (said,) = await client.read([f"{valve}.Baseline.LastRefusal"])
+    return CommandRejected(str(said.value)) if said.value else refusal

@@ -23,6 +23,8 @@ from service.hardened import (
 from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from service.opcua.namespaces import SERVICE_NAMESPACE
+from service.storage.history import HistoryFile
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
@@ -36,7 +38,7 @@ from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
 
-APPLICATION_URI = "urn:valvemap:service"
+APPLICATION_URI = SERVICE_NAMESPACE
 APPLICATION_NAME = "valvemap service"
 PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 
@@ -139,6 +141,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
         publishing_interval_ms=config.source.publishing_interval_ms,
         queue_size=config.source.queue_size,
         history_s=config.source.history_s,
+        warm_start_s=config.source.warm_start_s,
         timeout_s=config.source.timeout_s,
     )
     nodes = [
@@ -180,6 +183,14 @@ def build_server_settings(config: Config) -> ServerSettings:
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
         product=PRODUCT,
     )
+
+
+def build_history(config: Config) -> HistoryFile | None:
+    """The file of what signals and results have been, if there is to be one."""
+    given = config.history
+    if given.file is None:
+        return None
+    return HistoryFile(given.file, given.keep_days * 86_400.0, given.most_mb * 1_000_000)
 
 
 def load_users(file: Path) -> UserStore:

@@ -5,15 +5,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from service.app.page_access import SERVICE_NAMESPACE, Watched, settings_of
+from service.app.page_access import Watched, settings_of
 from service.clock import SystemClock
 from service.dashboard.ports import Client
 from service.dashboard.server import open_socket, serve, url_of
 from service.dashboard.settings import PageSettings
 from service.dashboard.web import Page
+from service.opcua.namespaces import RIG_NAMESPACE, SERVICE_NAMESPACE
 from service.opcua.results_client import ResultsClient
 
-_RIG_NAMESPACE = "urn:valvemap:rig"
 _TIMEOUT_S = 3.0  # for every answer: a service that is gone shows after so long
 
 
@@ -40,7 +40,7 @@ async def run_dashboard(
         rig = None if rig_url is None else replace(own, url=rig_url)
         return (
             ResultsClient(own, SERVICE_NAMESPACE),
-            None if rig is None else ResultsClient(rig, _RIG_NAMESPACE),
+            None if rig is None else ResultsClient(rig, RIG_NAMESPACE),
         )
 
     clock = SystemClock()

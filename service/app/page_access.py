@@ -7,8 +7,6 @@ from service.app.identities import PAGE_NAME, PAGE_URI
 from service.hardened.security.certificates import Pki, ensure_certificate
 from service.opcua.results_client import Security, SourceSettings
 
-SERVICE_NAMESPACE = "urn:valvemap:service"
-
 
 @dataclass(frozen=True)
 class Watched:

@@ -65,6 +65,28 @@ async def record(
     return recorder.samples
 
 
+async def record_history(
+    config: Config,
+    file: Path,
+    start: int,
+    stop: int,
+    progress: Callable[[int], None] = lambda _samples: None,
+) -> int:
+    """Write to ``file`` what the source remembers of a span of time (UTC ns), as `record` would.
+
+    Raises
+    ------
+    SourceError, StorageError, RecordingError
+    """
+    with RecordingWriter(file) as writer:
+        recorder = _Recorder(config, writer, progress)
+        async for changes in build_source(config).recall(start, stop):
+            await recorder.take(changes)
+        recorder.finish()
+    recorder.write_timing(file)
+    return recorder.samples
+
+
 class _Recorder:
     """Fulfils :class:`service.streaming.supervisor.Consumer`."""
 

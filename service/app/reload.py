@@ -64,10 +64,14 @@ def check_what_stays(before: Config, config: Config) -> None:
     ConfigurationError
         naming the field.
     """
-    if config.state.file != before.state.file:
-        raise ConfigurationError(
-            f"state.file = '{config.state.file}': cannot change while the service runs; restart it"
-        )
+    for name, old, new in (
+        ("state.file", before.state.file, config.state.file),
+        ("history", before.history, config.history),
+    ):
+        if new != old:
+            raise ConfigurationError(
+                f"{name} = '{new}': cannot change while the service runs; restart it"
+            )
 
 
 def in_one_line(error: Exception) -> str:

@@ -2,11 +2,13 @@
 
 import asyncio
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import structlog
 
 from service.app.build import (
+    build_history,
     build_identification,
     build_live_settings,
     build_server_settings,
@@ -24,8 +26,10 @@ from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
 from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
+from service.storage.history import HistoryFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
+from service.streaming.past import PastKeeper
 from service.streaming.ports import Checkpoint
 from service.streaming.sources import Sources, supervise_all
 
@@ -71,12 +75,15 @@ async def serve(
     plan: _Plan | None = _plan(config, server_settings, identification)
     before: _Plan | None = None
     known: list[Checkpoint] = []
-    with CheckpointFile(config.state.file) as store:
+    with CheckpointFile(config.state.file) as store, ExitStack() as opened:
+        past = build_history(config)
+        if past is not None:
+            opened.enter_context(past)
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
         while plan is not None:
             try:
-                following, states = await _live(plan, store, stop, on_samples, reload, known)
+                following, states = await _live(plan, store, past, stop, on_samples, reload, known)
             except (ValvemapError, HardenedError) as error:
                 if before is None or stop.is_set():
                     raise
@@ -136,6 +143,7 @@ def _plan(
 async def _live(
     plan: _Plan,
     store: CheckpointFile,
+    past: HistoryFile | None,
     stop: asyncio.Event,
     on_samples: SampleTap | None,
     reload: Reload,
@@ -149,6 +157,7 @@ async def _live(
         plan.identification,
         scalars_interval_s=config.server.results_interval_ms * 1e-3,
         on_reload=reload.call,
+        past=past,
     )
     live = LiveService(
         plan.identification,
@@ -158,6 +167,7 @@ async def _live(
         clock,
         build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
+        None if past is None else PastKeeper(past, [valve.name for valve in config.valves]),
     )
     ended = asyncio.Event()
     async with server:

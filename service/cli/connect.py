@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -135,12 +136,18 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
 
 
 def _table(found: "Found") -> Table:
-    table = Table(title="Valves, and what was seen of their signals", title_justify="left")
-    for heading in ("valve", "signal", "node"):
-        table.add_column(heading, overflow="fold")
-    for heading in ("rate, Hz", "skew, ms", "comes", "good, %", "mean", "noise"):
-        table.add_column(heading, justify="right")
+    """What was seen; narrow enough for a terminal of 80 columns where names are short."""
+    beginning = _beginning([node.node for valve in found.valves for node in valve.nodes.values()])
+    nodes = f"; nodes begin with {beginning}" if beginning else ""
+    table = Table(
+        title=f"What was seen{nodes}", title_justify="left", box=SIMPLE_HEAD, pad_edge=False
+    )
+    table.add_column("signal", no_wrap=True)
+    for heading in ("rate\nHz", "skew\nms", "comes", "good\n%", "mean", "noise"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("node", overflow="fold")
     for valve in found.valves:
+        table.add_row(f"[bold]{valve.name}[/]")
         for role, node in valve.nodes.items():
             seen = found.watched.get(valve.name, {}).get(role)
             figures = ["", "", "", "", "", ""]
@@ -149,8 +156,18 @@ def _table(found: "Found") -> Table:
                 numbers = seen.rate_hz, seen.skew_ms, 100.0 * seen.good, seen.mean, seen.noise
                 rate, skew, good, mean, noise = (f"{number:.3g}" for number in numbers)
                 figures = [rate, skew, comes, good, mean, noise]
-            table.add_row(valve.name, role, node.node, *figures)
+            table.add_row(role, *figures, node.node.removeprefix(beginning))
     return table
+
+
+def _beginning(nodes: list[str]) -> str:
+    """What all NodeIds begin with, up to and with ``s=`` or ``i=``; none where they differ.
+
+    >>> _beginning(["nsu=urn:plc;s=FCV.U", "nsu=urn:plc;s=FCV.Q"])
+    'nsu=urn:plc;s='
+    """
+    found = {node[: node.find(";", 1) + 3] for node in nodes if node[:2] == "ns"}
+    return found.pop() if len(found) == 1 else ""
 
 
 def _write(file: Path, text: str) -> None:

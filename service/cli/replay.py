@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.cli.history import recordings_of
 from service.cli.options import ConfigOption, check_folder
 from service.cli.progress import bars, of_files, working
 from service.config.loading import load_config
@@ -19,7 +20,12 @@ if TYPE_CHECKING:
 
 
 def replay(
-    files: Annotated[list[Path], typer.Argument(help="Recordings, in the order of their time.")],
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            help="Recordings, in the order of their time; or the url of a server with a history.",
+        ),
+    ],
     config: ConfigOption = None,
     verify: Annotated[
         Path | None,
@@ -40,6 +46,13 @@ def replay(
             metavar="DIR", help="Draw what was identified: PNG files, and index.html with all."
         ),
     ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--from", metavar="T", help="Of a history: first time, ISO 8601 or UTC ns."),
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", metavar="T", help="Of a history: last time; none = now.")
+    ] = None,
     *,
     insist: Annotated[
         bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
@@ -57,9 +70,9 @@ def replay(
     check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
     plots = None if plot is None else ReplayPlots(plot)
-    with bars() as progress:
+    with recordings_of(files, config, since, until) as recordings, bars() as progress:
         taps = [] if plots is None else [plots.take]
-        report = run(files, loaded, verify, of_files(progress), *taps, insist=insist)
+        report = run(recordings, loaded, verify, of_files(progress), *taps, insist=insist)
     console = Console()
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
     tables = [verification_table("One step ahead, before each update", one_step)]
@@ -81,7 +94,7 @@ def replay(
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         with working("drawing"):
             pictures = list(plots.write(lanes))
-            title = f"Replay of {', '.join(file.name for file in files)}"
+            title = f"Replay of {', '.join(Path(file).name for file in files)}"
             page = write_page(plot, title, tables, notes, pictures)
         for written in (*pictures, page):
             console.print(f"written: {written}", soft_wrap=True)

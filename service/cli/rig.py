@@ -17,13 +17,14 @@ from service.cli.progress import bars
 from service.config.models import LogConfig
 from service.hardened import Limits, Pki, Role, ServerSettings, UserStore
 from service.identification.samples import Samples
+from service.opcua.namespaces import RIG_NAMESPACE
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import Fleet, Scenario, load_scenario
 from virtual_rig.server import RigServer
 from virtual_rig.simulation import RigBlock, advance, initial
 
 URL = "opc.tcp://127.0.0.1:4840/valvemap/rig/"
-APPLICATION_URI = "urn:valvemap:rig"
+APPLICATION_URI = RIG_NAMESPACE
 APPLICATION_NAME = "valvemap rig"
 
 _BLOCK = 1_000

@@ -25,6 +25,7 @@ from service.hardened import (
     rejected,
     thumbprint,
 )
+from service.hardened.logs import escaped
 from service.hardened.security.certificate_rules import Use, name_of
 from service.hardened.security.certificates import trust as trust_certificate
 from service.hardened.security.peer_certificates import PeerTrust
@@ -89,7 +90,7 @@ def trust(
         return
     if certificate is None:
         for file in rejected(pki):
-            typer.echo(file.name)
+            typer.echo(f"{file.stem}  {escaped(load_certificate(file).subject.rfc4514_string())}")
         return
     typer.echo(f"trusted: {trust_certificate(pki, certificate)}")
 

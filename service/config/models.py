@@ -72,6 +72,12 @@ class SourceConfig(_Section):
         le=2_592_000.0,
         description="how far back its history is asked for what was not heard; 0 = never",
     )
+    warm_start_s: float = Field(
+        0.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how much of its history is learnt at the first start, before what comes",
+    )
     timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
     startup_timeout_s: float = Field(
         10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
@@ -127,6 +133,20 @@ class StateConfig(_Section):
     file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
     checkpoint_interval_s: float = Field(
         10.0, ge=0.1, le=86_400.0, description="how often states are kept"
+    )
+
+
+class HistoryConfig(_Section):
+    """What signals and results have been, for trends that reach back."""
+
+    file: Path | None = Field(
+        None, description="SQLite file of the history; none: there is no history"
+    )
+    keep_days: float = Field(
+        7.0, gt=0.0, le=3_650.0, description="what is older is forgotten, in days"
+    )
+    most_mb: int = Field(
+        2_000, ge=10, le=1_000_000, description="the oldest goes where the file is larger, in MB"
     )
 
 
@@ -434,6 +454,7 @@ class Config(BaseSettings):
     server: ServerConfig = ServerConfig()
     security: SecurityConfig = SecurityConfig()
     state: StateConfig = StateConfig()
+    history: HistoryConfig = HistoryConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     log: LogConfig = LogConfig()
     recording: RecordingConfig = RecordingConfig()

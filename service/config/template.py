@@ -40,6 +40,11 @@ users = {quoted(data / "users.json")}
 file = {quoted(data / "state.sqlite")}
 checkpoint_interval_s = 10
 
+[history] # what signals and results have been, for trends that reach back (HistoryRead)
+file = {quoted(data / "history.sqlite")}
+keep_days = 7
+most_mb = 2000
+
 [alignment] # which signals make one sample
 # How signals come that carry no common time is found at the start; these two say it instead.
 # tolerance_ms = 6 # of the times of one sample

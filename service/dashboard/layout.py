@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 ROOT = "Identification"
-NO_ESTIMATORS = frozenset({"Inverse", "Diagnostics", "Signals", "Alarms"})
+NO_ESTIMATORS = frozenset({"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline"})
 PREFERRED = "Auto"
 
 _LIVE = ("Signals.", "Diagnostics.SampleAge")

@@ -26,6 +26,8 @@ from service.identification.samples import Floats
 from service.identification.survey import Survey
 from service.streaming.ports import (
     SIGNALS,
+    AlarmReport,
+    AlarmResults,
     EstimatorResults,
     InverseResults,
     Results,
@@ -44,6 +46,13 @@ _CHANGE: Final = pa.struct(
     [("count", pa.int64()), ("sample", pa.int64()), ("t", pa.int64()), ("size", pa.float64())]
 )
 _BASELINE: Final = pa.struct([("version", pa.string()), ("t", pa.int64()), ("digest", pa.string())])
+_ALARMS: Final = pa.list_(
+    pa.struct(
+        [("name", pa.string()), ("active", pa.bool_()), ("acked", pa.bool_())]
+        + [(name, pa.int64()) for name in ("severity", "since", "at", "count")]
+        + [("text", pa.string())]
+    )
+)
 _NO_TABLE: Final = np.empty((0, 0))
 
 
@@ -94,6 +103,9 @@ def write_results(block: ResultsBlock) -> bytes:
     columns["waiting"] = _lists(found.waiting or [()] * M)
     columns["timing"] = _lists(found.timing or [()] * M)
     columns["baseline"] = _structs(found.baselines or [None] * M, _BASELINE)
+    if found.alarms is not None:
+        columns["alarms.version"] = pa.array(np.asarray(found.alarms.version, np.int64))
+        columns["alarms.reports"] = _reports(found.alarms)
     shapes = {table.shape for table in found.inverse.map_U if table.size}
     more = {
         "estimators": list(found.estimators),
@@ -144,6 +156,7 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
         signals=_signals(batch),
         waiting=[tuple(row) for row in batch_column(batch, "waiting", _NAMES).to_pylist()],
         timing=[tuple(row) for row in batch_column(batch, "timing", _NAMES).to_pylist()],
+        alarms=_alarms(batch),
         baselines=[_version(row) for row in _objects(batch, "baseline", _BASELINE)],
     )
     names = tuple(batch_column(batch, "valve", pa.string()).to_pylist())
@@ -159,6 +172,25 @@ def _signals(batch: pa.RecordBatch) -> SignalResults | None:
         quality=_plain(pa.uint8()).values(batch, "signals.quality"),
         values=np.stack(columns, axis=1),
     )
+
+
+def _reports(alarms: AlarmResults) -> pa.Array:
+    """Of valves at which any alarm ever came; of others there is nothing to say."""
+    rows = [
+        [vars(report) for report in alarms.reports(m)] if version else None
+        for m, version in enumerate(alarms.version.tolist())
+    ]
+    return pa.array(rows, _ALARMS)
+
+
+def _alarms(batch: pa.RecordBatch) -> AlarmResults | None:
+    if "alarms.version" not in batch.schema.names:
+        return None
+    rows = [
+        tuple(AlarmReport(**report) for report in row or ())
+        for row in _objects(batch, "alarms.reports", _ALARMS)
+    ]
+    return AlarmResults(_plain(pa.int64()).values(batch, "alarms.version"), rows.__getitem__)
 
 
 class _Form(NamedTuple):

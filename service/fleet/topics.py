@@ -1,11 +1,12 @@
 """The fleet's topics: made where they are missing, checked where they are there."""
 
 import logging
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from confluent_kafka import KafkaException
+from confluent_kafka import KafkaError, KafkaException
 from confluent_kafka.admin import AdminClient, ConfigResource, NewTopic, ResourceType
 
 from service.errors import FleetError
@@ -18,6 +19,7 @@ RESULTS: Final = "results"
 STATE: Final = "state"  # Quix Streams' changelog
 WORKERS: Final = "work"  # the workers' consumer group, named after the prefix, too
 _MS_PER_H: Final = 3_600_000
+_LOOK_AGAIN_S: Final = 0.1
 _SMALLEST_SEGMENT: Final = 16_000_000  # bytes: what is compacted is so in pieces of that size
 
 
@@ -73,17 +75,18 @@ def create_or_check(config: FleetConfig) -> Iterator[str]:
         if the broker cannot be reached or refuses; at the end, a line for each contradiction.
     """
     broker = config.broker
-    admin = _admin(broker)
+    admin, topics = _admin(broker), wanted(config.topics)
     with speaking_to(broker):
         there = admin.list_topics(timeout=broker.timeout_s).topics
-    topics = wanted(config.topics)
     missing = [topic for topic in topics if topic.name not in there]
-    for topic in missing:
-        _create(admin, topic, broker)
+    made = [topic for topic in missing if _create(admin, topic, broker)]
+    for topic in made:
         yield f"{topic.name}: made, {topic.partitions} partitions on {topic.replication} brokers"
+    if missing:
+        there = _all_there(admin, topics, broker)
     against: list[str] = []
     for topic in topics:
-        if topic in missing:
+        if topic in made:
             continue
         found = contradictions(topic, _as_it_is(admin, topic.name, there[topic.name], broker))
         if not found:
@@ -156,7 +159,8 @@ def _admin(broker: BrokerConfig) -> AdminClient:
     return AdminClient(client_settings(broker), logger=quiet)
 
 
-def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> None:
+def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> bool:
+    """Make a topic; False if somebody has made it meanwhile."""
     new = NewTopic(
         topic.name,
         num_partitions=topic.partitions,
@@ -167,7 +171,24 @@ def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> None:
         for outcome in admin.create_topics([new], request_timeout=broker.timeout_s).values():
             outcome.result()
     except KafkaException as error:
+        if error.args[0].code() == KafkaError.TOPIC_ALREADY_EXISTS:
+            return False
         raise FleetError(f"{topic.name}: cannot be made: {reason(error)}") from None
+    return True
+
+
+def _all_there(admin: AdminClient, topics: list[Topic], broker: BrokerConfig) -> dict[str, Any]:
+    """All topics, once the brokers know of those that were made."""
+    end = time.monotonic() + broker.timeout_s
+    while True:
+        with speaking_to(broker):
+            there: dict[str, Any] = admin.list_topics(timeout=broker.timeout_s).topics
+        missing = [topic.name for topic in topics if topic.name not in there]
+        if not missing:
+            return there
+        if time.monotonic() > end:
+            raise FleetError(f"{missing[0]}: made, but the brokers do not know it yet; try again")
+        time.sleep(_LOOK_AGAIN_S)
 
 
 def _as_it_is(admin: AdminClient, name: str, there: Any, broker: BrokerConfig) -> Topic:  # noqa: ANN401

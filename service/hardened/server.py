@@ -121,7 +121,7 @@ class HardenedServer(Startable):
             self._clock,
             limits.audit_events_per_second,
         )
-        self._histories = Histories(limits)
+        self._histories = Histories(limits, aspace)
         self._services = Services(
             limits,
             self._clock,

@@ -30,6 +30,16 @@ class SensorAccuracy:
         """Whether any sensor is said to be off."""
         return any(astuple(self))
 
+    def beside(self, *limits: float) -> "SensorAccuracy":
+        """The same, and beside it what is anywhere within other limits ± alike, by signal.
+
+        Examples
+        --------
+        >>> SensorAccuracy(p1=3.0).beside(0.0, 4.0, 0.0, 0.5, 0.0)
+        SensorAccuracy(U=0.0, p1=5.0, p2=0.0, Q=0.5, T=0.0)
+        """
+        return SensorAccuracy(*map(math.hypot, astuple(self), limits))
+
 
 EXACT = SensorAccuracy()
 

@@ -1,7 +1,7 @@
 """The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
 
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 
 from asyncua import ua
@@ -18,8 +18,9 @@ from service.opcua.connection import (
     status_name,
 )
 from service.opcua.decoding import overflown
-from service.opcua.history import Holes, Knowledge, SourceHistory
+from service.opcua.history import NEVER, Holes, Knowledge, SourceHistory
 from service.opcua.position import Mark, Position, position_from_bytes, position_to_bytes
+from service.opcua.recall import recall
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
@@ -135,7 +136,7 @@ class OpcUaSource:
             await (connection.hang_up() if self.is_held else connection.close())
             raise
         self._connection, self._subscription = connection, subscription
-        if self._settings.history_s > 0.0:
+        if self._history_s > 0.0:
             self._history.over(connection, (item.node for item in subscription.items))
         self._started = source_clock.started
 
@@ -173,6 +174,10 @@ class OpcUaSource:
             return DataChanges.concatenate([part.changes for part in parts])
         return await self._missed(self._parts[0])
 
+    @property
+    def _history_s(self) -> float:
+        return max(self._settings.history_s, self._settings.warm_start_s)
+
     def _holes_before(self, part: Part) -> Holes:
         """What the source's history may know of the time before a message."""
         known, changes = self._knowledge, part.changes
@@ -184,7 +189,7 @@ class OpcUaSource:
             known.doubt(changes.item[overflown(changes.status)])
         if not known.doubtful.any():
             return Holes.none()
-        return known.holes(changes, round(self._settings.history_s * 1e9))
+        return known.holes(changes, round(self._history_s * 1e9))
 
     async def _missed(self, part: Part) -> DataChanges:
         """The oldest of what was missed before a message; nothing where nobody knows of it."""
@@ -240,6 +245,23 @@ class OpcUaSource:
         connection = await open_connection(self._settings)
         try:
             await check_units(connection, self._valves, await check_nodes(connection, self._valves))
+        finally:
+            await connection.close()
+
+    async def recall(self, start: int, stop: int) -> AsyncIterator[DataChanges]:
+        """Yield what the source's history has of a span of time (UTC ns), and leave.
+
+        Raises
+        ------
+        SourceLost, SourceRejected, CertificateError
+            as :meth:`connect`; or if it keeps no history.
+        """
+        connection = await open_connection(self._settings)
+        try:
+            nodes = await check_nodes(connection, self._valves)
+            await check_units(connection, self._valves, nodes)
+            async for changes in recall(connection, nodes.monitored, start, stop):
+                yield self._scales(changes)
         finally:
             await connection.close()
 
@@ -391,6 +413,7 @@ class OpcUaSource:
 
     async def _subscribe(self, connection: Connection) -> Subscription:
         nodes = await self._check_nodes(connection)
+        self._begin_earlier(nodes.monitored)
         self._knowledge.doubt()
         return await subscribe(
             connection,
@@ -399,6 +422,13 @@ class OpcUaSource:
             self._clock,
             hold_back=self._holds_back,
         )
+
+    def _begin_earlier(self, nodes: Sequence[MonitoredNode]) -> None:
+        """At a first start, go on as if we had heard the source some time ago."""
+        known_to, warm_start_s = self._knowledge.known_to, self._settings.warm_start_s
+        if warm_start_s > 0.0 and (known_to == NEVER).all():
+            now = self._clock.now() + round(self._clock_offset_s * 1e9)
+            known_to[[node.item for node in nodes]] = now - round(warm_start_s * 1e9)
 
     def _estate(self) -> Estate:
         return Estate(

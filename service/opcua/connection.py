@@ -118,6 +118,7 @@ class SourceSettings:
     publish_requests: int = 10
     buffer_limit: int = 1_000_000
     history_s: float = 3_600.0
+    warm_start_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check what goes together.

@@ -26,10 +26,11 @@ from service.hardened import Unit
 from service.identification.adaptation import Adaptation
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Status
+from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import EstimatorDescription, ValveDescription
 
-NAMESPACE = "urn:valvemap:service"
+NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
 INVERSE = "Inverse"
 DIAGNOSTICS = "Diagnostics"
@@ -360,6 +361,11 @@ def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
             f"{prefix}.Time", "Time of the newest sample behind it.", ua.VariantType.DateTime
         ),
         VariableNode(f"{prefix}.DataHash", "SHA-256 of all that it holds.", ua.VariantType.String),
+        VariableNode(
+            f"{prefix}.LastRefusal",
+            "Why the last action on it that was refused was; empty: none was.",
+            ua.VariantType.String,
+        ),
     )
 
 
@@ -550,6 +556,21 @@ def service_variables() -> dict[str, tuple[VariableNode, ...]]:
                 counts,
             ),
             VariableNode(f"{SERVICE}.Checkpoint.Size", "Bytes that they take on disk.", counts),
+        ),
+        f"{SERVICE}.History": (
+            VariableNode(
+                f"{SERVICE}.History.Lost",
+                "Rows of the history that found no room, or that the disk did not take.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.History.Failures",
+                "How often the history could not be kept since the service started.",
+                counts,
+            ),
+            VariableNode(
+                f"{SERVICE}.History.Size", "Bytes that it takes on disk; 0: there is none.", counts
+            ),
         ),
         f"{SERVICE}.Source": (
             VariableNode(

@@ -176,6 +176,9 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
         ("Source.MissingMessages", health.source.missing_messages),
         ("Source.Undecodable", health.source.undecodable),
         ("Source.FromHistory", health.source.from_history),
+        ("History.Lost", health.history.lost),
+        ("History.Failures", health.history.failures),
+        ("History.Size", health.history.bytes),
     ):
         yield f"{SERVICE}.{name}", count, int(_Codes.Good)
     yield f"{SERVICE}.Source.States", list(health.source_states), int(_Codes.Good)

@@ -70,6 +70,7 @@ from service.opcua.information_model import (
     timing_variable,
     waiting_variable,
 )
+from service.opcua.past import ResultsPast, has_past
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.opcua.result_values import (
@@ -87,6 +88,7 @@ from service.streaming.ports import (
     EstimatorDescription,
     Health,
     Operator,
+    PastStore,
     Results,
     ValveDescription,
 )
@@ -95,6 +97,7 @@ __all__ = ["NAMESPACE", "ResultsServer"]
 
 _PARTS = {
     f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
+    f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
 _AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
@@ -131,6 +134,8 @@ class ResultsServer(Startable):
         all. What is Bad never waits.
     on_reload
         Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
+    past
+        What signals and results have been; None: that cannot be asked.
     """
 
     def __init__(
@@ -141,6 +146,7 @@ class ResultsServer(Startable):
         clock: Clock | None = None,
         scalars_interval_s: float = 0.0,
         on_reload: Callable[[], Awaitable[None]] | None = None,
+        past: PastStore | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -155,6 +161,7 @@ class ResultsServer(Startable):
         self._sequences = np.zeros(len(self._valves), np.int64)
         self._scalars_interval_s = scalars_interval_s
         self._on_reload = on_reload
+        self._past = None if past is None else ResultsPast(past)
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
@@ -570,6 +577,8 @@ class ResultsServer(Startable):
             type_definition=type_definition,
         )
         self._variables[node.id] = variable
+        if self._past is not None and has_past(node.id):
+            server.add_history([variable], self._past)
         valve, _, name = node.id.partition(".")
         if node.id in self._not_shown:
             self._show(server, valve, self._not_shown.pop(node.id))
@@ -610,6 +619,7 @@ class ResultsServer(Startable):
         try:
             found = self._operator.compare(valve, estimator)
         except CommandRejected as rejected:
+            self._note_refusal(valve, str(rejected))
             raise Refused(str(rejected)) from rejected
         return found.mean, found.largest, found.U, found.dp, found.points
 
@@ -640,7 +650,12 @@ class ResultsServer(Startable):
         valve, _, part = prefix.partition(".")
 
         def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
-            _refusing(function)(*arguments)
+            try:
+                _refusing(function)(*arguments)
+            except Refused as refusal:
+                if part == BASELINE:
+                    self._note_refusal(valve, str(refusal))
+                raise
             given = "".join(f" {argument:g}" for argument in arguments)
             self._note(valve, f"{part} {name}{given}")
 
@@ -659,6 +674,12 @@ class ResultsServer(Startable):
         if self._server is not None:
             said = f"{caller()}: {action}"
             new = Shown(LAST_ACTION, said, ua.StatusCodes.Good, self._clock.now())
+            self._show(self._server, valve, new)
+
+    def _note_refusal(self, valve: str, why: str) -> None:
+        """Show why an action on the baseline was refused: a StatusCode alone does not say it."""
+        if self._server is not None:
+            new = Shown(f"{BASELINE}.LastRefusal", why, ua.StatusCodes.Good, self._clock.now())
             self._show(self._server, valve, new)
 
     def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:

@@ -27,6 +27,7 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.adaptation import Adaptation
 from service.identification.estimator import State, StateMismatchError
@@ -334,6 +335,11 @@ class Alarms:
                 raise StateMismatchError(f"alarms are kept in another way today: {name}")
         for f in fields(kept):
             arrays[f.name][m] = getattr(kept, f.name)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All that the alarms are and rest on, each (M, …): the arrays themselves."""
+        own = {**self._conditions._asdict(), **self._senses._asdict()}
+        return {**own, "patient": self._patient}
 
     def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
         t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)

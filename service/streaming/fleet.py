@@ -171,6 +171,7 @@ class Fleet:
         names = tuple(valves)
         return [
             Columns(self._key, names, {**gate, **own, "demand": self._demand}),
+            Columns("alarms", names, {**self.alarms.columns(), "misfit_due": self._misfit_due}),
             *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
         ]
 

@@ -28,6 +28,7 @@ from service.identification.samples import (
     Times,
     Trace,
 )
+from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.survey import Survey
 from service.streaming import pipeline
 from service.streaming.alarms import (
@@ -69,7 +70,7 @@ from service.streaming.ports import (
     ValveDescription,
     ValveResult,
 )
-from service.streaming.quality_gate import QualityGate
+from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.timing import Timing, TimingSettings, TimingState
 from service.streaming.valve_columns import Columns, copy_rows
 from service.streaming.valve_memory import ValveMemory
@@ -286,13 +287,25 @@ class Identification:
 
     def lane(self, valve: str, estimator: str) -> Lane:
         """One estimator as it stands."""
-        fleet, m = self._at(self._numbers[valve])
-        return fleet.lane(m, estimator)
+        number = self._numbers[valve]
+        fleet, m = self._at(number)
+        return replace(fleet.lane(m, estimator), accuracy=self._accuracy(number))
 
     def state(self, valve: int) -> ValveState:
         """One valve as it stands."""
         fleet, m = self._at(valve)
-        return fleet.state(m)
+        state, accuracy = fleet.state(m), self._accuracy(valve)
+        if accuracy == fleet.plan.accuracy:
+            return state
+        lanes = {n: replace(lane, accuracy=accuracy) for n, lane in state.lanes.items()}
+        return replace(state, lanes=lanes)
+
+    def _accuracy(self, valve: int) -> SensorAccuracy:
+        """What the sensors may be off by, and within what their signals may move unseen."""
+        stated, found = self.plans[valve].accuracy, self._timing.valves[valve].found
+        if found is None or not found.deadband.any():
+            return stated
+        return stated.beside(*found.deadband[: len(SENSORS)].tolist())
 
     def refresh_maps(self, share: float = 1.0) -> None:
         """Compute the next inverse tables and surveys anew; results show the newest of them.
@@ -375,12 +388,16 @@ class Identification:
     def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
         """What the sensors' errors make of the flow at the newest sample of each valve, l/min."""
         found = np.full(len(valves), np.nan)
-        if not fleet.plan.accuracy.is_stated:
-            return found
+        stated = fleet.plan.accuracy.is_stated
         for k, valve in enumerate(valves):
+            if not stated and self._timing.valves[valve].found is None:
+                continue
+            accuracy = self._accuracy(int(valve))
+            if not accuracy.is_stated:
+                continue
             newest = dict(zip(SIGNALS, self._newest.values[valve], strict=True))
             point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
-            lane = fleet.lane(int(self._member_of[valve]), name)
+            lane = replace(fleet.lane(int(self._member_of[valve]), name), accuracy=accuracy)
             (found[k],) = pipeline.systematic(lane, *point)
         return found
 

@@ -24,12 +24,14 @@ from service.streaming.feedforward import (
     written,
 )
 from service.streaming.identification import MAPS_AT_ONCE, Identification
+from service.streaming.past import PastKeeper
 from service.streaming.ports import (
     AlarmReport,
     AllSources,
     Checkpoint,
     CheckpointStore,
     Health,
+    PastCounters,
     ResultSink,
 )
 
@@ -96,6 +98,7 @@ class LiveService:
         clock: Clock,
         settings: LiveSettings,
         on_samples: Callable[[str, Samples], None] | None = None,
+        past: PastKeeper | None = None,
     ) -> None:
         self.identification = identification
         self._source = source
@@ -104,6 +107,7 @@ class LiveService:
         self._clock = clock
         self._settings = settings
         self._on_samples = on_samples
+        self._past = past
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
         self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
@@ -197,6 +201,8 @@ class LiveService:
         steady = ~self.identification.holds()[members]
         self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
         self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
+        if self._past is not None:
+            self._past.take(samples)
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
@@ -221,6 +227,8 @@ class LiveService:
             self._map_due = now + self._settings.map_interval_s / parts
             self.identification.refresh_maps(1.0 / parts)
         self._keep_in_turn(now)
+        if self._past is not None:
+            self._past.tick(now, self._clock.now())
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:
@@ -263,6 +271,7 @@ class LiveService:
                 checkpoint_failures=self._failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
+                history=PastCounters() if self._past is None else self._past.counters,
                 alarms=alarms,
             )
         )
@@ -316,6 +325,8 @@ class LiveService:
             naming the file; the states go on in memory.
         """
         end, M = self._clock.monotonic() + within_s, len(self._lost)
+        if self._past is not None:
+            await self._past.settle()
         await self.settle()
         oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
         at_once = M if math.isinf(within_s) else KEPT_AT_ONCE
@@ -436,6 +447,8 @@ class LiveService:
                 del self._unpublished[valve]
             for results in self.identification.results(some, self._lost, self._old):
                 await self._sink.publish(results)
+                if self._past is not None:
+                    self._past.note(results)
             if self._clock.monotonic() >= end:
                 break
 

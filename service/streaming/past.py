@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.errors import StorageError
 from service.identification.samples import Codes, Floats, Quality, Times
 from service.streaming.alignment import ByValve
-from service.streaming.ports import SIGNALS, PastStore, Piece, Results
+from service.streaming.ports import SIGNALS, PastCounters, PastStore, Piece, Results
 
 ESTIMATED: Final = {
     "PredictedFlow": "predicted",
@@ -99,6 +99,11 @@ class PastKeeper:
         if self._keeping is not None:
             await self._keeping
         await self._keep(None)
+
+    @property
+    def counters(self) -> PastCounters:
+        """What was lost, and how large the history is."""
+        return PastCounters(self.lost, self.failures, self._store.size)
 
     def _has_room(self, rows: int) -> bool:
         if self._rows + rows > MOST_ROWS:

@@ -402,6 +402,15 @@ class Results:
 
 
 @dataclass(frozen=True)
+class PastCounters:
+    """Rows of the history that were lost, failed saves, and bytes of its file."""
+
+    lost: int = 0
+    failures: int = 0
+    bytes: int = 0
+
+
+@dataclass(frozen=True)
 class Health:
     """How fresh the data are, and whether what is learnt is safe; arrays over all valves.
 
@@ -420,6 +429,8 @@ class Health:
         that could not be used.
     alarms
         How those of the service stand.
+    history
+        How the history stands.
     """
 
     age_s: Floats
@@ -431,6 +442,7 @@ class Health:
     checkpoint_bytes: int = 0
     checkpoints_refused: int = 0
     alarms: Sequence[AlarmReport] = ()
+    history: PastCounters = PastCounters()
 
 
 class ResultSink(Protocol):

@@ -5,7 +5,7 @@ changes. No signal is written twice in a scan, so the shortest usual step of the
 the scan's period, and what lies within half of it was written in one scan.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Final
 
@@ -26,6 +26,10 @@ HALF_THE_NOISE: Final = 0.5  # what a signal may move within its distance from t
 RESOLUTION: Final = 1e-3  # … or this share of its range, where it has no noise
 STEPS_OF_NOISE: Final = 5.0  # standard deviations: longer steps are not of noise alone
 CLEARLY: Final = 0.9  # by so much the flow must fit better to signals that are not interpolated
+STEPS_OF_A_DEADBAND: Final = 8  # of fewer steps nothing is said
+ABOUT_AS_SMALL: Final = 2.0  # times the smallest step, …
+MOST_STEPS: Final = 0.5  # … which so large a share of steps must be no larger than
+_MEASURED: Final = (Signal.P1, Signal.P2, Signal.Q, Signal.T)  # U, a command, is what it says
 _ENOUGH: Final = 24  # scans: of fewer the flow says nothing
 _TINY: Final = 1e-12
 _NOISE_OF_SECOND_DIFFERENCES: Final = 0.6745 * 6.0**0.5  # their median, for unit white noise
@@ -47,7 +51,8 @@ class Found:
 
     ``comes`` holds a :class:`Comes` for each signal, ``offset`` how late it is usually stamped
     after the first of its scan, ``limit`` what it may move within that to be interpolated,
-    ``jitter`` what of a step from scan to scan may be noise, both in its unit.
+    ``jitter`` what of a step from scan to scan may be noise, both in its unit. ``deadband`` is
+    within what a measured signal that comes on change may move unseen; 0: none shows.
     """
 
     comes: NDArray[np.int64]
@@ -56,6 +61,7 @@ class Found:
     jitter: Floats
     period: int
     window: int
+    deadband: Floats = field(default_factory=lambda: np.zeros(SIGNALS_PER_VALVE))
 
 
 def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
@@ -122,7 +128,25 @@ def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
     if _are_of_one_instant(values, shifted, base, fast):
         comes[comes == Comes.INTERPOLATED] = Comes.AS_IT_IS
         limit[:] = np.inf
-    return Found(comes, offset, limit, jitter, period, window)
+    deadband = np.array(
+        [
+            _deadband(changes, j) if comes[j] == Comes.HELD and j in _MEASURED else 0.0
+            for j in range(SIGNALS_PER_VALVE)
+        ]
+    )
+    return Found(comes, offset, limit, jitter, period, window, deadband)
+
+
+def _deadband(changes: Changed, j: int) -> float:
+    """The smallest step of a signal, if its steps are about as small: 0 where they are not."""
+    own = changes.signal == j
+    x = changes.value[own][np.argsort(changes.time[own], kind="stable")]
+    steps = np.abs(np.diff(x))
+    steps = steps[np.isfinite(steps) & (steps > 0.0)]
+    if len(steps) < STEPS_OF_A_DEADBAND:
+        return 0.0
+    least = float(steps.min())
+    return least if (steps <= ABOUT_AS_SMALL * least).mean() >= MOST_STEPS else 0.0
 
 
 def _scans(changes: Changed, there: NDArray[np.bool_]) -> tuple[Times, Floats] | None:

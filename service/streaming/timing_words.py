@@ -32,11 +32,12 @@ class Words:
             return ("the signals of a sample carry one time",)
         said = []
         for j in np.flatnonzero(self.there):
-            ms = self.found.offset[j] * 1e-6
+            ms, band = self.found.offset[j] * 1e-6, float(self.found.deadband[j])
             said.append(
                 f"{labels.get(READ[j], READ[j])}: "
                 + {
-                    Comes.HELD: "on change, its last value is held",
+                    Comes.HELD: "on change, its last value is held"
+                    + (f", steps from {band:.3g} on" if band > 0.0 else ""),
                     Comes.INTERPOLATED: f"{ms:.3g} ms after the scan's first, interpolated",
                     Comes.AS_IT_IS: f"{ms:.3g} ms after the scan's first, taken as it is",
                 }.get(Comes(int(self.found.comes[j])), "with the scan's first")

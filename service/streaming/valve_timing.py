@@ -30,7 +30,7 @@ MOST_HELD_BACK: Final = 8192  # changes of a valve
 _PENDING: Final = 1024  # changes of a valve on their way into scans
 _AGAIN: Final = 1.25  # by so much more has to be held back before it is looked at again
 _BACK: Final = ("back_signal", "back_value", "back_status", "back_time")
-_OF_SIGNALS: Final = ("comes", "offset", "limit", "jitter")
+_OF_SIGNALS: Final = ("comes", "offset", "limit", "jitter", "deadband")
 
 LISTENING, DOUBTFUL, ALIKE, IN_SCANS = range(4)  # how a valve stands
 
@@ -52,8 +52,8 @@ class TimingState(State):
     """How one valve's signals come, as far as it is found, and what is on its way into scans.
 
     ``stands`` () is one of LISTENING, DOUBTFUL, ALIKE, IN_SCANS; ``comes``, ``offset``, ``limit``,
-    ``jitter`` (6,), ``period`` and ``window`` () are those of `Found`; what begins with ``back_``
-    (N,) is held back; the rest are the arrays of `Scans`.
+    ``jitter``, ``deadband`` (6,), ``period`` and ``window`` () are those of `Found`; what begins
+    with ``back_`` (N,) is held back; the rest are the arrays of `Scans`.
     """
 
     stands: Any
@@ -61,6 +61,7 @@ class TimingState(State):
     offset: Any
     limit: Any
     jitter: Any
+    deadband: Any
     period: Any
     window: Any
     back_signal: Any
@@ -91,6 +92,7 @@ class TimingState(State):
             found[name] = Contents(getattr(self, name)).within(0, SIGNALS_PER_VALVE - 1)
         for name in ("limit", "jitter"):
             found[name].within(0.0)
+        found["deadband"] = Contents(self.deadband).within(0.0)
         size = int(self.course[kernel.SIZE])
         found["course"].within(size, size, kernel.SIZE)
         found["stands"] = Contents(self.stands).within(LISTENING, IN_SCANS)
@@ -260,6 +262,7 @@ class ValveTiming:
             offset=found.offset,
             limit=found.limit,
             jitter=found.jitter,
+            deadband=found.deadband,
             period=np.array(found.period),
             window=np.array(found.window),
             back_signal=self._back.signal,
@@ -290,8 +293,8 @@ class ValveTiming:
         self.found = None
         if stands == IN_SCANS:
             period, window = int(state.period), int(state.window)
-            comes, offset, limit, jitter = of_signals
-            self.found = Found(comes, offset, limit, jitter, period, window)
+            comes, offset, limit, jitter, deadband = of_signals
+            self.found = Found(comes, offset, limit, jitter, period, window, deadband)
 
 
 def make_one_scan() -> None:

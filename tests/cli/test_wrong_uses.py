@@ -10,6 +10,11 @@ from service.cli import run
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=1'\np2 = 's=2'\nQ = 's=3'\n"
 VALVE = "[[valves]]\nname = 'V7'\n"
+SOURCES = (
+    "[[sources]]\nname = 'north'\nurl = 'opc.tcp://n:1'\n"
+    "[[sources]]\nname = 'south'\nurl = 'opc.tcp://s:1'\n"
+    "[[valves]]\nname = 'A'\nsource = 'north'\n[[valves]]\nname = 'B'\nsource = 'south'\n"
+)
 ROWS = "".join(f"{i},{37 * i % 100},{60 + 7 * i % 90},5,{i % 50}\n" for i in range(60))
 FILES = {
     "ok.csv": "t,U,p1,p2,Q\n" + ROWS,
@@ -48,6 +53,9 @@ FILES = {
     "word.toml": "[source]\nqueue_size = 'many'\n",
     "twice.toml": VALVE + VALVE,
     "two.toml": VALVE + "[[valves]]\nname = 'V8'\n",
+    "sources.toml": SOURCES,
+    "mixed.toml": "[source]\n" + SOURCES,
+    "elsewhere.toml": SOURCES.replace("source = 'north'", "source = 'west'"),
     "empty.json": "{}",
     "no.json": "nope",
     "demands.csv": "Q,pressure\n1,2\n",
@@ -72,6 +80,18 @@ ASKED_WRONGLY = uses(
     ("replay", ["files"]),
     ("replay ok.csv --frob", ["--frob"]),
     ("replay none.csv", ["none.csv does not exist"]),
+    ("replay opc.tcp://plc:4840", ["opc.tcp://plc:4840", "--from T", "2026-12-31T08:00"]),
+    ("replay ok.csv --from 2026-12-31", ["--from", "only with the opc.tcp://"]),
+    ("replay opc.tcp://plc:4840 --from soon", ["--from soon", "ISO 8601"]),
+    ("replay opc.tcp://p:1 --from 2026-12-31 --to 2026-12-30", ["--to 2026-12-30", "is before"]),
+    ("replay opc.tcp://plc:4840 ok.csv --from 0", ["opc.tcp://plc:4840", "one server alone"]),
+    ("replay opc.tcp://p:1 --from 0 --config sources.toml", ["opc.tcp://p:1", "opc.tcp://n:1"]),
+    ("record x.csv --config sources.toml", ["--source NAME", "north, south"]),
+    ("record x.csv --config sources.toml --source west", ["--source west", "north, south"]),
+    ("record x.csv --source west", ["--source west", "[source] alone"]),
+    ("check-config nowhere.toml", ["nowhere.toml", "valvemap init"]),
+    ("check-config mixed.toml", ["mixed.toml", "[source] and [[sources]]", "only one"]),
+    ("check-config elsewhere.toml", ["valves[0].source = 'west'", "north, south"]),
     ("replay ok.csv --verify none.csv", ["none.csv does not exist"]),
     ("replay text.txt", ["text.txt", "must end in .csv"]),
     ("replay ok.csv --config none.toml", ["none.toml", "valvemap init"]),

@@ -91,6 +91,17 @@ async def test_a_valve_is_found_among_many_by_keyboard():
         await visitor.page.locator("main h1", has_text="V37").wait_for()
 
 
+async def test_commissioning_says_how_the_signals_come_and_advises_no_setting_for_it():
+    shown = ShownService(moving=False)
+    shown.values["V1.Diagnostics.Timing"] = Read(["not found yet"])
+    async with visit(shown) as (visitor, _):
+        await visitor.open("commissioning")
+        await visitor.page.locator("li", has_text="is being found out").wait_for()
+        assert "tolerance_ms" not in await visitor.text("main")
+        shown.values["V1.Diagnostics.Timing"] = Read(["U: on change, its last value is held"])
+        await visitor.page.locator(".coming li", has_text="its last value is held").wait_for()
+
+
 async def test_whether_u_can_be_trusted_for_a_flow_by_keyboard():
     async with visit(ShownService()) as (visitor, page):
         await visitor.open("valve")

@@ -32,6 +32,7 @@ from service.fleet.result_blocks import (  # noqa: E402
 )
 from service.identification.samples import Samples, Segments  # noqa: E402
 from service.streaming.alignment import ByValve  # noqa: E402
+from service.streaming.ports import AlarmResults  # noqa: E402
 
 VALVES = ("a", "b", "c", "d")
 
@@ -47,6 +48,9 @@ def block(lengths, number=1, **columns):
 
 def bits(thing):
     """All that something holds, to the bit, shapes and types included."""
+    if isinstance(thing, AlarmResults):
+        reports = [bits(thing.reports(m)) if n else [] for m, n in enumerate(thing.version)]
+        return bits(thing.version), reports
     if hasattr(thing, "__dataclass_fields__"):
         return {f.name: bits(getattr(thing, f.name)) for f in fields(thing)}
     if isinstance(thing, dict):
@@ -94,6 +98,8 @@ def identification():
     found = build_identification(Config(valves=tuple(ValveConfig(name=name) for name in VALVES)))
     for valve in range(3):  # the last one has seen nothing yet
         found.take_samples(valve, plant(150, seed=valve))
+    late = np.array([START + 60_000_000_000])
+    found.say_overdue(np.array([0]), late)
     found.refresh_maps()
     found.demand("a", 60.0, 100.0)
     found.approve("b")
@@ -109,6 +115,8 @@ def test_results_come_back_to_the_bit(identification):
     assert (found.group, found.number, found.valves) == ("north.0", 9, VALVES)
     assert bits(found.results) == bits(expected)
     assert found.results.estimators["Auto"].survey[0] is not None
+    assert any(report.active for report in found.results.alarms.reports(0))
+    assert found.results.alarms.reports(3) == ()
 
 
 def test_results_of_some_valves_name_them(identification):

@@ -272,6 +272,17 @@ def test_a_signal_of_just_the_sampling_rate_is_not_thinned_out_by_jitter():
     assert numbers(one) == [float(step) for step in range(50)]
 
 
+def test_items_of_one_sampling_interval_take_their_values_at_the_same_moments():
+    watch = Watch()
+    early, late = item(watch, interval=1.0, size=100), item(watch, interval=1.0, size=100)
+    for step in range(100):
+        watch.now = 0.1 * step
+        for one in (early, late) if step > 4 else (early,):
+            one(0, value(float(step)))
+            one.sample_pending(watch.now)
+    assert numbers(late)[1:] == numbers(early)[1:]
+
+
 def test_the_last_value_is_reported_in_the_end_even_if_nothing_follows():
     watch = Watch()
     one = item(watch, interval=1.0)

@@ -237,3 +237,43 @@ def test_what_waits_leaves_where_nothing_more_comes():
     assert stage.pending[0] > 0
     assert len(stage.flush(np.zeros(1, np.int64))) > 0
     assert stage.pending[0] == 0
+
+
+def with_deadbands(bands, n=4000, step=50 * MS, seed=3):
+    """Smooth signals that are written when they have left a band around what was written last."""
+    rng, at = np.random.default_rng(seed), np.arange(n) * step
+    U = np.repeat(rng.uniform(20, 80, n // 10), 10)
+    p1 = 190 + 8 * np.sin(at * 0.4e-9)
+    p2 = 60 + 40 * np.sin(at * 0.31e-9)
+    Q = 0.1 * U * np.sqrt(p1 - p2) + rng.normal(0, 0.2, n)
+    times, values = [], []
+    for x, band in zip((U, p1, p2, Q), bands, strict=True):
+        last, new = np.inf, np.zeros(n, np.bool_)
+        for i, value in enumerate(x):
+            if abs(value - last) > band:
+                last, new[i] = value, True
+        times.append(at[new])
+        values.append(x[new])
+    return changes_of(times, values)
+
+
+def test_the_deadband_of_a_source_enters_the_interval_of_the_flow():
+    plan = ValvePlan("V1", QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
+    found = {}
+    for bands in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.8, 1.5, 0.0)):
+        align = Alignment(AlignmentSettings(), has_T=(False,))
+        identification = Identification([plan], align, timing())
+        identification.take(with_deadbands(bands))
+        _, std, _ = identification.predict("V1", "RLS", 50.0, 100.0, 40.0)
+        found[bands] = std, identification
+    (sharp, _), (wide, identification) = found.values()
+    slope = 0.1 * 50.0 / (2.0 * np.sqrt(100.0))
+    expected = slope * np.hypot(0.8, 1.5) / np.sqrt(3.0)  # uniform within the bands
+    assert wide > sharp
+    assert np.sqrt(wide**2 - sharp**2) == pytest.approx(expected, rel=0.25)
+    assert "steps from" in identification.timing(0)[Signal.P2]
+    assert np.isfinite(identification.result(0).estimators["RLS"].systematic_std)
+    again = Identification([plan], Alignment(AlignmentSettings(), has_T=(False,)), timing())
+    _, refused = again.restore([*identification.checkpoints(), *identification.memories()])
+    assert not refused
+    assert again.predict("V1", "RLS", 50.0, 100.0, 40.0)[1] == wide

@@ -75,6 +75,7 @@ class Node:
             "min.insync.replicas": 2 if three else 1,
             "offsets.topic.num.partitions": 4,
             "transaction.state.log.num.partitions": 4,
+            "transaction.abort.timed.out.transaction.cleanup.interval.ms": 1000,
             "group.initial.rebalance.delay.ms": 0,
             "group.min.session.timeout.ms": 1000,
             "message.max.bytes": 16_000_000,

@@ -41,18 +41,24 @@ def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = REA
 
 
 @contextmanager
-def running(
-    *arguments: str,
+def running(*arguments: str, python: Path | str = sys.executable, **more):
+    """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
+    with program(python, "-u", "-m", "service", *arguments, **more) as process:
+        yield process
+
+
+@contextmanager
+def program(
+    *command: str | Path,
     env: dict[str, str] | None = None,
     stdin: str = "",
     log: Path,
-    python: Path | str = sys.executable,
     cwd: Path | None = None,
 ):
-    """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
+    """Run a program in the background, its output in ``log``; interrupted at the end."""
     with log.open("wb") as out:
         process = subprocess.Popen(
-            [python, "-u", "-m", "service", *arguments],
+            command,
             cwd=cwd,
             stdin=subprocess.PIPE,
             stdout=out,

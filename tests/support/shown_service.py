@@ -60,7 +60,7 @@ class ShownService:
         if id == "Identification":
             return [Node(name) for name in self.names]
         if id in self.names:
-            parts = ("RLS", "Inverse", "Diagnostics", "Signals")
+            parts = ("RLS", "Inverse", "Diagnostics", "Signals", "Baseline")
             return [Node(f"{id}.Frame", is_variable=True), *(Node(f"{id}.{p}") for p in parts)]
         below = {
             "RLS": (
@@ -68,8 +68,12 @@ class ShownService:
                 *("SuggestedU", "SuggestedDp"),
             ),
             "Inverse": ("FlowDemand", "MapDp", "RequiredU"),
-            "Diagnostics": ("Aligned", "Late", "Pending", "SampleAge", "LagQ", "LastAction"),
+            "Diagnostics": (
+                *("Aligned", "Late", "Pending", "SampleAge"),
+                *("LagQ", "LastAction", "Timing"),
+            ),
             "Signals": ("U", "dp", "Q"),
+            "Baseline": ("Version",),
         }[id.rpartition(".")[2]]
         return [Node(f"{id}.{name}", is_variable=True) for name in below]
 
@@ -110,6 +114,7 @@ class ShownService:
             "RLS.ParameterNames": ["a1"],
             "RLS.ParameterStd": [0.01],
             "RLS.Coverage": [[1.0, 2.0], [3.0, math.nan]],
+            "Baseline.Version": "",
             "Signals.U": 40.0,
             "Signals.dp": 100.0,
             "Signals.Q": 60.0,
@@ -120,6 +125,7 @@ class ShownService:
             "Diagnostics.SampleAge": 0.05,
             "Diagnostics.LagQ": 0.2,
             "Diagnostics.LastAction": "",
+            "Diagnostics.Timing": ["the signals of a sample carry one time"],
             "Checkpoint.Age": 4.0,
             "Checkpoint.Failures": 1,
             "Checkpoint.Refused": 0,

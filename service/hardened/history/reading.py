@@ -2,7 +2,7 @@
 
 import secrets
 from collections import OrderedDict
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Container
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -78,8 +78,9 @@ Rests = OrderedDict[bytes, Rest | Processed]
 class Histories:
     """The histories of a server's variables."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, nodes: Container[ua.NodeId]) -> None:
         self._limits = limits
+        self._nodes = nodes
         self._kept: dict[ua.NodeId, tuple[Variable, Historian]] = {}
 
     def __len__(self) -> int:
@@ -132,7 +133,7 @@ class Histories:
         known = rests.pop(wanted.ContinuationPoint or b"", None) is not None
         return encode_history_result(_Codes.Good if known else _Codes.BadContinuationPointInvalid)
 
-    def _wanted(  # noqa: PLR0911 - one per reason
+    def _wanted(  # noqa: C901, PLR0911 - one per reason
         self, params: ua.HistoryReadParameters, number: int, rests: Rests, most: int
     ) -> Rest | Processed | AtTimes | int:
         """What is to be read, or why it cannot be."""
@@ -143,6 +144,8 @@ class Histories:
                 return _Codes.BadContinuationPointInvalid
             return rests.pop(wanted.ContinuationPoint)
         details = params.HistoryReadDetails
+        if wanted.NodeId not in self._nodes:  # some are made by the look
+            return _Codes.BadNodeIdUnknown
         if wanted.NodeId not in self._kept:
             return _Codes.BadHistoryOperationUnsupported
         if wanted.IndexRange:

@@ -168,9 +168,9 @@ class DataItem:
                 self._pending = value
                 self._subscription.has_pending(self.number)
                 return
-            # on a grid, so that jitter does not thin out a signal of just that rate
-            grid = self._due + interval
-            self._due = grid if grid > now else now + interval
+            # on a grid, so that jitter does not thin out a signal of just that rate; the same grid
+            # for all items of an interval, so that values of one moment are seen together
+            self._due = (now // interval + 1.0) * interval
         self._pending = None
         self._report(value)
 

@@ -4,6 +4,7 @@ import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { css } from "./dom.js";
 
 const SECONDS = 60; // in view
+export const SECOND_AXIS = 64; // px that an axis on the right takes; without one, charts keep them free to lie above each other
 const GAP_S = 2; // no line is drawn over a longer silence
 
 /** A ring of rows (time in s first), the newest last. */
@@ -32,14 +33,14 @@ export class History {
 }
 
 /** A chart of the newest minute. series: [{label, colour, width, dash, scale, fill}]; bands: [[upper, lower, fill]]. */
-export function timeChart(parent, height, series, { unit, unit2, bands = [], range } = {}) {
+export function timeChart(parent, height, series, { unit, unit2, bands = [], range, right = 12 } = {}) {
   const axis = (label, extra = {}) => ({
     stroke: () => css("--soft"), grid: { stroke: () => css("--line"), width: 1 }, ticks: { show: false },
     font: "12px system-ui, sans-serif", label, labelFont: "12px system-ui, sans-serif", labelSize: 18, size: 46, ...extra,
   });
   const clock = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", second: "2-digit" });
   const options = {
-    width: parent.clientWidth || 300, height, padding: [8, unit2 ? 0 : 12, 0, 0],
+    width: parent.clientWidth || 300, height, padding: [8, unit2 ? 0 : right, 0, 0],
     legend: { show: false },
     cursor: { drag: { x: false, y: false }, points: { size: 6 } },
     scales: {

@@ -4,20 +4,22 @@ import { css, h, mark, onTheme, pen, say } from "../dom.js";
 import { count, fixed, span } from "../format.js";
 
 const REFRESH_MS = 1000;
+const RATE_S = 10; // over which rates are taken: what comes in bursts is counted evenly
 const COUNTERS = {
   Aligned: "samples whose signals found together", Late: "signals that came too late", Missing: "samples given up: a signal did not come",
   Duplicates: "signals that came twice", ClockSteps: "jumps of the source's clock", Gaps: "samples lost, by Sequence", LostByTime: "samples lost, by time",
   BadStatus: "rejected: OPC UA status", NotFinite: "rejected: no finite number", OutOfRange: "rejected: beyond what a sensor can say",
   Frozen: "rejected: a signal stood still", TooFast: "rejected: a signal changed too fast", Spike: "rejected: spikes", BeyondRange: "not learnt from: U beyond range", TooFastForLag: "not learnt from: too fast for the lags",
 };
+const NOT_FOUND = "not found yet"; // what Diagnostics.Timing says first
 const FRESH_S = 600; // an older region wants another visit
 
 export function commissioningView(root, { live, valve, estimator, choose }) {
-  let selected = estimator, before = null;
+  let selected = estimator, seen = [];
   const which = h("select", { "aria-label": "Estimator", onchange: () => { selected = which.value; choose(selected); } },
     valve.estimators.map((name) => h("option", { value: name, selected: name === selected }, name)));
   const checks = h("ul.checks"), heat = h("canvas.heat", { role: "img", "aria-label": "Uncertainty over control voltage and pressure drop" });
-  const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted");
+  const heatWords = h("p.words"), next = h("p"), counters = h("tbody"), rate = h("span.value"), rateWords = h("span.muted"), coming = h("ul.words.coming");
 
   root.append(
     h("div.head", {}, h("h1", {}, `${valve.name}: commissioning`), h("label", {}, "Estimator ", which)),
@@ -32,7 +34,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       h("div.grid", {},
         h("section.card", {}, h("header", {}, h("h2", {}, "What is missing for a map")), checks),
         h("section.card", {}, h("header", {}, h("h2", {}, "What becomes of the data"), h("span.fill"), rate, rateWords),
-          h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters)),
+          h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "What"), h("th.number", {}, "Count"), h("th.number", {}, "per s"))), counters),
+          h("p.words", {}, "How the signals come, as found at the start:"), coming),
       ),
     ),
   );
@@ -41,7 +44,8 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const of = (name) => live.number(`${selected}.${name}`);
     const now = performance.now() / 1000, names = Object.keys(COUNTERS).filter((name) => live.has(`Diagnostics.${name}`));
     const counts = Object.fromEntries([...names.map((name) => [name, live.number(`Diagnostics.${name}`)]), ["SampleCount", of("SampleCount")]]);
-    const per = (name) => (before && before.selected === selected ? (counts[name] - before.counts[name]) / (now - before.now) : NaN);
+    seen = seen.filter((one) => one.selected === selected && now - one.now < RATE_S);
+    const per = (name) => (seen.length ? (counts[name] - seen[0].counts[name]) / (now - seen[0].now) : NaN);
     while (counters.rows.length < names.length) counters.append(h("tr", {}, h("td"), h("td.number"), h("td.number")));
     names.forEach((name, k) => {
       const { cells } = counters.rows[k];
@@ -53,8 +57,9 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     say(rate, Number.isFinite(perSecond) ? fixed(perSecond, 1) : "–");
     say(rateWords, " samples/s");
     showChecks(of, counts, per);
+    showComing();
     drawHeat(of);
-    if (!before || now - before.now > 4) before = { now, counts, selected };
+    seen.push({ now, counts, selected });
   }
 
   function showChecks(of, counts, per) {
@@ -62,8 +67,9 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
     const rejected = ["BadStatus", "NotFinite", "OutOfRange", "Frozen", "TooFast", "Spike", "BeyondRange", "TooFastForLag"].reduce((sum, name) => sum + (counts[name] || 0), 0);
     const samples = of("SampleCount"), condition = of("Conditioning"), rejecting = rejected / Math.max(counts.Aligned, 1);
     const waiting = live.get("Diagnostics.Waiting")?.value?.join?.("; ");
+    const arriving = Number.isFinite(per("Aligned")) ? per("Aligned") > 0 : counts.Aligned > 0; // no rate yet at the first look
     const lines = [
-      [live.link === "up" && per("Aligned") > 0, per("Aligned") > 0 ? "Signals arrive and find together." : `No samples: ${waiting || "a signal is missing, or the signals of one sample carry different times (alignment.tolerance_ms)."}`],
+      [live.link === "up" && arriving, arriving ? "Signals arrive and find together." : `No samples: ${waiting || (timing()[0] === NOT_FOUND ? "how the signals come is being found out; that takes scans of all of them." : "a signal is missing.")}`],
       [lost === 0, lost === 0 ? "Nothing was lost on the way." : `${count(lost)} signals or samples were lost on the way.`],
       [rejecting < 0.01, rejected === 0 ? "No sample was rejected." : `${fixed(100 * rejecting, 1)} % of the samples were rejected.`],
       [samples >= 1000, samples >= 1000 ? `${count(samples)} samples learnt from.` : `${count(samples)} samples so far; a map wants a thousand.`],
@@ -77,6 +83,17 @@ export function commissioningView(root, { live, valve, estimator, choose }) {
       mark(checks.children[k], "done", done);
       say(checks.children[k].firstChild, text);
     });
+  }
+
+  function timing() {
+    return live.get("Diagnostics.Timing")?.value ?? [];
+  }
+
+  function showComing() {
+    const said = timing().length ? timing() : ["–"];
+    while (coming.children.length < said.length) coming.append(h("li"));
+    while (coming.children.length > said.length) coming.lastChild.remove();
+    said.forEach((text, k) => say(coming.children[k], text));
   }
 
   function drawHeat(of) {

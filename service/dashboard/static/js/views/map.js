@@ -32,7 +32,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
   const standing = h("p.words");
 
   root.append(
-    h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("label", {}, "Estimator ", which), h("span.fill"), h("span.muted", {}, "Colour"), colourings, keep),
+    h("div.head", {}, h("h1", {}, `${valve.name}: map`), h("label", {}, "Estimator ", which), h("span.fill"), h("span.together", {}, h("span.muted", {}, "Colour"), colourings), keep),
     h("div.grid.map-grid", {},
       h("section.card", {}, plot, words),
       h("div.grid", {},
@@ -84,7 +84,7 @@ export function mapView(root, { live, valve, estimator, choose, user }) {
     const traces = [
       {
         type: "surface", x: found.dp, y: found.U, z: found.Q, surfacecolor: colour.values, colorscale: colour.scale, cmin: colour.low, cmax: colour.high,
-        colorbar: { title: { text: colour.title, side: "right" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
+        colorbar: { title: { text: colour.title, side: "top" }, thickness: 12, len: 0.75, tickfont: { color: css("--soft") }, ...colour.ticks }, opacity: 0.96,
         hovertemplate: "U %{y:.1f} %<br>Δp %{x:.0f} bar<br>Q %{z:.1f} l/min<extra></extra>", showscale: true,
       },
       {

@@ -5,6 +5,7 @@ import { clock, count, counted, fixed, REASON_SENTENCES, REASONS, span } from ".
 
 const byName = new Intl.Collator("en", { numeric: true }).compare;
 const HEIGHT = 34; // px of a row; as in page.css
+const PADDING = 24; // px around the table
 const MARGIN = 4; // rows drawn above and below what is seen
 const COLUMNS = [
   ["severity", "State", "140px", ""], ["name", "Valve", "22%", ""], ["why", "Why", "", ""],
@@ -42,6 +43,7 @@ export function overviewView(root, { live }) {
     const of = [0, 0, 0, 0];
     for (const row of live.rows.values()) of[row.severity] += 1;
     const words_ = [null, "note", "warning", "alarm"];
+    body.style.maxHeight = `${HEIGHT * (rows.length + 1) + PADDING}px`;
     counts.replaceChildren(...[3, 2, 1, 0].filter((k) => of[k]).map((k) => h("span.badge", { "data-severity": k }, k ? counted(of[k], words_[k]) : `${of[k]} good`)));
     draw();
   }

@@ -30,7 +30,7 @@ export function rigView(root, { valve, user }) {
       h("section.card", {}, h("header", {}, h("h2", {}, `Break something of ${valve.name}`)),
         h("form.form", { onsubmit: (event) => {
           event.preventDefault();
-          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} for ${duration.value} s. The time line shows what the service makes of it.`);
+          act({ fault: kind.value, valve: valve.name, size: Number(size.value), duration: Number(duration.value) }, `Injected: ${kind.value} ${size.value} ${Number(duration.value) ? `for ${duration.value} s` : "for good"}. The time line shows what the service makes of it.`);
         } }, h("label", {}, "What goes wrong", kind), h("label", {}, h("span", {}, "Size ", unit), size), h("label", {}, "Duration in s (0 = for good)", duration), h("div.buttons", {}, inject))),
     ),
     done,

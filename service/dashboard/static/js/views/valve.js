@@ -1,6 +1,6 @@
 // One valve, live: signals, measured and predicted flow, residuals, parameters, estimators side by side.
 
-import { History, timeChart } from "../charts.js";
+import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
 import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, STATUS_SENTENCE, UNITS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
@@ -27,14 +27,14 @@ export function valveView(root, { live, valve, estimator, choose }) {
   const spreadWords = h("p.words"), followWords = h("p.words");
   const facts = h("dl.facts");
   const flowChart = h("div.chart"), residualChart = h("div.chart"), driveChart = h("div.chart");
-  const driveCard = card("Control voltage and pressure drop", driveChart);
+  const driveCard = card("Control voltage and pressure drop", driveChart, legend(["U", "--line-1"], ["Δp", "--line-2"]));
 
   root.append(
     h("div.head", {}, h("h1", {}, valve.name), badge, sentence),
     h("section.signals", { "aria-label": "Signals" }, Object.values(signals).map((tile) => tile.element)),
     h("div.grid.valve-grid", {},
       h("div.grid", {},
-        card("Flow, measured and predicted", flowChart, legend()),
+        card("Flow, measured and predicted", flowChart, flowLegend()),
         card("Residual Q − Q̂", residualChart),
         driveCard,
       ),
@@ -55,11 +55,11 @@ export function valveView(root, { live, valve, estimator, choose }) {
   const flow = timeChart(flowChart, 196, [
     { label: "upper", colour: "--line-1", width: 0 }, { label: "lower", colour: "--line-1", width: 0 },
     { label: "predicted", colour: "--line-1", width: 1.5 }, { label: "measured", colour: "--measured", dots: true },
-  ], { unit: "Q in l/min", bands: [[1, 2, "--line-1"]] });
+  ], { unit: "Q in l/min", bands: [[1, 2, "--line-1"]], right: SECOND_AXIS });
   const residual = timeChart(residualChart, 150, [
     { label: "upper", colour: "--line-6", width: 0 }, { label: "lower", colour: "--line-6", width: 0 },
     { label: "residual", colour: "--line-1", width: 1.25 },
-  ], { unit: "l/min", bands: [[1, 2, "--line-6"]] });
+  ], { unit: "l/min", bands: [[1, 2, "--line-6"]], right: SECOND_AXIS });
   const drive = timeChart(driveChart, 150, [
     { label: "U", colour: "--line-1" }, { label: "Δp", colour: "--line-2", scale: "second" },
   ], { unit: "U in %", unit2: "Δp in bar" });
@@ -263,7 +263,11 @@ function card(title, body, extra = null) {
   return h("section.card", {}, h("header", {}, h("h2", {}, title), h("span.fill"), extra), body);
 }
 
-function legend() {
+function legend(...lines) {
+  return h("div.legend", {}, lines.map(([name, colour]) => h("span", {}, h("i", { style: { "--c": `var(${colour})` } }), name)));
+}
+
+function flowLegend() {
   return h("div.legend", {},
     h("span", {}, h("i.dot", { style: { "--c": "var(--measured)" } }), "measured"),
     h("span", {}, h("i", { style: { "--c": "var(--line-1)" } }), "predicted"),

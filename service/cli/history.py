@@ -1,0 +1,86 @@
+"""What a server's history holds, as a recording that replay reads."""
+
+import asyncio
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from service.cli.progress import working
+from service.config.loading import load_config
+from service.errors import RecordingError
+
+if TYPE_CHECKING:
+    from service.config.models import Config
+
+_SERVER = "opc.tcp://"
+
+
+@contextmanager
+def recordings_of(
+    files: Sequence[str], config: Path | None, since: str | None, until: str | None
+) -> Iterator[list[Path]]:
+    """The recordings themselves; or one, for a while, of what a server remembers.
+
+    Raises
+    ------
+    BadParameter
+        naming the option.
+    """
+    servers = [file for file in files if file.startswith(_SERVER)]
+    if not servers:
+        given = "--from" if since is not None else "--to"
+        if since is not None or until is not None:
+            raise typer.BadParameter(f"{given}: only with the {_SERVER}… of a server")
+        yield [Path(file) for file in files]
+        return
+    if len(files) > 1:
+        raise typer.BadParameter(f"{servers[0]}: one server alone, and no recordings beside it")
+    if since is None:
+        raise typer.BadParameter(f"{servers[0]}: --from T says from when on, e.g. 2026-12-31T08:00")
+    start = _time("--from", since)
+    stop = time.time_ns() if until is None else _time("--to", until)
+    if stop < start:
+        raise typer.BadParameter(f"--to {until}: is before --from {since}")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "history.csv"
+        _fetch(_config_at(servers[0], load_config(config)), file, start, stop)
+        yield [file]
+
+
+def _fetch(config: "Config", file: Path, start: int, stop: int) -> None:
+    from service.app.record import record_history
+
+    with working(f"reading the history of {config.source.url}") as say:
+        found = asyncio.run(
+            record_history(config, file, start, stop, lambda n: say(f"history: {n:,} samples"))
+        )
+    if not found:
+        raise RecordingError(
+            f"{config.source.url}: its history has no samples between --from and --to; ask for "
+            "another span, or look whether these signals are historized"
+        )
+
+
+def _config_at(url: str, config: "Config") -> "Config":
+    """The configuration with its source at ``url``; of several that which is there."""
+    if not config.sources:
+        return config.model_copy(update={"source": config.source.model_copy(update={"url": url})})
+    for source in config.sources:
+        if source.url == url:
+            return config.only(source.name)
+    there = ", ".join(source.url for source in config.sources)
+    raise typer.BadParameter(f"{url}: is none of the configured sources; there are {there}")
+
+
+def _time(option: str, text: str) -> int:
+    from service.storage.columns import ALLOWED_TIME, CellError, times
+
+    try:
+        return int(times([text])[0])
+    except CellError:
+        raise typer.BadParameter(f"{option} {text}: allowed is {ALLOWED_TIME}") from None
