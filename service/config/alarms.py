@@ -47,14 +47,14 @@ class AlarmsConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     Changed: AlarmConfig = Field(AlarmConfig(), description="% of the flow's range; default 0.25")
-    Residual: AlarmConfig = Field(AlarmConfig(), description="times the usual; default 3")
+    Residual: AlarmConfig = Field(AlarmConfig(), description="times the usual; default 2.5")
     Misfit: AlarmConfig = Field(AlarmConfig(), description="% of the flow's range; default 1")
     SensorLost: AlarmConfig = Field(AlarmConfig(), description="s; default 2")
     SensorFrozen: AlarmConfig = Field(AlarmConfig(), description="s; default 10")
     Unexcited: AlarmConfig = Field(AlarmConfig(), description="s; default 86,400")
     Extrapolated: AlarmConfig = Field(AlarmConfig(), description="0 or 1; default 0.5")
     SamplesLost: AlarmConfig = Field(AlarmConfig(), description="%; default 1")
-    LagFound: AlarmConfig = Field(AlarmConfig(), description="s; default 0.08")
+    LagFound: AlarmConfig = Field(AlarmConfig(), description="s; default 0.1")
 
     def rules(self) -> dict[Alarm, AlarmRule]:
         """When each of them comes and goes."""

@@ -4,7 +4,7 @@
 alarm          what is measured                                        limit by default
 =============  ======================================================  =========================
 Changed        size of a change of the flow that was found             0.25 % of the flow's range
-Residual       residuals, over what they usually are at these places   3
+Residual       residuals, over what they usually are at these places   2.5
 Misfit         residuals of a structure that does not fit              1 % of the flow's range
 SensorLost     time without a sample that is of use                    2 s
 SensorFrozen   time that a sensor's value stands still, others move    10 s
@@ -12,7 +12,7 @@ Unexcited      time that the inputs teach nothing                      a day
 Extrapolated   the standing demand is answered where nothing was       yes
                measured
 SamplesLost    share of the samples that were lost lately              1 %
-LagFound       lag of a signal that was found                          0.08 s
+LagFound       lag of a signal that was found                          0.1 s
 =============  ======================================================  =========================
 
 An alarm comes when its limit was exceeded for ``delay_s`` and goes when what is measured falls
@@ -41,6 +41,7 @@ LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
 ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
 SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # of a change, by residuals
 CLEAR_CHANGE = 2.5  # of the usual residual: a smaller change is one of the map
+LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # from so much on `Auto` begins its map anew
 DAY_S = 86_400.0
 
 
@@ -102,14 +103,14 @@ class AlarmRule:
 
 RULES: Mapping[Alarm, AlarmRule] = {
     Alarm.CHANGED: AlarmRule(limit=0.25, hysteresis=0.0, delay_s=0.0, severity=600),
-    Alarm.RESIDUAL: AlarmRule(limit=3.0, hysteresis=1.0, delay_s=2.0, severity=500),
+    Alarm.RESIDUAL: AlarmRule(limit=2.5, hysteresis=0.8, delay_s=2.0, severity=500),
     Alarm.MISFIT: AlarmRule(limit=1.0, hysteresis=0.3, delay_s=60.0, severity=300),
     Alarm.SENSOR_LOST: AlarmRule(limit=2.0, hysteresis=0.0, delay_s=0.0, severity=800),
     Alarm.SENSOR_FROZEN: AlarmRule(limit=10.0, hysteresis=0.0, delay_s=0.0, severity=700),
     Alarm.UNEXCITED: AlarmRule(limit=DAY_S, hysteresis=0.0, delay_s=0.0, severity=100),
     Alarm.EXTRAPOLATED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=5.0, severity=300),
     Alarm.SAMPLES_LOST: AlarmRule(limit=1.0, hysteresis=0.5, delay_s=0.0, severity=400),
-    Alarm.LAG_FOUND: AlarmRule(limit=0.08, hysteresis=0.02, delay_s=0.0, severity=300),
+    Alarm.LAG_FOUND: AlarmRule(limit=0.1, hysteresis=0.02, delay_s=0.0, severity=300),
 }
 SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
     ServiceAlarm.CHECKPOINT: AlarmRule(limit=60.0, hysteresis=0.0, delay_s=0.0, severity=700),
@@ -225,7 +226,15 @@ class Alarms:
             kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses)
 
     def note_lags(self, chosen: Times, lags: Floats) -> None:
-        """Take up the largest lag of K valves, s; NaN where none is looked for."""
+        """Take up the largest lag of K valves, s; NaN where none is looked for.
+
+        Where it moves the map starts anew, and what residuals usually are with it.
+        """
+        before = self._senses.memory[chosen, kernel.LAG_BEFORE]
+        moved = np.abs(lags - before) > np.maximum(LAG_MOVED_S, LAG_MOVED_SHARE * before)
+        self._senses.memory[chosen, kernel.LAG_BEFORE] = lags
+        for m in chosen[moved].tolist():
+            self._forget_usual(m)
         self._move_on(chosen, Alarm.LAG_FOUND, lags)
 
     def note_misfit(self, chosen: Times, adaptation: Codes, rmse: Floats) -> None:
@@ -288,14 +297,16 @@ class Alarms:
 
     def forget_map(self, m: int) -> None:
         """Forget what residuals usually are: the map they are of is forgotten, too."""
+        self._forget_usual(m)
+        self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
+
+    def _forget_usual(self, m: int) -> None:
         fresh = _nothing_seen(1)
-        kept = [kernel.T_USUAL, *_LOSSES]
+        kept = [kernel.T_USUAL, kernel.CHANGES_SEEN, kernel.LAG_BEFORE, *_LOSSES]
         fresh.memory[0, kept] = self._senses.memory[m, kept]
         for name in ("memory", "weight", "bias", "square", "sums"):
             getattr(self._senses, name)[m] = getattr(fresh, name)[0]
-        one = np.array([m])
-        self._move_on(one, Alarm.RESIDUAL, np.zeros(1))
-        self._move_on(one, Alarm.CHANGED, np.zeros(1))
+        self._move_on(np.array([m]), Alarm.RESIDUAL, np.zeros(1))
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
         """How every alarm of one valve stands, in words."""

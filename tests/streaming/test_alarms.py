@@ -79,7 +79,7 @@ def test_a_valve_that_works_raises_none(known):
     assert all(report.count == 0 and report.acked for report in known.reports(0))
 
 
-def test_residuals_three_times_the_usual_come_after_the_delay_and_go(known):
+def test_residuals_larger_than_usual_come_after_the_delay_and_go(known):
     samples, trace = later(30)
     shifted = replace(samples, Q=samples.Q + 1.0)
     watch(known, shifted, said(shifted, trace.predicted))
@@ -87,7 +87,7 @@ def test_residuals_three_times_the_usual_come_after_the_delay_and_go(known):
     assert (report.active, report.acked, report.count) == (True, False, 1)
     assert START + 300 * S <= report.since <= START + 304 * S
     assert report.at - report.since >= 2 * S
-    assert "times what they usually are (limit 3)" in report.text
+    assert "times what they usually are (limit 2.5)" in report.text
     watch(known, *later(30, first_s=330))
     report = of(known, "Residual")
     assert (report.active, report.acked, report.count) == (False, False, 1)
@@ -139,9 +139,9 @@ def test_a_sensor_that_is_lost_comes_with_time_and_goes_with_the_first_sample(kn
 
 
 def test_silence_is_a_loss_by_the_clock_too_but_not_where_signals_come_on_change(known):
-    known.overdue(np.array([0]), START + 301 * S)
+    known.overdue(np.array([0]), np.array([START + 301 * S]))
     assert active(known) == []
-    known.overdue(np.array([0]), START + 303 * S)
+    known.overdue(np.array([0]), np.array([START + 303 * S]))
     assert active(known) == ["SensorLost"]
     patient = Alarms(1, RULES, 200.0)
     patient.be_patient(np.array([0]), np.array([True]))
@@ -245,7 +245,7 @@ def test_lags_losses_misfit_and_guesses_have_their_limits(known):
     watch(known, *later(10))
     known.note_losses(one, np.array([200]), np.array([31_000]))
     assert active(known) == ["SamplesLost", "LagFound"]
-    known.note_lags(one, np.array([0.07]))  # within the hysteresis
+    known.note_lags(one, np.array([0.09]))  # within the hysteresis
     assert "LagFound" in active(known)
     known.note_lags(one, np.array([0.05]))
     watch(known, *later(600, first_s=310))
@@ -260,10 +260,10 @@ def test_lags_losses_misfit_and_guesses_have_their_limits(known):
 
 def test_the_cutting_into_batches_changes_nothing():
     rng = np.random.default_rng(7)
-    samples, trace = working(160 * HZ)
-    samples.Q[12_000:] += 3.0
-    samples.p1[14_000:] = samples.p1[14_000]
-    samples.quality[15_000:15_500] = Quality.BAD
+    samples, trace = working(260 * HZ)
+    samples.Q[22_000:] += 3.0
+    samples.p1[24_000:] = samples.p1[24_000]
+    samples.quality[25_000:25_500] = Quality.BAD
     trace = said(samples, trace.predicted)
     whole, cut = Alarms(1, RULES, 200.0), Alarms(1, RULES, 200.0)
     watch(whole, samples, trace)
@@ -279,8 +279,8 @@ def test_the_cutting_into_batches_changes_nothing():
 
 def test_many_valves_are_watched_as_each_alone():
     one, other = Alarms(1, RULES, 200.0), Alarms(3, RULES, 200.0)
-    samples, trace = working(40 * HZ)
-    samples.Q[3_000:] += 3.0
+    samples, trace = working(240 * HZ)
+    samples.Q[22_000:] += 3.0
     trace = said(samples, trace.predicted)
     watch(one, samples, trace)
     segments = Segments(np.array([2]), np.array([0]), np.array([len(samples)]))

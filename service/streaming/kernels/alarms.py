@@ -24,7 +24,7 @@ BLOCK = 16.0  # residuals that are averaged: what stays, stands out against nois
 RECENT_BLOCKS = 32.0  # memory of what they are now: 5 s at 100 Hz
 USUAL_BLOCKS = 1_000.0  # memory of what they usually are: minutes
 ENOUGH_BLOCKS = 64.0  # from so many on it is known what is usual
-SETTLED_BLOCKS = 400.0  # from so many on a change is one of the valve: a minute or two
+SETTLED_BLOCKS = 400.0  # from so many on residuals and changes are the valve's: minutes
 PLACE_MEMORY = 1_000.0  # samples of one place
 KNOWN_PLACE = 50.0  # samples from which on a place's usual residual is known
 OUTLIER = 25.0  # squares: more is not taken for usual
@@ -55,7 +55,7 @@ OTHER_OIL_K = 3.0  # K: so far from usual the oil is named, whatever else explai
 # Places in `Senses.memory` and `Senses.times`.
 CELL, KNOWN, BLOCK_SUM, BLOCK_N, RECENT, RECENT_N, USUAL, USUAL_N, T_USUAL, Q_BEFORE = range(10)
 SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN = range(10, 17)
-USUAL_SQUARE, USUAL_SQUARE_N, MEMORY = range(17, 20)
+USUAL_SQUARE, USUAL_SQUARE_N, LAG_BEFORE, MEMORY = range(17, 21)
 NEWEST, USABLE, EXCITED, LOSS_TIME, LARGE_SINCE, LARGE_UNTIL, TIMES = range(7)
 NEVER = np.iinfo(np.int64).min
 
@@ -316,7 +316,7 @@ def _look_at_residual(
         if memory[BLOCK_N] >= BLOCK:
             if _take_block(memory, usual_now):
                 senses.sums[m] *= HALF_FORGOTTEN
-            enough = memory[USUAL_N] >= ENOUGH_BLOCKS
+            enough = memory[USUAL_N] >= SETTLED_BLOCKS
             ratio = np.sqrt(memory[RECENT] / memory[USUAL]) if enough else 0.0
             times = senses.times[m]
             if ratio > CONFIRMED:
