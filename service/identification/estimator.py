@@ -14,7 +14,7 @@ from service.identification.adaptation import Adaptation
 from service.identification.contents import Contents
 from service.identification.samples import Floats, Samples, Trace
 
-STATE_VERSION = 3
+STATE_VERSION = 2
 
 
 class StateMismatchError(ValueError):

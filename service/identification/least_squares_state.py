@@ -75,7 +75,7 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - score (n,), variance (triangle), detector (58,): of change detection and of the memory
+        - score (n,), variance (triangle), detector (52,): of change detection and of the memory
           of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
@@ -147,7 +147,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (58,)."""
+        """Of change detection and of the memory of places (52,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 

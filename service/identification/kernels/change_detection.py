@@ -10,15 +10,14 @@ d is free of misfit that has been seen before. What it still has in common from 
 without any change could add up: within a visit the error of what the place is known for, and misfit
 between the nodes (variance LOCAL); over the whole window slow noise, lag, and wear since the last
 visit (variance COMMON). So a sample weighs less by as much as makes b vary by them, at the worst,
-no more than by white noise. How large T is on average while nothing changes tells how well that was
-guessed; it is judged in units of that. The variance of white noise itself is that of half the
-difference of consecutive d, which knows nothing of what they have in common.
+no more than by white noise. The variance of white noise itself is that of half the difference of
+consecutive d, which knows nothing of what they have in common.
 """
 
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import CLIP, POWER_MEMORY, RELIED, shake
+from service.identification.kernels.places import CLIP, POWER_MEMORY, shake
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
     CHANGES,
@@ -28,7 +27,6 @@ from service.identification.kernels.row_layout import (
     FLOOR,
     FLOOR_WEIGHT,
     LAST_D,
-    LAST_UNSURE,
     LOCAL,
     MISFIT,
     MISFIT_POWER,
@@ -43,9 +41,6 @@ from service.identification.kernels.row_layout import (
     SUSPECTED,
     SWEPT,
     TIME,
-    UNSURE_HERE,
-    USUAL,
-    USUAL_WEIGHT,
     VISIT_LENGTH,
     Counts,
     Places,
@@ -72,11 +67,7 @@ FIRST = 1500  # samples before which a map is learnt rather than changed
 PATIENCE = 300  # samples after which what was suspected is taken for noise
 EXPERIENCE = 100.0  # looks at places known before, before which all is noise
 SUSPICIOUS = 3.0  # standard deviations
-USUAL_MEMORY = 5000.0  # looks that the mean of T remembers
-USUAL_CLIP = 4.0  # times its mean, or n, that T counts at most
-LEAST_USUAL = 0.4  # of n: for less the mean is not taken
-PRESUMED = 100.0  # looks that what lasts from look to look, (1 + rho)/(1 - rho), counts for
-DOUBT = 1.0  # over the root of the windows seen: by how much that mean may be wrong
+
 _KEEP = 1.0 - WINDOW
 
 
@@ -104,17 +95,15 @@ def weigh(
     g = at.detector
     step = d - s[g + LAST_D]
     s[g + LAST_D] = d
-    if s[g + UNSURE_HERE] + s[g + LAST_UNSURE] <= 2.0 / RELIED and not np.isnan(step):
-        square = step * step / (2.0 + s[g + UNSURE_HERE] + s[g + LAST_UNSURE]) + ROUNDING * y * y
+    if not np.isnan(step):
+        square = 0.5 * step * step + ROUNDING * y * y
         if s[g + SUSPECTED] > 0.0:
             square = s[g + FLOOR]
         elif s[g + FLOOR_WEIGHT] > SETTLED:
             square = min(square, CLIP * CLIP * s[g + FLOOR])
         s[g + FLOOR_WEIGHT] += 1.0 - s[g + FLOOR_WEIGHT] / POWER_MEMORY
         s[g + FLOOR] += (square - s[g + FLOOR]) / s[g + FLOOR_WEIGHT]
-    s[g + LAST_UNSURE] = s[g + UNSURE_HERE]
-    told = not np.isnan(step) and s[g + UNSURE_HERE] <= 1.0 / RELIED
-    local = s[g + LOCAL] if told else np.inf
+    local = s[g + LOCAL] if not np.isnan(step) else np.inf
     if s[g + MISFIT_POWER] > 0.0:  # where the structure fits, theta knows better than the place
         misfit = max(0.0, s[g + MISFIT])
         doubt = MISFIT_HERE * misfit + MISFIT_UNSEEN * s[g + MISFIT_POWER] + r * s[g + POWER]
@@ -131,36 +120,12 @@ def weigh(
     s[g + SUMMED] += 1.0
     alike = 1.0 + (s[g + VISIT_LENGTH] - 1.0) % LONG_VISIT + IN_SWEEP * s[g + SWEPT]
     doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * alike * local
-    if told:  # what a place is known for errs all along a stay
-        longer = max(0.0, s[g + VISIT_LENGTH] - LONG_VISIT)
-        doubt += longer * s[g + UNSURE_HERE] * s[g + FLOOR]
     z = d / np.sqrt(s[g + FLOOR] + doubt + ROUNDING * y * y + TINY)
     z = min(max(z, -CLIP), CLIP)
     s[g + EVIDENCE] = _KEEP * s[g + EVIDENCE] + 1.0
     for j in range(len(size)):
         s[at.score + j] = _KEEP * s[at.score + j] + z * s[at.x + j]
     add_square(size, s, at.variance, at.x, _KEEP * _KEEP)
-
-
-@inlined
-def usual(s: Floats, g: int, T: float) -> float:
-    """How large T, over its degrees of freedom, is on average; it is taken in, if it is a number.
-
-    It would be 1, were all that samples have in common known. It is less where that is taken for
-    more than it is, and more in noise that lasts. How many windows were seen is how far it is
-    believed; before, what d have in common from look to look tells.
-    """
-    if T >= 0.0:
-        s[g + USUAL_WEIGHT] += 1.0 - s[g + USUAL_WEIGHT] / USUAL_MEMORY
-        most = max(1.0, s[g + USUAL]) * USUAL_CLIP
-        s[g + USUAL] += (min(T, most) - s[g + USUAL]) / s[g + USUAL_WEIGHT]
-    weight = s[g + USUAL_WEIGHT]
-    lasts = max(1.0, 2.0 * s[g + POWER] / (s[g + FLOOR] + TINY) - 1.0)
-    mean = (weight * s[g + USUAL] + PRESUMED * lasts) / (weight + PRESUMED)
-    doubt = 1.0 + DOUBT / np.sqrt(WINDOW * (weight + PRESUMED))
-    if mean > doubt:
-        return float(mean / doubt)
-    return float(max(min(mean * doubt, 1.0), LEAST_USUAL))
 
 
 @inlined
@@ -191,7 +156,6 @@ def has_changed(
         return False
 
     T = squared_length(size, s, at.score, at.variance, at.f, at.Px, at.L)
-    T /= usual(s, g, T / n)
     if not rule.suspicious <= T:  # NaN: no evidence
         counters[SUSPECT_SAMPLE] = counters[COUNT] + 1
         counters[SUSPECT_TIME] = t

@@ -8,10 +8,8 @@ earlier visits lead to expect of the residual is c = Σ φₖ·(vₖ - Xₖᵀth
 - c is misfit of the structure: it comes back as long as the plant stays;
 - d is noise as long as the plant stays, whether the structure fits or not.
 
-A node's flow is a running mean, with the gain of a Kalman filter that knows how the errors of the
-four nodes of a cell correlate: where the valve rests between them their mean is learnt, and no node
-alone. What is known fades with time. A sample is held against what its nodes held when the valve
-came near, so that a slow machine does not teach a place its own damage.
+A node's flow is a running mean, with the gain of a Kalman filter whose covariance is diagonal. What
+is known of it fades with time.
 
 Drift is told from noise and misfit by visits: d averaged over a visit to a node, times the same of
 the visit before. Noise of visits that lie apart is independent, however coloured it is, and misfit
@@ -52,10 +50,8 @@ from service.identification.kernels.row_layout import (
     REST_B,
     RESTED,
     REVISITED,
-    STEP_E,
     SUSPECTED,
     SWEPT,
-    UNSURE_HERE,
     VARIANCE,
     VISIT_BEGAN,
     VISIT_COMMON,
@@ -63,7 +59,6 @@ from service.identification.kernels.row_layout import (
     VISIT_POWER,
     VISIT_SQUARES,
     VISIT_SUM,
-    VISIT_TOLD,
     VISIT_WEIGHT,
     Counts,
     Places,
@@ -76,26 +71,19 @@ from service.identification.samples import Floats
 
 # Fields of a node: flow, l/min; samples it is the mean of; time by the clock when it was touched
 # last; mean square of d around it; mean of d over the last visit; end of that visit; visits; looks
-# of the last one. Then flow and samples when the valve came near, and when that was; and, of the
-# cell whose first node it is, how the errors of the four nodes correlate, pair by pair.
+# of the last one.
 FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS, STAYED = range(8)
-FLOW_BEFORE, KNOWN_BEFORE, CAME, TOGETHER = range(8, 12)
-FIELDS = TOGETHER + 6
+FIELDS = 8
 
 NODES_A, NODES_B = 17, 12  # of the grid, along U and √dp
 TOP_DP = 225.0  # bar: the last node
 
-SETTLED = 300  # samples after theta was determined before a place is remembered: before, theta's
-HASTY = 20  # slopes mislead where the structure misfits; of a plant that is known to drift
-STEP_WINDOW = 1.0 / 100.0  # per look, of the mean square of steps of e
-RELIED = 1.0  # samples that a place must be known by to tell of noise and change
-LONG_STAY = 512.0  # samples after which a node is held against what it showed in the stay itself
+SETTLED = 20  # samples after theta was determined before a place is remembered
 FIT = 0.5  # theta carries a sample to its nodes where its own variance xᵀPx is below this
-FIT_NODE = 0.05  # the same at a node that becomes known by that
 SHARE = 0.75  # of φ that must be known before anything is expected of a place
-LEAST = 0.0003  # samples that must be known of a node, or it is new again
-FIRST = 0.0005  # samples that the first one counts for at least
-CHANGED = 0.0001  # samples that a node counts for once the plant has changed
+LEAST = 0.02  # samples that must be known of a node, or it is new again
+FIRST = 0.05  # samples that the first one counts for at least
+CHANGED = 0.01  # samples that a node counts for once the plant has changed
 BENT = 0.25  # of the second difference of nodes: error between them, at a kink rather more
 SURE = 3.0  # standard deviations by which noise of visits must agree to be more than chance
 NEAR = 0.2  # φ from which a sample makes a node known
@@ -159,7 +147,7 @@ def look(
         Regressors at the nodes.
     own : (K, FIELDS)
         The state's nodes, written.
-    box : (16,)
+    box : (8,)
         Scratch.
     a, b
         Place in steps of the grid; outside of it, or NaN, nothing is remembered.
@@ -171,7 +159,7 @@ def look(
     n = len(size)
     g = at.detector
     inside = a >= 0.0 and a <= NODES_A - 1.0 and b >= 0.0 and b <= NODES_B - 1.0
-    if not (inside and r < FIT and counters[COUNT] > (SETTLED if rule.lam == 1.0 else HASTY) + n):
+    if not (inside and r < FIT and counters[COUNT] > SETTLED + n):
         return np.nan
     tick(s, g, a, b, float(counters[COUNT]))
     i, j = min(int(a), NODES_A - 2), min(int(b), NODES_B - 2)
@@ -188,7 +176,7 @@ def look(
         s[g + VISIT_BEGAN] = s[g + LOOKED_AT]
         s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
     now, fading = s[g + CLOCK], s[g + FADING]
-    known, sure, newest, c, S, age, flow = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    known, sure, c, S, age, flow = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for corner in range(4):
         k = first + (corner & 1) + (corner >> 1) * NODES_B
         f = (q if corner & 1 else 1.0 - q) * (p if corner >> 1 else 1.0 - p)
@@ -197,31 +185,24 @@ def look(
             expected += nodes[k, m] * s[at.theta + m]
         box[corner] = f
         box[4 + corner] = expected
-        box[8 + corner] = 0.0
         weight = own[k, KNOWN]
         if weight > LEAST:
             gone = now - own[k, TOUCHED]
             weight /= 1.0 + fading * gone
             own[k, KNOWN] = weight
-            if gone > APART or now - own[k, CAME] > LONG_STAY:
-                own[k, CAME] = now
-                own[k, FLOW_BEFORE] = own[k, FLOW]
-                own[k, KNOWN_BEFORE] = weight if own[k, VISITS] > 0.0 else 0.0
             known += f
-            newest += f * (own[k, FLOW] - expected)
-            if own[k, KNOWN_BEFORE] > LEAST:
+            if own[k, VISITS] > 0.0:
                 sure += f
-                c += f * (own[k, FLOW_BEFORE] - expected)
-                S += f * f / own[k, KNOWN_BEFORE]
-                age = max(age, now - own[k, CAME], gone)
-                flow = max(flow, abs(own[k, FLOW_BEFORE]))
-            box[8 + corner] = 1.0 / np.sqrt(weight)
+            c += f * (own[k, FLOW] - expected)
+            S += f * f / weight
+            age = max(age, gone)
+            flow = max(flow, abs(own[k, FLOW]))
         own[k, TOUCHED] = now
     d = np.nan
     s[g + VISIT_LENGTH] += 1.0
-    if sure >= SHARE:
-        c /= sure
-        S /= sure * sure
+    if known >= SHARE:
+        c /= known
+        S /= known * known
         d = e - c
         weight = own[nearest, KNOWN]
         spread = (weight * own[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
@@ -242,110 +223,46 @@ def look(
         step = d
         if s[g + POWER_WEIGHT] > SETTLED:
             step = min(max(d, -CLIP * np.sqrt(spread)), CLIP * np.sqrt(spread))
-        s[g + UNSURE_HERE] = S
-        relied = S * s[g + FLOOR] <= max(s[g + FLOOR], s[g + POWER])
-        if relied and s[g + SUSPECTED] == 0.0:
+        if sure >= SHARE and s[g + SUSPECTED] == 0.0:
             s[g + POWER_WEIGHT] += 1.0 - s[g + POWER_WEIGHT] / POWER_MEMORY
             s[g + POWER] += (step * step / (1.0 + S) - s[g + POWER]) / s[g + POWER_WEIGHT]
-        if relied:
-            s[g + VISIT_SQUARES] += step * step / (1.0 + S)
-            s[g + VISIT_SUM] += step
-            s[g + VISIT_TOLD] += 1.0
+        s[g + VISIT_SQUARES] += step * step / (1.0 + S)
+        s[g + VISIT_SUM] += step
         again = own[nearest, VISITED] > 0.0 and now - own[nearest, VISITED] > APART
         if again and s[g + VISIT_LENGTH] == 1.0 and s[g + SUSPECTED] == 0.0:
             s[g + REVISITED] += 1.0
             s[g + MISFIT] += MISFIT_RATE * (c * e - s[g + MISFIT])
             s[g + MISFIT_POWER] += MISFIT_RATE * (d * d - s[g + MISFIT_POWER])
+        gain = step / (1.0 + S)
+        for corner in range(4):
+            k = first + (corner & 1) + (corner >> 1) * NODES_B
+            weight, f = own[k, KNOWN], box[corner]
+            if weight > LEAST:
+                own[k, FLOW] += gain * f / weight
+                own[k, KNOWN] = weight / (1.0 - f * f / (weight * (1.0 + S)))
+                if own[k, VISITS] == 0.0 and k != nearest:  # seen from one side alone, so far
+                    own[k, KNOWN] = min(own[k, KNOWN], 1.0)
+    if sure >= SHARE:
         s[g + NEW] -= NEW_RATE * s[g + NEW]
     else:
+        d = np.nan
         s[g + NEW] += NEW_RATE * (e * s[g + LAST_E] - s[g + NEW])
-    if s[g + LAST_E] != 0.0:
-        part = max(STEP_WINDOW, 1.0 / float(counters[COUNT]))
-        s[g + STEP_E] += part * (0.5 * (e - s[g + LAST_E]) ** 2 - s[g + STEP_E])
     s[g + LAST_E] = e
-    white = s[g + STEP_E]
-    if s[g + FLOOR] > 0.0:
-        white = min(white, s[g + FLOOR])
-    if known >= SHARE:
-        most = np.inf  # where a node is missing, theta's slopes carry the sample
-        if known < 1.0 - 1e-9:
-            whole = max(s[at.noise + VARIANCE], e * e)
-            most = (known / (1.0 - known)) ** 2 * white / whole if whole > 0.0 else 1.0
-        learn(s, g, own, box, first, nearest, known, e - newest / known, most)
     for corner in range(4):
         k = first + (corner & 1) + (corner >> 1) * NODES_B
         if own[k, KNOWN] <= LEAST and box[corner] > NEAR:
             for m in range(n):
                 s[at.g + m] = nodes[k, m]
-            if whiten(size, s, at.factor, at.g, at.L) > FIT_NODE:
+            if whiten(size, s, at.factor, at.g, at.L) > FIT:
                 continue
             own[k, FLOW] = box[4 + corner] + e
             # Carried there by theta, it is as wrong as its residuals are large.
-            whole = max(s[at.noise + VARIANCE], e * e)
-            own[k, KNOWN] = max(FIRST, min(1.0, white / whole)) if whole > 0.0 else 1.0
-            own[k, KNOWN_BEFORE] = 0.0
-            own[k, CAME] = now
+            whole = s[at.noise + VARIANCE]
+            own[k, KNOWN] = max(FIRST, min(1.0, s[g + FLOOR] / whole)) if whole > 0.0 else 1.0
             own[k, SPREAD] = s[g + POWER]
             own[k, VISITED] = -1.0
             own[k, VISITS] = 0.0
     return d
-
-
-@inlined
-def learn(
-    s: Floats,
-    g: int,
-    own: Floats,
-    box: Floats,
-    first: int,
-    nearest: int,
-    known: float,
-    e: float,
-    most: float,
-) -> None:
-    """Take what the nodes around did not expect, e, into their flows: a step of a Kalman filter.
-
-    ``box`` holds φ, and from 8 on the nodes' standard deviations over that of white noise, 0 where
-    nothing is known; ``known`` is the sum of the φ of the others, ``most`` what a node may be known
-    by afterwards, in samples.
-    """
-    S = 0.0
-    for j in range(4):
-        v = 0.0  # covariance of node j with what was expected
-        for k in range(4):
-            rho = 1.0 if j == k else own[first, TOGETHER + _pair(j, k)]
-            v += rho * box[8 + k] * box[k]
-        box[12 + j] = v * box[8 + j] / known
-        S += box[12 + j] * box[j] / known
-    S = max(S, 0.0)
-    weight = own[nearest, KNOWN]
-    spread = (weight * own[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
-    if s[g + POWER_WEIGHT] > SETTLED:
-        limit = CLIP * np.sqrt(spread * (1.0 + S))
-        e = min(max(e, -limit), limit)
-    for j in range(4):
-        for k in range(j):
-            if box[8 + j] > 0.0 and box[8 + k] > 0.0:
-                both = own[first, TOGETHER + _pair(k, j)] * box[8 + j] * box[8 + k]
-                both -= box[12 + j] * box[12 + k] / (1.0 + S)
-                left_j = box[8 + j] ** 2 - box[12 + j] ** 2 / (1.0 + S)
-                left_k = box[8 + k] ** 2 - box[12 + k] ** 2 / (1.0 + S)
-                own[first, TOGETHER + _pair(k, j)] = both / np.sqrt(left_j * left_k)
-            else:
-                own[first, TOGETHER + _pair(k, j)] = 0.0
-    for j in range(4):
-        if box[8 + j] > 0.0:
-            k = first + (j & 1) + (j >> 1) * NODES_B
-            own[k, FLOW] += box[12 + j] * e / (1.0 + S)
-            weight = 1.0 / (box[8 + j] ** 2 - box[12 + j] ** 2 / (1.0 + S))
-            own[k, KNOWN] = max(own[k, KNOWN], min(weight, most))
-
-
-@inlined
-def _pair(j: int, k: int) -> int:
-    """Place of the correlation of nodes j ≠ k of the four."""
-    first, second = min(j, k), max(j, k)
-    return first * (5 - first) // 2 + second - 1
 
 
 @inlined
@@ -387,7 +304,7 @@ def bend(size: Size, s: Floats, at: Places, nodes: Floats, own: Floats, i: int, 
 def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> None:
     """Compare the visit that has ended with the one before to the same node."""
     g = at.detector
-    length = s[g + VISIT_TOLD]
+    length = s[g + VISIT_LENGTH]
     k = int(s[g + NODE])
     if length > 0.0 and own[k, VISITS] > 0.0 and s[g + SUSPECTED] == 0.0:
         mean = s[g + VISIT_SUM] / length
@@ -409,7 +326,7 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         gap = now - length - own[k, VISITED]
         stayed = s[g + LOOKED_AT] - s[g + VISIT_BEGAN]
         apart = own[k, VISITED] <= 0.0 or gap > APART or stayed >= APART
-        if own[k, VISITS] > SEEN_OFTEN and own[k, STAYED] > 0.0 and apart:
+        if own[k, VISITS] > SEEN_OFTEN and apart:
             recent = min(1.0, length / LAG_MEMORY)
             common = max(0.0, s[g + VISIT_COMMON])
             expected = (s[g + FLOOR] / length + common) * (s[g + FLOOR] / own[k, STAYED] + common)
@@ -427,11 +344,10 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         if apart:
             own[k, DEVIATION] = mean
             own[k, STAYED] = length
-    if s[g + VISIT_LENGTH] > 0.0:
+    if length > 0.0:
         own[k, VISITS] += 1.0
         own[k, VISITED] = now
     s[g + VISIT_LENGTH] = 0.0
-    s[g + VISIT_TOLD] = 0.0
     s[g + VISIT_SUM] = 0.0
     s[g + VISIT_SQUARES] = 0.0
 
@@ -472,6 +388,5 @@ def shake(own: Floats) -> None:
     """The plant has changed: what is remembered of every place counts next to nothing."""
     for k in range(len(own)):
         own[k, KNOWN] = min(own[k, KNOWN], CHANGED)
-        own[k, KNOWN_BEFORE] = 0.0
         own[k, VISITED] = min(own[k, VISITED], 0.0)
         own[k, VISITS] = 0.0

@@ -147,7 +147,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     kind, found = rule.kind, 0
     divides, watches = kind <= RESETTING, rule.threshold < np.inf
     placed = watches and len(nodes) > 0
-    s, own, box = np.empty(at.end), np.empty(PLACES_OF_COUNTERS, np.int64), np.empty(16)
+    s, own, box = np.empty(at.end), np.empty(PLACES_OF_COUNTERS, np.int64), np.empty(8)
     for one in range(len(segments.members)):
         m, first, stop = segments.members[one], segments.starts[one], segments.stops[one]
         for p in range(at.x):

@@ -41,11 +41,7 @@ LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQU
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
 # Of the clock by which places age.
 CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN = range(46, 52)
-# Looks of a visit whose place was known; mean of T, over n, and looks that it is the mean of;
-# variance of what a place is known for over that of noise, now and at the look before; half the
-# mean square of steps of e.
-VISIT_TOLD, USUAL, USUAL_WEIGHT, UNSURE_HERE, LAST_UNSURE, STEP_E = range(52, 58)
-PLACES_OF_DETECTOR = 58
+PLACES_OF_DETECTOR = 52
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
