@@ -24,6 +24,9 @@ SERVICE = (
     "Source.MissingMessages",
     "Source.Undecodable",
     "Source.FromHistory",
+    "History.Lost",
+    "History.Failures",
+    "History.Size",
 )
 SUMMARY = {  # of the server's own diagnostics, Part 5, 6.3.3
     "CurrentSessionCount": 2277,

@@ -161,7 +161,7 @@ class Alarms:
     Examples
     --------
     >>> alarms = Alarms(1, RULES, 200.0)
-    >>> alarms.overdue(np.array([0]), 5_000_000_000)
+    >>> alarms.overdue(np.array([0]), np.array([5_000_000_000]))
     >>> [report.name for report in alarms.reports(0) if report.active]
     ['SensorLost']
     """

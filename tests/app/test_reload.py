@@ -23,7 +23,7 @@ from service.storage.checkpoints import CheckpointFile
 from virtual_rig.scenario import BUILTIN, ValveBench
 from virtual_rig.server import RigServer
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.waits
 
 RATE_HZ = 100
 STEP_NS = 10_000_000

@@ -16,7 +16,7 @@ from service.opcua.history import NEVER, Knowledge
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
 from service.streaming.supervisor import SupervisorSettings, supervise
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.waits
 
 SHORT = Limits(queue_size=30)  # 0.3 s of what comes
 FORGETFUL = Limits(longest_lifetime_s=1.0, lifetime_count=20, keep_alive_count=5)

@@ -27,7 +27,7 @@ from service.opcua.decoding import decode_data_changes
 from service.opcua.session import BatchSession
 from service.opcua.transport import BoundedClient
 
-pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 SECONDS = 1.0  # from a lie to the error
 BYTES = 64 * 1024 * 1024  # at most 8 MiB of a message, and what is made of it

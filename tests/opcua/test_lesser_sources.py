@@ -15,7 +15,7 @@ from service.hardened import Limits, Role, UserStore
 from service.storage.checkpoints import CheckpointFile
 from service.streaming.supervisor import SupervisorSettings
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.waits
 
 Ids = ua.ObjectIds
 TRANSFER = Ids.TransferSubscriptionsRequest_Encoding_DefaultBinary

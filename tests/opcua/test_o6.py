@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.interoperation import ClientInteroperation
 
-pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 _PROGRAM = Path(__file__).parents[1] / "support" / "o6_client.py"
 

@@ -12,7 +12,7 @@ from support.stream import NumberedServer
 from service.hardened import Role, UserStore
 from service.storage.checkpoints import CheckpointFile
 
-pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")

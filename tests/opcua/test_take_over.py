@@ -9,7 +9,7 @@ from support.stream import NumberedServer, until, watching
 
 from service.hardened import Role, UserStore
 
-pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
+pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 SOON_S = 9.0  # after the line is back data are there again
 

@@ -24,7 +24,7 @@ from service.streaming.quality_gate import QualityGate
 from service.streaming.timing import Timing, TimingSettings
 
 CANNOT_BE = (np.nan, np.inf, -np.inf, -1.0, -1e300, 1e300, 2.0**62, 2.5, 77.0)
-KEPT = ("RLS", "window", "RML", "RBF", "Auto", "Diagnostics", "Signals")
+KEPT = ("RLS", "window", "RML", "RBF", "Auto", "Diagnostics", "Signals", "Alarms")
 TWO = 2
 
 

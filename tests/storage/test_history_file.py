@@ -127,7 +127,7 @@ def test_the_oldest_goes_where_there_is_too_much(path):
 def test_a_kill_loses_what_was_not_saved_alone(path):
     script = (
         "import os, sys; sys.path.insert(0, 'tests/storage')\n"
-        "from test_history import *\n"
+        "from test_history_file import *\n"
         f"store = HistoryFile({str(path)!r})\n"
         "for k in range(50): store.save([piece(100 * k, 100)])\n"
         "os.kill(os.getpid(), 9)\n"
