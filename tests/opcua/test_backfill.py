@@ -86,6 +86,7 @@ async def test_without_history_what_is_lost_is_counted_to_the_sample(cache):
         await proxy.cut_for(CUT_S)
         heard = len(collector.numbers)
         await until(lambda: len(collector.numbers) > heard + RATE_HZ)
+        await until(lambda: "gaps" in collector.counters)  # once nothing waits behind the hole
         numbers = collector.numbers
         lost = numbers[-1] - numbers[0] + 1 - len(numbers)
         assert lost > RATE_HZ / 2
