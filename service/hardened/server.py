@@ -30,6 +30,7 @@ from service.hardened.audit import Audit
 from service.hardened.binary.encoding import DTYPES, instant, nanoseconds
 from service.hardened.clock import Clock, SystemClock
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
+from service.hardened.history.aggregates import Aggregate
 from service.hardened.history.historian import Historian
 from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
@@ -122,6 +123,7 @@ class HardenedServer(Startable):
             limits.audit_events_per_second,
         )
         self._histories = Histories(limits, aspace)
+        self._has_history = False
         self._services = Services(
             limits,
             self._clock,
@@ -323,11 +325,15 @@ class HardenedServer(Startable):
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
         """Let clients read what variables have been; who keeps it is asked with each request.
 
+        Called before the start, if only for no variables yet, it has the server announce that it
+        has histories.
+
         Raises
         ------
         ServerError
             if a variable is no scalar number.
         """
+        self._has_history = True
         for variable in variables:
             if variable.array or variable.type not in DTYPES:
                 raise ServerError(f"{variable.id.Identifier}: histories are of scalar numbers")
@@ -395,7 +401,7 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce(has_history=len(self._histories) > 0)
+        self._announcements.announce(tuple(Aggregate) if self._has_history else None)
         self._announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)

@@ -190,6 +190,8 @@ class ResultsServer(Startable):
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
         self._blocks = ResultBlocks(server, self._valves, self._clock.now())
+        if self._past is not None:
+            server.add_history((), self._past)
         with many_nodes():
             for number, valve in enumerate(self._valves):
                 words = f"The valve {valve.name} and what is known of it."

@@ -298,3 +298,13 @@ async def test_each_variable_needs_an_aggregate_of_its_own(served):
     client, flow = served
     with pytest.raises(ua.UaStatusCodeError, match="BadAggregateListMismatch"):
         await read(client, flow, ua.ReadProcessedDetails())
+
+
+async def test_clients_find_the_functions_where_they_look_for_them(served):
+    client, _ = served
+    for folder in (
+        ua.ObjectIds.HistoryServerCapabilities_AggregateFunctions,
+        ua.ObjectIds.Server_ServerCapabilities_AggregateFunctions,
+    ):
+        shown = await client.get_node(ua.NodeId(folder)).get_children()
+        assert {node.nodeid.Identifier for node in shown} == set(Aggregate)

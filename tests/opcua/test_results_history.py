@@ -111,3 +111,8 @@ async def test_a_trend_asks_for_averages(client):
 async def test_what_is_not_kept_says_so(client, name):
     node = await node_of(client, name)
     assert ua.AccessLevel.HistoryRead not in await node.get_access_level()
+
+
+async def test_the_server_says_that_there_is_a_history(client):
+    said = ua.ObjectIds.HistoryServerCapabilities_AccessHistoryDataCapability
+    assert await client.get_node(ua.NodeId(said)).read_value() is True

@@ -103,9 +103,9 @@ def insert(aspace: AddressSpace, item: ua.AddNodesItem, utc: dt.datetime) -> ua.
     )
     forward.IsForward = True
     parent.references.append(forward)
-    node.references.append(_reference(item.ReferenceTypeId, parent, forward=False))
+    node.references.append(reference(item.ReferenceTypeId, parent, forward=False))
     if _is_typed(item):
-        node.references.append(_reference(_HAS_TYPE, aspace[item.TypeDefinition], forward=True))
+        node.references.append(reference(_HAS_TYPE, aspace[item.TypeDefinition], forward=True))
     return id_
 
 
@@ -152,7 +152,8 @@ def _shared(value: Any, kind: ua.VariantType) -> ua.DataValue:  # noqa: ANN401
     return ua.DataValue(ua.Variant(value, kind))
 
 
-def _reference(kind: ua.NodeId, target: NodeData, *, forward: bool) -> ua.ReferenceDescription:
+def reference(kind: ua.NodeId, target: NodeData, *, forward: bool) -> ua.ReferenceDescription:
+    """Describe a reference to a node."""
     attributes = target.attributes
     found = ua.ReferenceDescription(
         ReferenceTypeId=kind,

@@ -2,12 +2,13 @@
 
 import asyncio
 import datetime as dt
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
+from service.hardened.address_space.insertion import reference
 from service.hardened.binary.encoding import instant
 from service.hardened.clock import Clock
 from service.hardened.logs import bounded_logger
@@ -128,8 +129,11 @@ class SelfDescription:
         self._started = 0
         self._task: asyncio.Task[None] | None = None
 
-    def announce(self, *, has_history: bool) -> None:
-        """Write what does not change while the server runs."""
+    def announce(self, aggregates: Iterable[int] | None) -> None:
+        """Write what does not change while the server runs.
+
+        ``aggregates`` are those that are computed of histories, None where there are no histories.
+        """
         settings, limits = self._settings, self._settings.limits
         for node, name in _LIMIT_OF.items():
             self._set(node, getattr(limits, name), _UINT32)
@@ -149,10 +153,11 @@ class SelfDescription:
         for node in _NO_HISTORY_SERVICES:
             self._set(node, False, _Types.Boolean)  # noqa: FBT003 - a value
         for node, there in (
-            (_Ids.HistoryServerCapabilities_AccessHistoryDataCapability, has_history),
+            (_Ids.HistoryServerCapabilities_AccessHistoryDataCapability, aggregates is not None),
             (_Ids.HistoryServerCapabilities_ServerTimestampSupported, True),
         ):
             self._set(node, there, _Types.Boolean)
+        self._show_aggregates(aggregates or ())
         self._set(
             _Ids.Server_ServerCapabilities_MinSupportedSampleRate,
             limits.publishing_interval_ms,
@@ -167,6 +172,17 @@ class SelfDescription:
         self._set(
             _Ids.Server_ServerDiagnostics_ServerDiagnosticsSummary_ServerViewCount, 0, _UINT32
         )
+
+    def _show_aggregates(self, aggregates: Iterable[int]) -> None:
+        """List the functions that HistoryRead computes where clients look for them."""
+        for folder in (
+            _Ids.HistoryServerCapabilities_AggregateFunctions,
+            _Ids.Server_ServerCapabilities_AggregateFunctions,
+        ):
+            shown = self._aspace[ua.NodeId(folder)].references
+            for aggregate in aggregates:
+                function = self._aspace[ua.NodeId(int(aggregate))]
+                shown.append(reference(ua.NodeId(_Ids.Organizes), function, forward=True))
 
         not_supported = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadNotSupported))
         for node in _NOT_DIAGNOSED:

@@ -83,9 +83,6 @@ class Histories:
         self._nodes = nodes
         self._kept: dict[ua.NodeId, tuple[Variable, Historian]] = {}
 
-    def __len__(self) -> int:
-        return len(self._kept)
-
     def add(self, variable: Variable, historian: Historian) -> None:
         """Have a variable's past answered for by somebody."""
         self._kept[variable.id] = variable, historian
