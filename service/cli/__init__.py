@@ -25,6 +25,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "init": "security",
     "trust": "security",
     "baseline": "baseline",
+    "history": "history",
     "fleet": "fleet",
     "schema": "package",
     "unit": "package",

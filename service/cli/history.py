@@ -1,4 +1,4 @@
-"""What a server's history holds, as a recording that replay reads."""
+"""Histories: of a server, as a recording that replay reads; of the service, ``history``."""
 
 import asyncio
 import tempfile
@@ -6,10 +6,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.options import ConfigOption, check_folder
 from service.cli.progress import working
 from service.config.loading import load_config
 from service.errors import RecordingError
@@ -18,6 +19,43 @@ if TYPE_CHECKING:
     from service.config.models import Config
 
 _SERVER = "opc.tcp://"
+
+history = typer.Typer(help="What signals have been.", no_args_is_help=True)
+
+
+@history.callback()
+def _of_the_service() -> None:
+    """One command alone keeps its name, too."""
+
+
+@history.command()
+def export(
+    file: Annotated[Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet")],
+    config: ConfigOption = None,
+    valve: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="One valve, or several; none = all.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option("--from", metavar="T", help="First time, ISO 8601 or UTC ns.")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", metavar="T", help="Last time; none = now.")
+    ] = None,
+) -> None:
+    """Write what the service has kept of its signals as a recording."""
+    from service.app.history import export_history
+
+    check_folder("FILE", file)
+    loaded = load_config(config)
+    start = 0 if since is None else _time("--from", since)
+    stop = time.time_ns() if until is None else _time("--to", until)
+    if stop < start:
+        raise typer.BadParameter(f"--to {until}: is before --from {since}")
+    with working(f"reading {loaded.history.file}") as say:
+        n = export_history(
+            loaded, file, valve or [], start, stop, lambda n: say(f"{file.name}: {n:,} samples")
+        )
+    typer.echo(f"{file}: {n:,} samples")
 
 
 @contextmanager
