@@ -2,14 +2,14 @@
 
 import hashlib
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from service.errors import StorageError
+from service.storage.sqlite_files import check_owner, naming, pragma, transaction
 from service.streaming.ports import Checkpoint
 
 APPLICATION_ID = 0x76_6D_61_70  # "vmap"
@@ -102,7 +102,7 @@ class CheckpointFile:
         self._lock = Lock()
         self._generations: dict[tuple[str, str], int] = {}  # the newest's
         self._saved = 0
-        with _naming(self.path):
+        with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             frames = _frames_in_log(self.path)
             try:
@@ -115,7 +115,7 @@ class CheckpointFile:
                     raise
                 self.set_aside = _set_aside(self.path)
                 self._connection = _open(self.path, timeout)
-                with suppress(sqlite3.Error), _transaction(self._connection):
+                with suppress(sqlite3.Error), transaction(self._connection):
                     self._connection.executemany(_INSERT, _salvaged(self.set_aside))
             rows = self._rows()
         self._saved = max((row.saved for row in rows), default=0)
@@ -124,12 +124,12 @@ class CheckpointFile:
 
     def save(self, checkpoints: Sequence[Checkpoint]) -> None:
         """Keep all of them or none; each replaces the one of the same valve and estimator."""
-        with self._lock, _naming(self.path):
+        with self._lock, naming(self.path):
             saved = self._saved + 1
             rows = [_Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
             self._connection.execute("PRAGMA synchronous = OFF")  # the fold waits for the disk
             try:
-                with _transaction(self._connection):
+                with transaction(self._connection):
                     self._connection.executemany(_INSERT, rows)
             finally:
                 self._connection.execute("PRAGMA synchronous = NORMAL")
@@ -142,7 +142,7 @@ class CheckpointFile:
 
         Where one of a valve is not, the others are of the same save as the one before it.
         """
-        with self._lock, _naming(self.path):
+        with self._lock, naming(self.path):
             rows = self._rows()
         whole = [row for row in rows if row.is_whole()]
         self.damaged = sorted(
@@ -178,7 +178,7 @@ class CheckpointFile:
 
     def close(self) -> None:
         """Close the file and fold its log into it; safe to call twice."""
-        with self._lock, _naming(self.path):
+        with self._lock, naming(self.path):
             self._connection.close()
 
     def __enter__(self) -> Self:
@@ -288,8 +288,8 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
         _check(connection, path)
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
-        with _transaction(connection):
-            if _pragma(connection, "application_id") == 0:
+        with transaction(connection):
+            if pragma(connection, "application_id") == 0:
                 for statement in _SCHEMA:
                     connection.execute(statement)
     except BaseException:
@@ -300,17 +300,9 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
     """Raise if this is not our file, before anything in it is touched."""
-    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    application = _pragma(connection, "application_id")
-    if application != APPLICATION_ID and (application or tables):
-        raise StorageError(f"{path} belongs to another program; name another checkpoint file")
-    version = _pragma(connection, "user_version")
-    if version > SCHEMA_VERSION:
-        raise StorageError(
-            f"{path} was written by a newer valvemap: its schema is {version}, "
-            f"this one knows up to {SCHEMA_VERSION}"
-        )
-    if application == APPLICATION_ID and version < SCHEMA_VERSION:
+    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION)
+    version = pragma(connection, "user_version")
+    if not is_new and version < SCHEMA_VERSION:
         raise _damage(f"it is of format {version}, this one writes {SCHEMA_VERSION}")
     (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if verdict != "ok":
@@ -321,34 +313,6 @@ def _damage(text: str) -> sqlite3.DatabaseError:
     error = sqlite3.DatabaseError(text)
     error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
     return error
-
-
-def _pragma(connection: sqlite3.Connection, name: str) -> int:
-    (value,) = connection.execute(f"PRAGMA {name}").fetchone()
-    return int(value)
-
-
-@contextmanager
-def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        yield
-        connection.execute("COMMIT")
-    except BaseException:
-        if connection.in_transaction:  # a full disk has rolled back already
-            connection.execute("ROLLBACK")
-        raise
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Turn what SQLite and the file system raise into one sentence that names the file."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        raise StorageError(f"{path} cannot be used: {error}") from error
-    except OSError as error:
-        raise StorageError(f"{path} cannot be used: {error.strerror}") from error
 
 
 def _is_damage(error: sqlite3.Error) -> bool:
