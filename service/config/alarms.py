@@ -2,15 +2,14 @@
 
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from service.config.sections import Section
 from service.streaming.alarms import RULES, SERVICE_RULES, Alarm, AlarmRule, ServiceAlarm
 
 
-class AlarmConfig(BaseModel):
+class AlarmConfig(Section):
     """One alarm; what is left out is as by default."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     limit: float | None = Field(
         None, ge=0.0, description="it comes when what is measured is above; in the alarm's own unit"
@@ -41,10 +40,8 @@ class AlarmConfig(BaseModel):
         return self
 
 
-class AlarmsConfig(BaseModel):
+class AlarmsConfig(Section):
     """The alarms of one valve."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     Changed: AlarmConfig = Field(AlarmConfig(), description="% of the flow's range; default 0.25")
     Residual: AlarmConfig = Field(AlarmConfig(), description="times the usual; default 2.5")
@@ -61,10 +58,8 @@ class AlarmsConfig(BaseModel):
         return {alarm: getattr(self, alarm.title).rule(RULES[alarm]) for alarm in Alarm}
 
 
-class ServiceAlarmsConfig(BaseModel):
+class ServiceAlarmsConfig(Section):
     """The alarms of the service itself."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     Checkpoint: AlarmConfig = Field(
         AlarmConfig(), description="s since states were kept; default 60, or 3 intervals"

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, assert_never
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from service.config.sections import Section
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator
 from service.identification.forgetting import (
@@ -36,11 +37,7 @@ ForgettingRule = Literal[
 ]
 
 
-class _EstimatorSection(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class RlsConfig(_EstimatorSection):
+class RlsConfig(Section):
     """Recursive least squares on eq. (7)."""
 
     kind: Literal["RLS"] = "RLS"
@@ -54,7 +51,7 @@ class RlsConfig(_EstimatorSection):
     window_samples: int = Field(500, ge=10, le=100_000, description="length of a window")
 
 
-class RmlConfig(_EstimatorSection):
+class RmlConfig(Section):
     """Recursive maximum likelihood on eq. (7), noise coloured by a moving average."""
 
     kind: Literal["RML"] = "RML"
@@ -63,7 +60,7 @@ class RmlConfig(_EstimatorSection):
     nd: int = Field(1, ge=1, le=8, description="order of the moving average of the noise")
 
 
-class RbfConfig(_EstimatorSection):
+class RbfConfig(Section):
     """The paper's radial basis function network, trained by gradient descent."""
 
     kind: Literal["RBF"] = "RBF"
@@ -74,7 +71,7 @@ class RbfConfig(_EstimatorSection):
     alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
 
 
-class AutoConfig(_EstimatorSection):
+class AutoConfig(Section):
     """The structure of the map chosen online."""
 
     kind: Literal["Auto"] = "Auto"

@@ -5,18 +5,17 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     SecretStr,
     ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic_settings import SettingsConfigDict
 
 from service.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from service.config.estimators import EstimatorConfig, default_estimators
+from service.config.sections import Section, SettingsFile
 from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
 from service.streaming.data_changes import Signal
@@ -39,11 +38,7 @@ SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
 Range = tuple[float, float]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class SourceConfig(_Section):
+class SourceConfig(Section):
     """The OPC UA server that publishes the signals."""
 
     url: str = Field(
@@ -90,7 +85,7 @@ class NamedSourceConfig(SourceConfig):
     name: Name = Field(description="by which valves name it")
 
 
-class ServerConfig(_Section):
+class ServerConfig(Section):
     """Our own OPC UA server, which publishes the results."""
 
     url: str = Field(
@@ -116,7 +111,7 @@ class ServerConfig(_Section):
     )
 
 
-class SecurityConfig(_Section):
+class SecurityConfig(Section):
     """Certificates and users."""
 
     pki: Path = Field(Path("data/pki/service"), description="folder of certificates and keys")
@@ -127,7 +122,7 @@ class SecurityConfig(_Section):
     )
 
 
-class StateConfig(_Section):
+class StateConfig(Section):
     """What survives a restart."""
 
     file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
@@ -136,7 +131,7 @@ class StateConfig(_Section):
     )
 
 
-class HistoryConfig(_Section):
+class HistoryConfig(Section):
     """What signals and results have been, for trends that reach back."""
 
     file: Path | None = Field(
@@ -150,7 +145,7 @@ class HistoryConfig(_Section):
     )
 
 
-class AlignmentConfig(_Section):
+class AlignmentConfig(Section):
     """How the signals of one sample find together."""
 
     tolerance_ms: float = Field(
@@ -191,7 +186,7 @@ class AlignmentConfig(_Section):
         return self.find_timing and self.tolerance_ms == 0.0 and not self.hold_s
 
 
-class LimitsConfig(_Section):
+class LimitsConfig(Section):
     """Limits of one signal in its own unit; what is left out is not checked."""
 
     low: float | None = Field(None, description="lowest value that is believed")
@@ -224,7 +219,7 @@ class LimitsConfig(_Section):
         )
 
 
-class GateConfig(_Section):
+class GateConfig(Section):
     """Which samples may teach the estimators."""
 
     use_uncertain: bool = Field(
@@ -237,7 +232,7 @@ class GateConfig(_Section):
     T: LimitsConfig = LimitsConfig()
 
 
-class NodesConfig(_Section):
+class NodesConfig(Section):
     """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
 
     U: str = Field(description="control voltage")
@@ -294,7 +289,7 @@ class NodesConfig(_Section):
 Percent = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
-class FeedForwardConfig(_Section):
+class FeedForwardConfig(Section):
     """How the answer to a demand is written to ``nodes.required_U``, once an operator has armed it.
 
     It is written while the newest sample is fresh and good, the map is identified and the answer
@@ -333,7 +328,7 @@ class FeedForwardConfig(_Section):
         return self
 
 
-class ValveConfig(_Section):
+class ValveConfig(Section):
     """One valve."""
 
     name: Name = Field("Valvistor", description="its name in every node id")
@@ -417,7 +412,7 @@ class ValveConfig(_Section):
         return self
 
 
-class RecordingConfig(_Section):
+class RecordingConfig(Section):
     """Columns of recordings that are no signal of a valve; left out, they are found by name."""
 
     time: str | None = Field(None, min_length=1, description="column of the times")
@@ -425,7 +420,7 @@ class RecordingConfig(_Section):
     quality: str | None = Field(None, min_length=1, description="column of the qualities")
 
 
-class LogConfig(_Section):
+class LogConfig(Section):
     """What is logged while the service runs."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(
@@ -436,16 +431,10 @@ class LogConfig(_Section):
     )
 
 
-class Config(BaseSettings):
+class Config(SettingsFile):
     """The whole configuration: a TOML file, overridden by ``VALVEMAP_<SECTION>__<FIELD>``."""
 
-    model_config = SettingsConfigDict(
-        env_prefix="VALVEMAP_",
-        env_nested_delimiter="__",
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-    )
+    model_config = SettingsConfigDict(env_prefix="VALVEMAP_")
 
     source: SourceConfig = SourceConfig()
     sources: tuple[NamedSourceConfig, ...] = Field(
@@ -521,18 +510,6 @@ class Config(BaseSettings):
                     f"source.publishing_interval_ms = {interval_s * 1e3:g}"
                 )
         return self
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],  # noqa: ARG003 - pydantic's signature
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """The environment first, then the file (handed in as arguments)."""
-        return env_settings, init_settings
 
 
 def _unique(what: str, names: list[str]) -> None:

@@ -2,8 +2,9 @@
 
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from service.config.sections import Section
 from service.streaming.units import (
     QUANTITY_OF,
     SYMBOLS,
@@ -17,10 +18,8 @@ from service.streaming.units import (
 Range = tuple[float, float]
 
 
-class SignalConfig(BaseModel):
+class SignalConfig(Section):
     """One signal; what is left out is as in the table of recordings: %, bar, l/min, °C."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     column: str | None = Field(None, min_length=1, description="its column in recordings")
     unit: str | None = Field(None, description=f"one of {', '.join(SYMBOLS)}")
@@ -78,10 +77,8 @@ class SignalConfig(BaseModel):
         return float(unit.factor) * self.accuracy
 
 
-class SignalsConfig(BaseModel):
+class SignalsConfig(Section):
     """The signals of a valve, and the command that is written."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     U: SignalConfig = SignalConfig()
     p1: SignalConfig = SignalConfig()

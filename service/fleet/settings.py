@@ -3,21 +3,18 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+from pydantic import Field, model_validator
+from pydantic_settings import SettingsConfigDict
 
 from service.config.loading import load_settings
 from service.config.models import Name
+from service.config.sections import Section, SettingsFile
 from service.errors import ConfigurationError
 
 Address = Annotated[str, Field(pattern=r"^[^\s:/]+:\d{1,5}$")]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class BrokerConfig(_Section):
+class BrokerConfig(Section):
     """Where Kafka is, and how we are known there."""
 
     addresses: tuple[Address, ...] = Field(
@@ -47,7 +44,7 @@ class BrokerConfig(_Section):
         return self
 
 
-class TopicsConfig(_Section):
+class TopicsConfig(Section):
     """The topics: samples, commands, results and state, named after a prefix."""
 
     prefix: str = Field(
@@ -68,7 +65,7 @@ class TopicsConfig(_Section):
     )
 
 
-class CatalogueConfig(_Section):
+class CatalogueConfig(Section):
     """Which valves there are: the service's configuration of each site, under one version."""
 
     version: int = Field(1, ge=1, description="raise it with every change of a site's valves")
@@ -80,7 +77,7 @@ class CatalogueConfig(_Section):
     )
 
 
-class WorkConfig(_Section):
+class WorkConfig(Section):
     """The workers."""
 
     state: Path = Field(Path("data/fleet"), description="folder of a worker's local copies")
@@ -101,33 +98,15 @@ class WorkConfig(_Section):
     )
 
 
-class FleetConfig(BaseSettings):
+class FleetConfig(SettingsFile):
     """All of it: a TOML file, overridden by ``VALVEMAP_FLEET_<SECTION>__<FIELD>``."""
 
-    model_config = SettingsConfigDict(
-        env_prefix="VALVEMAP_FLEET_",
-        env_nested_delimiter="__",
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-    )
+    model_config = SettingsConfigDict(env_prefix="VALVEMAP_FLEET_")
 
     broker: BrokerConfig = BrokerConfig()
     topics: TopicsConfig = TopicsConfig()
     catalogue: CatalogueConfig = CatalogueConfig()
     work: WorkConfig = WorkConfig()
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],  # noqa: ARG003 - pydantic's signature
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """The environment first, then the file (handed in as arguments)."""
-        return env_settings, init_settings
 
 
 def load_fleet(file: Path) -> FleetConfig:
