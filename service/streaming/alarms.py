@@ -120,8 +120,8 @@ SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
 
 
 @dataclass(frozen=True)
-class _Kept(State):
-    """One valve's alarms as they go into a checkpoint."""
+class _KeptOfService(State):
+    """The service's alarms as they go into a checkpoint."""
 
     over: Any
     since: Any
@@ -133,6 +133,12 @@ class _Kept(State):
     causes: Any
     came: Any
     version: Any
+
+
+@dataclass(frozen=True)
+class _Kept(_KeptOfService):
+    """One valve's: with what they are judged by."""
+
     last: Any
     still: Any
     longest: Any
@@ -406,20 +412,6 @@ class ServiceAlarms:
         kept = _KeptOfService.from_bytes(data, _KEY_OF_SERVICE)
         for name, array in self._conditions._asdict().items():
             array[0] = getattr(kept, name)
-
-
-@dataclass(frozen=True)
-class _KeptOfService(State):
-    over: Any
-    since: Any
-    at: Any
-    active: Any
-    acked: Any
-    value: Any
-    detail: Any
-    causes: Any
-    came: Any
-    version: Any
 
 
 _LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
