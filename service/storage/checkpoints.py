@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
 from typing import NamedTuple, Self
 
+from service.storage.closing import Closing
 from service.storage.sqlite_files import check_owner, naming, pragma, transaction
 from service.streaming.ports import Checkpoint
 
@@ -47,7 +47,7 @@ _SCHEMA = (
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
-class CheckpointFile:
+class CheckpointFile(Closing):
     """Keeps checkpoints; fulfils :class:`service.streaming.ports.CheckpointStore`.
 
     A save is one transaction in a write-ahead log: readers are never held up, and whatever kills
@@ -180,17 +180,6 @@ class CheckpointFile:
         """Close the file and fold its log into it; safe to call twice."""
         with self._lock, naming(self.path):
             self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class _Row(NamedTuple):

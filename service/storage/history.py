@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.samples import Floats, Times
+from service.storage.closing import Closing
 from service.storage.sqlite_files import check_owner, naming, pragma, transaction
 from service.streaming.ports import Past, Piece
 
@@ -66,7 +66,7 @@ class _Block(NamedTuple):
     rows: int
 
 
-class HistoryFile:
+class HistoryFile(Closing):
     """Keeps pieces of series, and gives back what they were.
 
     A series is a table of successive rows: a time, a status code and some columns. Rows come in the
@@ -84,6 +84,11 @@ class HistoryFile:
         Rows older than this are forgotten, block by block.
     most_bytes
         So large may the file become; the oldest blocks go first.
+
+    Attributes
+    ----------
+    size : int
+        Bytes in use after the last save: who asks waits for no disk.
 
     Raises
     ------
@@ -114,11 +119,15 @@ class HistoryFile:
             self._reader = sqlite3.connect(self.path, check_same_thread=False)
             self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
             self._series = self._known_series()
+            self.size = self._bytes()
 
     def save(self, pieces: Sequence[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer."""
-        with self._writing, naming(self.path), transaction(self._writer):
-            return sum([self._append(piece) for piece in pieces])
+        with self._writing, naming(self.path):
+            with transaction(self._writer):
+                left_out = sum([self._append(piece) for piece in pieces])
+            self.size = self._bytes()
+            return left_out
 
     def read(
         self,
@@ -152,15 +161,14 @@ class HistoryFile:
         with self._writing, naming(self.path):
             with transaction(self._writer):
                 dropped = self._drop("last < ?", (now - self._keep_ns,))
-                excess = self.size - self._most_bytes
+                excess = self._bytes() - self._most_bytes
                 if excess > 0:
                     dropped += self._drop_oldest(excess)
             self._writer.execute(f"PRAGMA incremental_vacuum({_PAGES_AT_ONCE})").fetchall()
+            self.size = self._bytes()
             return dropped
 
-    @property
-    def size(self) -> int:
-        """Bytes in use."""
+    def _bytes(self) -> int:
         pages, free, page = (
             pragma(self._writer, name) for name in ("page_count", "freelist_count", "page_size")
         )
@@ -171,17 +179,6 @@ class HistoryFile:
         with self._writing, self._reading, naming(self.path):
             self._writer.close()
             self._reader.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _append(self, piece: Piece) -> int:
         """Write a piece as a block, and join small blocks once they make a large one."""

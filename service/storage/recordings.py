@@ -40,6 +40,7 @@ from typing import BinaryIO, Protocol, Self
 
 from service.errors import NoRecording, RecordingError, StorageError
 from service.identification.samples import Samples
+from service.storage.closing import Closing
 from service.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
 from service.storage.layout import Layout
 
@@ -154,7 +155,7 @@ def _open(path: Path, chunk_rows: int, layout: Layout) -> _Source:
     return parquet.open_parquet(path, chunk_rows, layout)
 
 
-class RecordingWriter:
+class RecordingWriter(Closing):
     """Writes a recording, batch by batch; CSV or Parquet by the name of the file.
 
     Until ``close``, the rows are in ``<name>.part``, which :func:`read_recording` reads just as
@@ -238,17 +239,6 @@ class RecordingWriter:
             raise _storage_error(self.path, error) from error
         self._good += len(block)
         self._pending.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 @dataclass(frozen=True)
