@@ -61,7 +61,7 @@ def _one_of_each_kind(config: Config) -> Config:
     """The same, with the first of the valves that differ in their names and nodes alone."""
     kinds: dict[str, ValveConfig] = {}
     for valve in config.valves:
-        kinds.setdefault(valve.model_dump_json(exclude={"name", "nodes"}), valve)
+        kinds.setdefault(valve.model_dump_json(exclude={"name", "nodes", "source"}), valve)
     return config.model_copy(update={"valves": tuple(kinds.values())})
 
 
