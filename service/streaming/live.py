@@ -352,8 +352,7 @@ class LiveService:
             await self._keeping
 
     def _states(self, valves: Iterable[int]) -> list[Checkpoint]:
-        some = list(valves)
-        return [*self.identification.checkpoints(some), *self.identification.memories(some)]
+        return self.identification.kept(valves)
 
     def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
         if mark is None:
