@@ -102,7 +102,7 @@ def odd_plant(seed, n=1500):
         U, dp = (m + m * rng.random() * np.sin(rng.uniform(0.1, 5) * t) for m in (50.0, 100.0))
     else:
         U, dp = (np.repeat(rng.uniform(0, m, n), step)[:n] for m in (100.0, 200.0))
-    bent = np.where(U > rng.uniform(0, 100), 1.0, rng.uniform(0, 2))
+    bent = np.where(rng.uniform(0, 100) < U, 1.0, rng.uniform(0, 2))
     noise = rng.choice([0.0, 0.3, 30.0]) * rng.normal(size=n)
     Q = rng.choice([0.0, 1e-3, 0.1, 5.0]) * bent * U * np.sqrt(dp) + noise
     Q[rng.integers(0, n, rng.choice([0, n // 50]))] += 1e3 * rng.random()

@@ -89,7 +89,9 @@ class NumberedServer:
             signals = np.array([self.shows(number, 0) for number in k.tolist()])
         values = np.column_stack([signals, k])
         times = (t + np.arange(n) * step_ns) // 100 * 100
-        self.sent.update(zip(k.tolist(), zip(times[:-1].tolist(), values.tolist(), strict=True), strict=True))
+        self.sent.update(
+            zip(k.tolist(), zip(times[:-1].tolist(), values.tolist(), strict=True), strict=True)
+        )
         self.memory.keep(values, np.repeat(times[:-1, None], 6, axis=1), time.time_ns())
         self.written += n - 1
         self.publish(int(times[-1]))

@@ -100,6 +100,10 @@ class Whole:
                     process.kill()
                 process.wait()
 
+    def check(self, process):
+        """It must not have ended by itself."""
+        assert process.poll() is None, self.log.read_text()[-2000:]
+
     def end(self, process, patience_s=30.0):
         """Have it end as people do."""
         process.send_signal(signal.SIGTERM)
