@@ -40,7 +40,9 @@ OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is wo
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
 PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
 LEARN_S = 0.05  # of learning at once: what has gathered for long is learnt in pieces
-FEWEST_AT_ONCE = 3_000  # changes, 500 samples: less costs more for each
+FEWEST_AT_ONCE = 600  # changes, 100 samples, 0.1 s where Auto fits all: less costs more for each
+FIRST_AT_ONCE = 3_000  # changes, before it is known how long they take
+QUICKER = 0.05  # of a pace that is quicker is believed with each piece: fits come all at once
 LAST_S = 0.3  # an end may go on learning what has come
 KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
 KEPT_PER_S = 20  # valves whose states are kept in a second, 3 MB, unless more are due
@@ -122,7 +124,7 @@ class LiveService:
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
         self._worked_s, self._worked_since = 0.0, now
-        self._changes_per_s = FEWEST_AT_ONCE / LEARN_S  # that are learnt
+        self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # that are learnt
         self._end_by = math.inf
         self._kept_at = math.nan
         self._failures = 0
@@ -197,7 +199,10 @@ class LiveService:
             some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
             piece, rest = rest[:some], rest[some:]
             samples = self.identification.take(piece)
-            self._note_pace(len(piece), self._clock.monotonic() - began)
+            took_s = self._clock.monotonic() - began
+            self._note_pace(len(piece), took_s)
+            if took_s > LEARN_S / 2.0:
+                await asyncio.sleep(0.0)
             await self._use(samples, own)
             self._worked_s += self._clock.monotonic() - began
             if len(rest):
@@ -207,7 +212,8 @@ class LiveService:
 
     def _note_pace(self, changes: int, took_s: float) -> None:
         if changes >= FEWEST_AT_ONCE and took_s > 0.0:
-            self._changes_per_s += 0.5 * (changes / took_s - self._changes_per_s)
+            quicker = changes / took_s - self._changes_per_s
+            self._changes_per_s += quicker * (QUICKER if quicker > 0.0 else 1.0)
 
     def end_soon(self) -> None:
         """Have `time_left_s` run: what comes now is not learnt any more but for the first of it."""

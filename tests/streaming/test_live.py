@@ -486,8 +486,8 @@ async def test_much_at_once_is_learnt_in_pieces_and_others_are_served_between(
     other = asyncio.create_task(another())
     await live.take(as_changes(plant(3000)))
     other.cancel()
-    assert max(pieces) == 3000
-    assert len(pieces) == 6
+    assert max(pieces[1:]) == 600
+    assert sum(pieces) == 6 * 3000
     assert len(set(served)) >= len(pieces)
     once = fresh()
     once.take(as_changes(plant(3000)))
@@ -507,7 +507,7 @@ async def test_an_end_does_not_learn_all_that_has_come_and_the_source_is_asked_a
     live.identification.take, source.mark = slowly, "behind"
     live.end_soon()
     await live.take(as_changes(plant(3000, first=10)))
-    assert count(live) == 1010
+    assert 10 < count(live) < 1000
     assert live._mark == "before"
     assert live.time_left_s > 3.0
 

@@ -36,9 +36,9 @@ class Account:
     twice: int
     different: tuple[str, ...]
 
-    @property
-    def row(self):
-        return f"{self.lost} of {self.learnt} | {self.twice} | {len(self.different)} | |"
+    def row(self, lives=""):
+        """Cells of a table: lost, twice, different, and one that is empty."""
+        return f"{self.lost} of {self.learnt}{lives} | {self.twice} | {len(self.different)} |"
 
 
 class Whole:
