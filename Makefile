@@ -7,7 +7,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or milo or broker or image or chromium or tutorial
+PEERS := node or milo or languages or broker or image or chromium or tutorial
 
 .PHONY: install demo test peers hardened lint format soak bench report reference docs sbom lock clean
 

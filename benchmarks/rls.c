@@ -1,6 +1,7 @@
 /* Plain recursive least squares with forgetting, eq. (28): what a C programmer would write.
  * rls: one model, N samples. rls_fleet: M models as a structure of arrays, one sample each.
- * rls_ud: one model by Bierman's factors P = U*D*U', which stay symmetric and positive. */
+ * rls_ud: the algorithm of the service: Bierman's factors P = U*D*U', which stay symmetric and
+ * positive, and S = sum lam^(2(N-i)) x*x', by which P*S*P is the covariance of theta. */
 
 #define MOST 64
 
@@ -58,9 +59,9 @@ void rls_fleet(int n, long M, const double *X, const double *y, double lam, doub
     }
 }
 
-/* U[j*(j+1)/2 + i] holds U[i][j] for i < j, then D[j]. */
+/* U[j*(j+1)/2 + i] holds U[i][j] for i < j, then D[j]; S alike. */
 void rls_ud(int n, long N, const double *X, const double *y, double lam, double *theta, double *U,
-            double *innovations)
+            double *S, double *innovations)
 {
     double f[MOST], Px[MOST];
     for (long t = 0; t < N; t++) {
@@ -87,7 +88,11 @@ void rls_ud(int n, long N, const double *X, const double *y, double lam, double 
             }
             Px[j] = v;
         }
-        for (int j = 0; j < n; j++)
+        for (int j = 0; j < n; j++) {
+            double *row = S + j * (j + 1) / 2;
+            for (int i = 0; i <= j; i++)
+                row[i] = lam * lam * row[i] + x[j] * x[i];
             theta[j] += Px[j] / alpha * e;
+        }
     }
 }
