@@ -9,6 +9,9 @@ BENCH := $(VENV)/.bench
 # Markers of the tests that need foreign programs, or a minute of waiting.
 PEERS := node or milo or languages or broker or image or chromium or tutorial
 
+# Many tests start programs; without kept bytecode each of them compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: install demo test peers hardened lint format soak bench report reference docs sbom lock clean
 
 install: $(RUNTIME)
