@@ -32,6 +32,7 @@ from service.opcua.results_server import ResultsServer
 from service.streaming.ports import Results
 
 REPLAYED: Final = 100, 10_000  # valves, samples of each
+SHORT_S: Final = 60.0
 MEMORISED: Final = 20, 120  # valves: of these the difference is taken
 MEMORISED_SAMPLES: Final = 2_000  # of each: 20 s of 100 Hz
 
@@ -53,8 +54,12 @@ def replayed() -> Figures:
 
 
 def lived(seconds: float) -> Sections:
-    """Every fleet live for so long."""
-    return {live_title(valves, hz): live(valves, hz, seconds) for valves, hz in FLEETS}
+    """Every fleet live for so long; the first, which has no bar, not longer than `SHORT_S`."""
+    durations = [min(seconds, SHORT_S), *(seconds for _ in FLEETS[1:])]
+    return {
+        live_title(*fleet): live(*fleet, for_s)
+        for fleet, for_s in zip(FLEETS, durations, strict=True)
+    }
 
 
 def live(valves: int, hz: float, seconds: float) -> Figures:

@@ -8,6 +8,7 @@ They are built once, into ``build/clients``; see ``clients/README.md``.
 import asyncio
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,25 +42,36 @@ class Missing(Exception):  # noqa: N818 - no error: it is left out
 
 @dataclass(frozen=True)
 class ForeignClient:
-    """Sources in a folder of `SOURCES`, the program that builds them, and what is run then."""
+    """Sources in a folder of `SOURCES`, the program that builds them, and what is run then.
+
+    ``pinned``: the file of them that pins the stack's version, and how it does.
+    """
 
     folder: str
     build: tuple[str, ...]
     run: tuple[str, ...]
+    pinned: tuple[str, str]
     needs: tuple[str, ...] = ()
 
 
 CLIENTS: Final = {
-    "gopcua": ForeignClient("gopcua", ("go", "build", "-o", "counter", "."), ("./counter",)),
+    "gopcua": ForeignClient(
+        "gopcua",
+        ("go", "build", "-o", "counter", "."),
+        ("./counter",),
+        ("go.mod", r"gopcua/opcua v([\d.]+)"),
+    ),
     "async-opcua": ForeignClient(
         "async_opcua",
         ("cargo", "build", "--quiet", "--release", "--locked", "--target-dir", "target"),
         ("target/release/counter",),
+        ("Cargo.toml", r'async-opcua-client = "=([\d.]+)"'),
     ),
     "Milo": ForeignClient(
         "milo",
         ("mvn", "--quiet", "--batch-mode", "compile"),
         ("java", "-cp", os.pathsep.join(("target/classes", "target/lib/*")), "valvemap.Counter"),
+        ("pom.xml", r"milo-sdk-client</artifactId>\s*<version>([\d.]+)"),
         needs=("java",),
     ),
 }
@@ -99,6 +111,17 @@ def built(name: str) -> Path:
             raise Missing(f"{' '.join(client.build)} failed: {said[-300:]}")
         (target / "ready").touch()
     return target
+
+
+def versions() -> dict[str, str]:
+    """Which versions of the stacks are built."""
+    found = {}
+    for name, client in CLIENTS.items():
+        file, pattern = client.pinned
+        pin = re.search(pattern, (SOURCES / client.folder / file).read_text("utf-8"))
+        assert pin is not None  # noqa: S101 - see the test of it
+        found[name] = pin[1]
+    return found
 
 
 def measured(valves: int = 1_000, hz: float = 170.0, seconds: float = 30.0) -> Figures:

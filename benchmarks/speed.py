@@ -105,7 +105,8 @@ def measured(names: Sequence[str], seconds: float, before: Mapping[str, Any]) ->
     return {
         "machine": _machine(),
         "versions": {name: version(name) for name in ("numpy", "numba", "asyncua")}
-        | peers.installed(),
+        | peers.installed()
+        | foreign_clients.versions(),
         "measured": {title: when[title] for title in order},
         "ratios to ours": {title: ratios[title] for title in order if title in ratios},
         **{title: tables[title] for title in order},

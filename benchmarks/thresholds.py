@@ -27,7 +27,7 @@ LAYOUT: Final = {
     *(f"kernels.cells.{name}" for name in ("PLAY", "REFERENCE", "LAGGING")),
     *(f"kernels.lag.{name}" for name in ("OFFSET", "KNOWN_LAGS", "COUNTERS")),
     *(f"kernels.ladder.{name}" for name in ("BAND", "MOST_NEIGHBOURS")),
-    *("auto.STARTED", "map_search.RICH", "kernels.map_fit.BESIDE", "kernels.grid.SLOTS"),
+    *("auto.STARTED", "map_search.RICH", "kernels.grid.SLOTS"),
 }
 
 

@@ -27,14 +27,16 @@ def test_a_client_of_another_language_loses_nothing_of_a_fleet(name):
 
 
 def test_a_client_that_cannot_be_built_says_why(monkeypatch):
-    monkeypatch.setitem(CLIENTS, "absent", ForeignClient("gopcua", ("no-such-tool",), ("x",)))
+    monkeypatch.setitem(CLIENTS, "absent", ForeignClient("gopcua", ("no-such-tool",), (), ("", "")))
     with pytest.raises(Missing, match="no-such-tool not installed"):
         built("absent")
 
 
 def test_a_build_that_fails_says_what_was_said(monkeypatch, tmp_path):
     monkeypatch.setattr(foreign_clients, "BUILT", tmp_path)
-    wrong = ForeignClient("gopcua", (sys.executable, "-c", "raise SystemExit('no luck')"), ("x",))
+    wrong = ForeignClient(
+        "gopcua", (sys.executable, "-c", "raise SystemExit('no luck')"), (), ("", "")
+    )
     monkeypatch.setitem(CLIENTS, "wrong", wrong)
     with pytest.raises(Missing, match="no luck"):
         built("wrong")
@@ -44,6 +46,10 @@ def test_a_build_that_fails_says_what_was_said(monkeypatch, tmp_path):
 def test_what_is_built_once_is_not_built_again(monkeypatch, tmp_path):
     monkeypatch.setattr(foreign_clients, "BUILT", tmp_path)
     build = (sys.executable, "-c", "open('counter', 'a').write('x')")
-    monkeypatch.setitem(CLIENTS, "made", ForeignClient("gopcua", build, ("x",)))
+    monkeypatch.setitem(CLIENTS, "made", ForeignClient("gopcua", build, (), ("", "")))
     assert built("made") == built("made")
     assert (built("made") / "counter").read_text() == "x"
+
+
+def test_the_versions_of_all_stacks_are_pinned():
+    assert foreign_clients.versions().keys() == CLIENTS.keys()
