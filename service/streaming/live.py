@@ -168,9 +168,11 @@ class LiveService:
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
-            log.warning("states damaged, those before them taken", estimators=self._store.damaged)
+            log.warning(
+                "states damaged, those before them taken", estimators=_named(self._store.damaged)
+            )
         if restored:
-            log.info("states restored", estimators=restored)
+            log.info("states restored", estimators=_named(restored))
         if refused:
             log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._unpublished = dict.fromkeys(range(len(self._lost)))
@@ -552,9 +554,14 @@ def _by_reason(refused: Mapping[str, str]) -> str:
     lines = []
     for reason in dict.fromkeys(refused.values()):
         names = [name for name, why in refused.items() if why == reason]
-        rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        lines.append(f"{', '.join(names[:NAMED])}{rest}: {reason}")
+        lines.append(f"{_named(names)}: {reason}")
     return "; ".join(lines)
+
+
+def _named(names: Sequence[str]) -> str:
+    """The first names, and how many there are besides."""
+    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{rest}"
 
 
 async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:
