@@ -22,7 +22,7 @@ demo: $(RUNTIME)
 test: lint
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "waits and not (soak or $(PEERS))"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))"
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
 
 peers: $(DEV)

@@ -1,14 +1,17 @@
 """What the memory holds: its cells as points of a map, and from which sides U came to them."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import kernel
 from service.identification.kernels.grid import WEIGHT
 from service.identification.samples import Floats
 
+Cells = NDArray[np.float32]
+
 
 @kernel
-def points(cells: Floats) -> Floats:
+def points(cells: Cells) -> Floats:
     """Cells that hold samples (N, 7), as the kernels of the fit take them."""
     N = 0
     for i in range(len(cells)):
@@ -23,7 +26,7 @@ def points(cells: Floats) -> Floats:
 
 
 @kernel
-def shared(slots: np.ndarray, cells: Floats) -> float:
+def shared(slots: NDArray[np.uint16], cells: Cells) -> float:
     """Share of the samples that lie where U came from either side, twice the lesser side's."""
     lesser, total = 0.0, 0.0
     for number in range(0, len(slots), 2):
