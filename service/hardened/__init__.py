@@ -18,6 +18,13 @@ from service.hardened.address_space.nodes import (
 from service.hardened.address_space.units import Unit
 from service.hardened.caller import caller
 from service.hardened.clock import Clock, ManualClock, SystemClock
+from service.hardened.conditions.condition import (
+    Condition,
+    ConditionClass,
+    ConditionKey,
+    ConditionKind,
+)
+from service.hardened.conditions.keeper import ConditionKeeper
 from service.hardened.errors import (
     CertificateError,
     CommandRejected,
@@ -49,6 +56,11 @@ __all__ = [
     "CertificateError",
     "Clock",
     "CommandRejected",
+    "Condition",
+    "ConditionClass",
+    "ConditionKeeper",
+    "ConditionKey",
+    "ConditionKind",
     "ConfigurationError",
     "HardenedError",
     "HardenedServer",

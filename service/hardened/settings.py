@@ -48,6 +48,8 @@ class Limits:
         Subscriptions.
     monitored_items, monitored_items_per_subscription
         Monitored items.
+    event_items
+        Monitored items that monitor events: each costs with every event of its object.
     links_per_subscription
         Links by which items of a subscription trigger others: each costs with every message.
     monitored_items_per_node, monitored_items_per_node_and_session
@@ -105,6 +107,7 @@ class Limits:
     subscriptions_per_session: int = 20
     monitored_items: int = 20_000
     monitored_items_per_subscription: int = 10_000
+    event_items: int = 500
     links_per_subscription: int = 1_000
     monitored_items_per_node: int = 50
     monitored_items_per_node_and_session: int = 5

@@ -345,6 +345,12 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
             "Whether somebody has acknowledged it since it came last; true before the first time.",
             ua.VariantType.Boolean,
         ),
+        VariableNode(
+            f"{prefix}.Confirmed",
+            "Whether it needs no confirming: false from when it was acknowledged until somebody "
+            "says that it was dealt with.",
+            ua.VariantType.Boolean,
+        ),
     )
 
 

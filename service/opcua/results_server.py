@@ -49,7 +49,6 @@ from service.opcua.information_model import (
     SIGNALS,
     U_RANGE,
     VariableNode,
-    alarm_variables,
     axis,
     baseline_variables,
     builds_on_variable,
@@ -71,17 +70,16 @@ from service.opcua.information_model import (
     waiting_variable,
 )
 from service.opcua.past import ResultsPast, has_past
+from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.opcua.result_values import (
     Column,
     Shown,
-    alarm_values,
     baseline_values,
     columns_of,
     service_values,
 )
-from service.streaming.alarm_words import ALARM_DESCRIPTIONS
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     AlarmReport,
@@ -101,7 +99,6 @@ _PARTS = {
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
 _AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
-MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -166,6 +163,7 @@ class ResultsServer(Startable):
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
         self._blocks: ResultBlocks
+        self._alarms: ResultAlarms
         self._service_alarms: tuple[AlarmReport, ...] = ()
 
     @property
@@ -190,12 +188,22 @@ class ResultsServer(Startable):
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
         self._blocks = ResultBlocks(server, self._valves, self._clock.now())
+        self._alarms = ResultAlarms(
+            server,
+            self._valves,
+            self._operator,
+            self._clock,
+            partial(self._show, server),
+            self._note,
+        )
+        server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
         with many_nodes():
             for number, valve in enumerate(self._valves):
                 words = f"The valve {valve.name} and what is known of it."
                 folder = await add_object(server, root, valve.name, description=words)
+                server.let_emit(folder)
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
         await server.start()
@@ -224,6 +232,7 @@ class ResultsServer(Startable):
         self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
         for valve, new in self._changed.values(results, now):
             self._show(self._server, self._valves[valve].name, new)
+        self._alarms.publish(results, now)
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""
@@ -244,8 +253,7 @@ class ResultsServer(Startable):
         )
         if health.alarms != self._service_alarms:
             self._service_alarms = tuple(health.alarms)
-            for new in alarm_values(health.alarms, now):
-                self._show(self._server, SERVICE, new)
+            self._alarms.take(SERVICE, health.alarms, now)
 
     def _show(self, server: HardenedServer, valve: str, new: Shown) -> None:
         """Write a variable, or keep what is new of it until it has a node."""
@@ -268,6 +276,7 @@ class ResultsServer(Startable):
     async def _add_valve(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
         """Add what is below a valve's folder; what is in folders there is added later still."""
         valve = self._valves[number]
+        server.refer_to_conditions(folder, self._alarms.keys(valve.name))
         of_frame, of_names = frame_variables(valve)
         await self._add_variable(server, folder, of_names, frame_names(valve))
         await self._add_variable(server, folder, of_frame, None)
@@ -317,49 +326,20 @@ class ResultsServer(Startable):
             await self._add_variable(server, parent, node, None)
 
     async def _add_alarms(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription | None
     ) -> None:
-        await self._add_alarms_of(server, parent, valve.name)
+        async def add(parent: ua.NodeId, node: VariableNode, now: Shown) -> None:
+            self._not_shown.setdefault(node.id, now)
+            await self._add_variable(server, parent, node, None)
 
-    async def _add_alarms_of(
-        self, server: HardenedServer, parent: ua.NodeId, valve: str | None
-    ) -> None:
-        owner = SERVICE if valve is None else valve
-        reports = self._operator.alarms(valve)
-        now = {new.name: new for new in alarm_values(reports, self._clock.now())}
-        for alarm in reports:
-            prefix = f"{owner}.{ALARMS}.{alarm.name}"
-            each = await add_object(
-                server, parent, prefix, description=ALARM_DESCRIPTIONS[alarm.name]
-            )
-            for node in alarm_variables(prefix):
-                new = now[node.id.partition(".")[2]]
-                self._not_shown.setdefault(node.id, new)
-                await self._add_variable(server, each, node, None)
-            await add_method(
-                server,
-                each,
-                f"{prefix}.Acknowledge",
-                partial(self._acknowledge, valve, alarm.name),
-                inputs=(Argument("Comment", "What was done about it", type=ua.VariantType.String),),
-                required=Role.OPERATOR,
-                description="Say that the alarm was seen. A change of the valve goes with it.",
-            )
-
-    def _acknowledge(self, valve: str | None, alarm: str, comment: str) -> None:
-        now = self._clock.now()
-        _refusing(self._operator.acknowledge)(valve, alarm, now)
-        if self._server is not None:
-            for new in alarm_values(self._operator.alarms(valve), now):
-                if new.name.startswith(f"{ALARMS}.{alarm}."):
-                    self._show(self._server, SERVICE if valve is None else valve, new)
-        if valve is not None:
-            self._note(valve, f"{ALARMS}.{alarm} Acknowledge {comment[:MOST_OF_A_COMMENT]!r}")
+        await self._alarms.add(parent, None if valve is None else valve.name, add)
 
     async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
         folder = await add_object(
             server, root, SERVICE, description="How the service itself stands."
         )
+        server.let_emit(folder)
+        server.refer_to_conditions(folder, self._alarms.keys(None))
         for part, variables in service_variables().items():
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
@@ -367,7 +347,7 @@ class ResultsServer(Startable):
         parent = await add_object(
             server, folder, f"{SERVICE}.{ALARMS}", description="What the service itself needs."
         )
-        server.add_later(parent, partial(self._add_alarms_of, server, parent, None))
+        server.add_later(parent, partial(self._add_alarms, server, parent, None))
         if self._on_reload is not None:
             await add_method(
                 server,
