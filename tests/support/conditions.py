@@ -31,7 +31,7 @@ FIELDS = (
 )
 
 
-async def until(condition, patience=10.0):
+async def until(condition, patience=30.0):
     async with asyncio.timeout(patience):
         while not condition():  # noqa: ASYNC110 - what comes over a socket sets no event
             await asyncio.sleep(0.02)
@@ -147,28 +147,28 @@ def event_filter(*where):
 class Listener:
     """A client that listens to the events of an object, and acts on conditions."""
 
-    def __init__(self, client, node, filter_, queue):
+    def __init__(self, client, node, filter_, queue, interval):
         self.client, self.events = client, []
-        self._node, self._filter, self._queue = node, filter_, queue
+        self._node, self._filter, self._queue, self._interval = node, filter_, queue, interval
         self.subscription = self.item = None
 
     @classmethod
     @asynccontextmanager
-    async def of(cls, plant, user="operator", node=None, filter_=None, queue=0):
-        client = Client(plant.server.url)
+    async def of(cls, plant, user="operator", node=None, filter_=None, queue=0, interval=50.0):
+        client = Client(plant.server.url, timeout=30.0, watchdog_intervall=30.0)
         if user is not None:
             client.set_user(user)
             client.set_password("correct horse")
         async with client:
             node = node or ua.NodeId(ua.ObjectIds.Server)
-            listener = cls(client, node, filter_ or event_filter(), queue)
+            listener = cls(client, node, filter_ or event_filter(), queue, interval)
             await listener.subscribe()
             yield listener
             with suppress(ua.UaError, ConnectionError):
                 await listener.client.uaclient.delete_subscriptions([listener.subscription])
 
     async def subscribe(self):
-        params = ua.CreateSubscriptionParameters(50.0, 1_000, 10, 0, True, 0)  # noqa: FBT003
+        params = ua.CreateSubscriptionParameters(self._interval, 1_000, 10, 0, True, 0)  # noqa: FBT003
         session = self.client.uaclient.session
         made = await session.create_subscription(params, self._take)
         self.subscription = made.SubscriptionId
@@ -210,12 +210,18 @@ class Listener:
         return await self.call(CONDITION_TYPE, method, *given)
 
     async def refreshed(self):
-        """Ask for a refresh; the events of it."""
+        """Ask for a refresh; the events of it, and that nothing was heard before it."""
+        before, found = await self.until_refreshed()
+        assert before == []
+        return found
+
+    async def until_refreshed(self):
+        """Ask for a refresh; what was heard before it, and the events of it."""
         assert await self.refresh() == 0
         await until(lambda: any(e.kind == ua.ObjectIds.RefreshEndEventType for e in self.events))
         taken, self.events = self.events, []
-        assert taken[0].kind == ua.ObjectIds.RefreshStartEventType
-        return taken[1:-1]
+        start = [e.kind for e in taken].index(ua.ObjectIds.RefreshStartEventType)
+        return taken[:start], taken[start + 1 : -1]
 
     async def call(self, owner, method, *given):
         (result,) = await self.client.uaclient.call([ua.CallMethodRequest(owner, method, given)])
