@@ -15,6 +15,7 @@ from service.hardened.address_space.nodes import (
     add_property,
     add_variable,
 )
+from service.hardened.address_space.types import Declarations, add_type
 from service.hardened.address_space.units import Unit
 from service.hardened.caller import caller
 from service.hardened.clock import Clock, ManualClock, SystemClock
@@ -62,6 +63,7 @@ __all__ = [
     "ConditionKey",
     "ConditionKind",
     "ConfigurationError",
+    "Declarations",
     "HardenedError",
     "HardenedServer",
     "Historian",
@@ -88,6 +90,7 @@ __all__ = [
     "add_method",
     "add_object",
     "add_property",
+    "add_type",
     "add_variable",
     "caller",
     "ensure_certificate",

@@ -22,6 +22,7 @@ from service.hardened.address_space.blocks import Block
 from service.hardened.address_space.browse import View
 from service.hardened.address_space.declarations import Method, Value, Variable
 from service.hardened.address_space.insertion import many_nodes, reference
+from service.hardened.address_space.metadata import describe_namespace
 from service.hardened.address_space.packed_nodes import make_later
 from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
@@ -163,6 +164,13 @@ class HardenedServer(Startable):
         await server.ua.init()
         await server.ua.set_application_uri(settings.application_uri)
         server.namespace_index = await server.namespace(settings.namespace_uri)
+        describe_namespace(
+            server.address_space,
+            server.namespace_index,
+            settings.namespace_uri,
+            settings.namespace_version,
+            settings.namespace_published,
+        )
         return server
 
     @property

@@ -1,5 +1,6 @@
 """Identity, endpoints and limits of a guarded server."""
 
+import datetime as dt
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -155,8 +156,8 @@ class ServerSettings:
         Identity of this installation; the certificate names the first letter by letter.
     product
         What software it is.
-    namespace_uri
-        Namespace of the server's own nodes.
+    namespace_uri, namespace_version, namespace_published
+        Namespace of the server's own nodes; version and date of the model behind it.
     pki
         Certificates; with None only the demo's endpoint without security is offered.
     require_crl
@@ -181,6 +182,8 @@ class ServerSettings:
     application_uri: str
     application_name: str
     namespace_uri: str
+    namespace_version: str = "1.0.0"
+    namespace_published: dt.datetime = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
     product: Product = Product()
     pki: Pki | None = None
     require_crl: bool = True

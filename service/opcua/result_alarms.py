@@ -19,6 +19,7 @@ from service.hardened import (
     ConditionClass,
     ConditionKey,
     ConditionKind,
+    Declarations,
     HardenedServer,
     Role,
     add_method,
@@ -27,6 +28,7 @@ from service.hardened import (
 )
 from service.hardened import CommandRejected as Refused
 from service.opcua.information_model import ALARMS, ROOT, SERVICE, VariableNode, alarm_variables
+from service.opcua.result_types import ALARM, type_of
 from service.opcua.result_values import Shown, alarm_values
 from service.streaming.alarm_words import ALARM_DESCRIPTIONS
 from service.streaming.ports import AlarmReport, Operator, Remark, Results, ValveDescription
@@ -124,35 +126,49 @@ class ResultAlarms:
         for alarm in reports:
             prefix = f"{owner}.{ALARMS}.{alarm.name}"
             description = ALARM_DESCRIPTIONS[alarm.name]
-            each = await add_object(self._server, parent, prefix, description=description)
+            each = await add_object(
+                self._server,
+                parent,
+                prefix,
+                description=description,
+                type_definition=type_of(self._server, ALARM),
+            )
             for node in alarm_variables(prefix):
                 await add_variable(each, node, now[node.id.partition(".")[2]])
-            for name, act, words in (
-                (
-                    "Acknowledge",
-                    self._operator.acknowledge,
-                    "Say that the alarm was seen. A change of the valve goes with it.",
-                ),
-                ("Confirm", self._operator.confirm, "Say that what was seen was dealt with."),
-            ):
-                await add_method(
-                    self._server,
-                    each,
-                    f"{prefix}.{name}",
-                    partial(self._act, name, act, valve, alarm.name),
-                    inputs=(_COMMENT,),
-                    required=Role.OPERATOR,
-                    description=words,
-                )
-            key = self._key(owner, alarm.name)
-            folder = await add_object(
-                self._server,
-                each,
-                f"{prefix}.{CONDITION}",
-                description=f"The same as a condition of OPC UA. {description}",
-                type_definition=key.type_definition,
-            )
+            await self._add_methods(self._server, each, valve, alarm.name)
+            kind = self._key(owner, alarm.name).type_definition
+            folder = await _add_condition(self._server, each, kind)
             self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
+
+    async def declare(self, place: HardenedServer | Declarations, kind: ua.NodeId) -> None:
+        """Declare what an alarm has beside its variables, for its type."""
+        await self._add_methods(place, kind, None, "")
+        await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
+
+    async def _add_methods(
+        self,
+        place: HardenedServer | Declarations,
+        parent: ua.NodeId,
+        valve: str | None,
+        alarm: str,
+    ) -> None:
+        for name, act, words in (
+            (
+                "Acknowledge",
+                self._operator.acknowledge,
+                "Say that the alarm was seen. A change of the valve goes with it.",
+            ),
+            ("Confirm", self._operator.confirm, "Say that what was seen was dealt with."),
+        ):
+            await add_method(
+                place,
+                parent,
+                f"{parent.Identifier}.{name}",
+                partial(self._act, name, act, valve, alarm),
+                inputs=(_COMMENT,),
+                required=Role.OPERATOR,
+                description=words,
+            )
 
     def keys(self, valve: str | None) -> list[ConditionKey]:
         """The conditions of a valve, or of the service."""
@@ -233,6 +249,18 @@ class ResultAlarms:
             source_name=owner,
             emitters=(_SERVER, ua.NodeId(ROOT, index), source),
         )
+
+
+async def _add_condition(
+    place: HardenedServer | Declarations, parent: ua.NodeId, kind: ua.NodeId
+) -> ua.NodeId:
+    return await add_object(
+        place,
+        parent,
+        f"{parent.Identifier}.{CONDITION}",
+        description="The same alarm as a condition of Part 9.",
+        type_definition=kind,
+    )
 
 
 def _facts(report: AlarmReport) -> tuple[object, ...]:

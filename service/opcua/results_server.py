@@ -12,6 +12,7 @@ from service.errors import CommandRejected
 from service.hardened import (
     Argument,
     Clock,
+    Declarations,
     HardenedServer,
     OutOfRange,
     Role,
@@ -49,6 +50,7 @@ from service.opcua.information_model import (
     SIGNALS,
     U_RANGE,
     VariableNode,
+    alarm_variables,
     axis,
     baseline_variables,
     builds_on_variable,
@@ -73,6 +75,7 @@ from service.opcua.past import ResultsPast, has_past
 from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
+from service.opcua.result_types import ESTIMATOR, VALVE, add_types, type_of
 from service.opcua.result_values import (
     Column,
     Shown,
@@ -98,7 +101,8 @@ _PARTS = {
     f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
-_AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+_AddPart = Callable[["_Place", ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+_Place = HardenedServer | Declarations
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -200,9 +204,19 @@ class ResultsServer(Startable):
         if self._past is not None:
             server.add_history((), self._past)
         with many_nodes():
+            await add_types(
+                server,
+                self._add_frame,
+                self._add_estimator,
+                self._declare_alarm,
+                self._parts(),
+            )
+            kind = type_of(server, VALVE)
             for number, valve in enumerate(self._valves):
                 words = f"The valve {valve.name} and what is known of it."
-                folder = await add_object(server, root, valve.name, description=words)
+                folder = await add_object(
+                    server, root, valve.name, description=words, type_definition=kind
+                )
                 server.let_emit(folder)
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
@@ -255,7 +269,7 @@ class ResultsServer(Startable):
             self._service_alarms = tuple(health.alarms)
             self._alarms.take(SERVICE, health.alarms, now)
 
-    def _show(self, server: HardenedServer, valve: str, new: Shown) -> None:
+    def _show(self, server: _Place, valve: str, new: Shown) -> None:
         """Write a variable, or keep what is new of it until it has a node."""
         id_ = f"{valve}.{new.name}"
         variable = self._variables.get(id_)
@@ -277,20 +291,30 @@ class ResultsServer(Startable):
         """Add what is below a valve's folder; what is in folders there is added later still."""
         valve = self._valves[number]
         server.refer_to_conditions(folder, self._alarms.keys(valve.name))
-        of_frame, of_names = frame_variables(valve)
-        await self._add_variable(server, folder, of_names, frame_names(valve))
-        await self._add_variable(server, folder, of_frame, None)
+        await self._add_frame(server, folder, valve)
         add_part = partial(self._add_part, server, folder, valve)
         for estimator in valve.estimators:
             add_estimator = partial(self._add_estimator, estimator)
-            await add_part(estimator.name, estimator.description, add_estimator)
-        await add_part(SIGNALS, "The newest sample.", self._add_signals)
-        await add_part(INVERSE, "The control voltage that a flow demands.", self._add_inverse)
-        await add_part(BASELINE, "The map that was approved as new.", self._add_baseline)
+            kind = type_of(server, ESTIMATOR)
+            await add_part(estimator.name, estimator.description, add_estimator, kind)
+        for name, (words, add) in self._parts().items():
+            await add_part(name, words, add, type_of(server, name) if name != ALARMS else None)
+
+    def _parts(self) -> dict[str, tuple[str, _AddPart]]:
+        """What every valve has: what it is, and what adds what is in it."""
         words = "What became of the valve's data on their way into the model."
-        await add_part(DIAGNOSTICS, words, self._add_diagnostics)
-        words = "What needs somebody's attention."
-        await add_part(ALARMS, words, self._add_alarms)
+        return {
+            SIGNALS: ("The newest sample.", self._add_signals),
+            INVERSE: ("The control voltage that a flow demands.", self._add_inverse),
+            BASELINE: ("The map that was approved as new.", self._add_baseline),
+            DIAGNOSTICS: (words, self._add_diagnostics),
+            ALARMS: ("What needs somebody's attention.", self._add_alarms_of),
+        }
+
+    async def _add_frame(self, server: _Place, folder: ua.NodeId, valve: ValveDescription) -> None:
+        of_frame, of_names = frame_variables(valve)
+        await self._add_variable(server, folder, of_names, frame_names(valve))
+        await self._add_variable(server, folder, of_frame, None)
 
     async def _add_part(
         self,
@@ -300,18 +324,25 @@ class ResultsServer(Startable):
         name: str,
         description: str,
         add: _AddPart,
+        kind: ua.NodeId | None,
     ) -> None:
-        part = await add_object(server, folder, f"{valve.name}.{name}", description=description)
+        part = await add_object(
+            server,
+            folder,
+            f"{valve.name}.{name}",
+            description=description,
+            type_definition=kind,
+        )
         server.add_later(part, partial(add, server, part, valve))
 
     async def _add_signals(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node in signal_variables(valve):
             await self._add_variable(server, parent, node, None)
 
     async def _add_diagnostics(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
             await self._add_variable(server, parent, node, middles.tolist())
@@ -325,14 +356,19 @@ class ResultsServer(Startable):
         for node in health_variables(valve.name):
             await self._add_variable(server, parent, node, None)
 
-    async def _add_alarms(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription | None
+    async def _add_alarms_of(
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription | None
     ) -> None:
         async def add(parent: ua.NodeId, node: VariableNode, now: Shown) -> None:
             self._not_shown.setdefault(node.id, now)
             await self._add_variable(server, parent, node, None)
 
         await self._alarms.add(parent, None if valve is None else valve.name, add)
+
+    async def _declare_alarm(self, server: _Place, own: ua.NodeId) -> None:
+        for node in alarm_variables(str(own.Identifier)):
+            await self._add_variable(server, own, node, None)
+        await self._alarms.declare(server, own)
 
     async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
         folder = await add_object(
@@ -347,7 +383,7 @@ class ResultsServer(Startable):
         parent = await add_object(
             server, folder, f"{SERVICE}.{ALARMS}", description="What the service itself needs."
         )
-        server.add_later(parent, partial(self._add_alarms, server, parent, None))
+        server.add_later(parent, partial(self._add_alarms_of, server, parent, None))
         if self._on_reload is not None:
             await add_method(
                 server,
@@ -362,7 +398,7 @@ class ResultsServer(Startable):
     async def _add_estimator(
         self,
         estimator: EstimatorDescription,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         valve: ValveDescription,
     ) -> None:
@@ -429,7 +465,7 @@ class ResultsServer(Startable):
         )
 
     async def _add_inverse(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         prefix = f"{valve.name}.{INVERSE}"
         start: dict[str, Any] = {
@@ -476,7 +512,7 @@ class ResultsServer(Startable):
         )
 
     async def _add_baseline(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node in baseline_variables(valve.name):
             empty = "" if node.kind == ua.VariantType.String else None
@@ -512,9 +548,7 @@ class ResultsServer(Startable):
             "on measurements.",
         )
 
-    async def _add_map(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
-    ) -> None:
+    async def _add_map(self, server: _Place, parent: ua.NodeId, valve: ValveDescription) -> None:
         """Add the map, and make it an ImageItemType: SCADA clients draw it without our help."""
         variable = await self._add_variable(
             server, parent, map_variable(valve), None, type_definition=_IMAGE_ITEM_TYPE
@@ -535,7 +569,7 @@ class ResultsServer(Startable):
 
     async def _add_variable(
         self,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         node: VariableNode,
         value: Any,  # noqa: ANN401 - as the variable's type says
@@ -621,7 +655,7 @@ class ResultsServer(Startable):
 
     async def _add_command(
         self,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         prefix: str,
         name: str,
