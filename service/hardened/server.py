@@ -468,7 +468,10 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce(tuple(Aggregate) if self._has_history else None)
+        self._announcements.announce(
+            tuple(Aggregate) if self._has_history else None,
+            conditions=self._conditions.keeper is not None,
+        )
         self._announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)
