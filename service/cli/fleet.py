@@ -1,5 +1,6 @@
 """``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
 
+import asyncio
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,6 +40,29 @@ def topics(config: FleetOption = CONFIG) -> None:
 
     for line in create_or_check(load_fleet(config)):
         typer.echo(line)
+
+
+@fleet.command()
+def collect(
+    site: Annotated[
+        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
+    ] = None,
+    config: FleetOption = CONFIG,
+) -> None:
+    """Send the samples of a site's sources to the workers, until Ctrl-C."""
+    from service.app.signals import stop_on_signal
+    from service.fleet.collect import collect as run
+    from service.fleet.settings import load_fleet
+
+    loaded = load_fleet(config)
+    set_up_logs()
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, site, stop)
+
+    asyncio.run(until_stopped())
 
 
 @fleet.command()

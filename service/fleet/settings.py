@@ -77,6 +77,20 @@ class CatalogueConfig(Section):
     )
 
 
+class CollectConfig(Section):
+    """Who listens to the sources."""
+
+    spool: Path = Field(
+        Path("data/spool"), description="folder of what waits for the broker, a file for each site"
+    )
+    commit_s: float = Field(
+        0.1, ge=0.01, le=60.0, description="how often what came is made into blocks, and kept"
+    )
+    most_mb: float = Field(
+        2_000.0, ge=1.0, le=1e7, description="so much may wait for the broker, MB; the oldest goes"
+    )
+
+
 class WorkConfig(Section):
     """The workers."""
 
@@ -106,6 +120,7 @@ class FleetConfig(SettingsFile):
     broker: BrokerConfig = BrokerConfig()
     topics: TopicsConfig = TopicsConfig()
     catalogue: CatalogueConfig = CatalogueConfig()
+    collect: CollectConfig = CollectConfig()
     work: WorkConfig = WorkConfig()
 
 
