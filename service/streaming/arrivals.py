@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -108,11 +108,6 @@ class Arrivals:
         """All that waits, whatever for."""
         every = np.arange(len(self.names))
         return [self._align(self.timing.flush(every)), self._flush(every)]
-
-    def counters(self) -> Mapping[str, int]:
-        """What was aligned and lost at all valves together."""
-        each = [self._alignment.counters(self._waiting, v) for v in range(len(self.names))]
-        return {name: sum(one[name] for one in each) for name in each[0]} if each else {}
 
     def to_bytes(self) -> bytes:
         """Pack what is under way."""
