@@ -77,6 +77,29 @@ def work(config: FleetOption = CONFIG) -> None:
 
 
 @fleet.command()
+def serve(
+    site: Annotated[
+        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
+    ] = None,
+    config: FleetOption = CONFIG,
+) -> None:
+    """Show a site's results to any OPC UA client, until Ctrl-C."""
+    from service.app.signals import stop_on_signal
+    from service.fleet.serve import serve as run
+    from service.fleet.settings import load_fleet
+
+    loaded = load_fleet(config)
+    set_up_logs()
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, site, stop)
+
+    asyncio.run(until_stopped())
+
+
+@fleet.command()
 def status(config: FleetOption = CONFIG) -> None:
     """Show each group: who learns it, how far behind, what came of its blocks."""
     from service.fleet.settings import load_fleet

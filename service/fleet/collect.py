@@ -124,7 +124,7 @@ class Collector:
         self._sources, self._spool = sources, spool
         self._clock = clock or SystemClock()
         self._catalogue = catalogue.version
-        self._groups = _groups_of(catalogue, site)
+        self._groups = groups_of(catalogue, site)
         self._per_group = config.catalogue.valves_per_group
         self._commit_s = config.collect.commit_s
         self._rows = max(1, int(config.topics.message_mb * 1e6 * _SHARE / _ROW_BYTES))
@@ -331,7 +331,7 @@ _ARRIVALS: Final = "arrivals"
 _POSITION: Final = "position"
 
 
-def _groups_of(catalogue: Catalogue, site: str) -> list[GroupPlan]:
+def groups_of(catalogue: Catalogue, site: str) -> list[GroupPlan]:
     """The groups of a site, in the order of its valves."""
     own = [g for name, g in catalogue.groups.items() if name.rpartition(".")[0] == site]
     return sorted(own, key=lambda group: int(group.name.rpartition(".")[2]))

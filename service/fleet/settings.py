@@ -112,6 +112,20 @@ class WorkConfig(Section):
     )
 
 
+class ServeConfig(Section):
+    """Who shows the results."""
+
+    stale_after_s: float = Field(
+        5.0,
+        ge=0.5,
+        le=86_400.0,
+        description="a valve without newer results for so long is Uncertain, for twice as long Bad",
+    )
+    answer_s: float = Field(
+        10.0, ge=0.5, le=600.0, description="longest that an operator waits for the workers"
+    )
+
+
 class FleetConfig(SettingsFile):
     """All of it: a TOML file, overridden by ``VALVEMAP_FLEET_<SECTION>__<FIELD>``."""
 
@@ -122,6 +136,7 @@ class FleetConfig(SettingsFile):
     catalogue: CatalogueConfig = CatalogueConfig()
     collect: CollectConfig = CollectConfig()
     work: WorkConfig = WorkConfig()
+    serve: ServeConfig = ServeConfig()
 
 
 def load_fleet(file: Path) -> FleetConfig:
