@@ -1,6 +1,7 @@
 """``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
 
 import asyncio
+import os
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Annotated
 import typer
 
 from service.cli.logs import set_up_logs
-from service.errors import ConfigurationError
+from service.cli.options import ConfigOption
+from service.cli.progress import bars
+from service.errors import ConfigurationError, FleetError
 
 FleetOption = Annotated[
     Path,
@@ -27,7 +30,7 @@ fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True
 
 @fleet.callback()
 def _needs_the_extra() -> None:
-    for needed in ("confluent_kafka", "pyarrow", "quixstreams"):
+    for needed in ("confluent_kafka", "distributed", "pyarrow", "quixstreams"):
         if find_spec(needed) is None:
             raise ConfigurationError(f"a fleet needs {needed}: pip install 'valvemap[fleet]'")
 
@@ -97,6 +100,47 @@ def serve(
             await run(loaded, site, stop)
 
     asyncio.run(until_stopped())
+
+
+@fleet.command()
+def reidentify(
+    files: Annotated[
+        list[Path], typer.Argument(help="Recordings, in the order of their time.", metavar="FILES")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the models.")],
+    config: ConfigOption = None,
+    processes: Annotated[
+        int, typer.Option(min=1, max=1_024, metavar="N", help="So many learn side by side.")
+    ] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask cluster instead, e.g. tcp://north:8786."),
+    ] = None,
+    *,
+    insist: Annotated[
+        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+    ] = False,
+) -> None:
+    """Learn valves anew from recordings, on all processors; go on after a kill."""
+    from service.config.loading import load_config
+    from service.fleet.reidentify import reidentify as run
+
+    loaded = None if config is None else load_config(config)
+    with bars() as shown:
+        bar = shown.add_task("valves", total=None)
+        found = run(
+            files,
+            out,
+            loaded,
+            processes=processes,
+            scheduler=scheduler,
+            insist=insist,
+            progress=lambda done, of: shown.update(bar, completed=done, total=of),
+        )
+    known = f", {found.known} of them before" if found.known else ""
+    typer.echo(f"{out}: {found.valves} valves{known}")
+    if found.refused:
+        raise FleetError("\n".join(found.refused))
 
 
 @fleet.command()

@@ -3,6 +3,7 @@
 import time
 
 from confluent_kafka import Consumer, TopicPartition
+from confluent_kafka.admin import AdminClient
 
 
 def everything(broker, topic):
@@ -31,3 +32,10 @@ def until(condition, seconds=240.0):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.2)
+
+
+def members(broker, group):
+    """How many consumers of a group have partitions."""
+    admin = AdminClient({"bootstrap.servers": broker})
+    found = admin.describe_consumer_groups([group])[group].result().members
+    return sum(bool(one.assignment.topic_partitions) for one in found)
