@@ -11,8 +11,19 @@ from support.processes import program, run
 pytest.importorskip("distributed")
 pytest.importorskip("quixstreams")
 
+from service.app.models import save_models
+from service.app.replay import as_json, replay
+from service.config.loading import load_config
 from service.errors import RecordingError
-from service.fleet.reidentify import NOTES, Task, _tasks, _where, learn
+from service.fleet.reidentify import (
+    NOTES,
+    Task,
+    _tasks,
+    _valves_in,
+    _where,
+    _write_all,
+    learn,
+)
 from service.identification.samples import Samples
 from service.storage.recordings import RecordingWriter
 
@@ -49,26 +60,6 @@ def contents(folder):
     return {file.name: file.read_bytes() for file in folder.glob("*.json")}
 
 
-def test_the_models_are_those_of_replay_byte_for_byte(recordings, tmp_path):
-    config, files = recordings
-    names = [str(file) for file in files]
-    alone = run(
-        *("replay", *names, "-c", str(config)),
-        *("--save", str(tmp_path / "alone"), "--json", str(tmp_path / "models.json")),
-    )
-    assert alone.returncode == 0, alone.stderr
-    command = ("fleet", "reidentify", *names, "-c", str(config), "--out", str(tmp_path / "many"))
-    made = run(*command, "--processes", "2")
-    assert made.returncode == 0, made.stderr
-    assert made.stdout == f"{tmp_path / 'many'}: 5 valves\n"
-    expected = contents(tmp_path / "alone")
-    assert len(expected) == 10
-    expected["models.json"] = (tmp_path / "models.json").read_bytes()
-    found = contents(tmp_path / "many")
-    assert json.loads(found.pop("models.json")) == json.loads(expected.pop("models.json"))
-    assert found == expected
-
-
 KILLED = """
 import os, sys
 from pathlib import Path
@@ -86,23 +77,50 @@ if __name__ == "__main__":
 """
 
 
-def test_who_is_killed_goes_on_with_the_rest(recordings, tmp_path):
+@pytest.mark.waits
+def test_who_is_killed_goes_on_with_the_rest_and_comes_to_the_bytes_of_replay(recordings, tmp_path):
     config, files = recordings
     script, out = tmp_path / "killed.py", tmp_path / "out"
     script.write_text(KILLED, encoding="utf-8")
-    arguments = out, config, *files
-    with program(sys.executable, script, *arguments, log=tmp_path / "log") as process:
-        assert process.wait(120) == -9, (tmp_path / "log").read_text()
+    with program(sys.executable, script, out, config, *files, log=tmp_path / "log") as process:
+        assert process.wait(240) == -9, (tmp_path / "log").read_text()
     before = {note.name: note.stat().st_mtime_ns for note in (out / NOTES).glob("*.json")}
     assert 1 <= len(before) < 5
     names = [str(file) for file in files]
-    made = run("fleet", "reidentify", *names, "-c", str(config), "--out", str(out))
+    command = ("fleet", "reidentify", *names, "-c", str(config), "--out", str(out))
+    made = run(*command, "--processes", "2", timeout=240.0)
     assert made.returncode == 0, made.stderr
     assert made.stdout.startswith(f"{out}: 5 valves, ")
     for name, stamp in before.items():
         assert (out / NOTES / name).stat().st_mtime_ns == stamp
-    whole = json.loads((out / "models.json").read_text())
-    assert sorted(whole) == ["V0", "V1", "V2", "V3", "V4"]
+    check_bytes(out, config, files)
+
+
+def check_bytes(out, config, files):
+    """The folder holds what `replay --save --json` makes."""
+    report = replay(files, load_config(config))
+    alone = out.with_name("alone")
+    save_models(alone, report)
+    expected, found = contents(alone), contents(out)
+    assert len(expected) == 10
+    assert json.loads(found.pop("models.json")) == as_json(report)
+    assert found == expected
+
+
+def test_tasks_come_to_the_bytes_of_replay_whatever_valves_are_in_each(
+    recordings, tmp_path, monkeypatch
+):
+    config, files = recordings
+    loaded, out = load_config(config), tmp_path / "out"
+    (out / NOTES).mkdir(parents=True)
+    monkeypatch.setattr("service.fleet.reidentify.AT_ONCE", 2)
+    where = _where(files, [_valves_in(file, loaded) for file in files])
+    tasks, _, digests = _tasks(where, out, loaded, insist=False)
+    assert [task.valves for task in tasks] == [("V0", "V1"), ("V2",), ("V3", "V4")]
+    for task in reversed(tasks):
+        assert learn(task) == []
+    _write_all(out, digests)
+    check_bytes(out, config, files)
 
 
 def test_what_is_done_is_done_again_where_files_or_configuration_changed(tmp_path):
