@@ -31,6 +31,8 @@ from service.streaming.score import Score
 
 AnyEstimator = Estimator[Any]
 
+WIDEST = 1e9  # times its root mean square that an interval can be: what is off moves both
+
 _OF_CELL = [of_spread.WEIGHT, of_spread.SQUARES, of_spread.NUMBER]  # never negative, nor are …
 _OF_SCORE = [
     *(of_score.N, of_score.SQUARES, of_score.SCATTER_Q),
@@ -295,7 +297,7 @@ class _Kept(State):
         return {
             "score": score,
             "cells": cells,
-            "overall": overall.within(0.0, of_spread.LARGEST, multiples),
+            "overall": overall.within(0.0, WIDEST, multiples),
             "fit": Contents(self.fit).within(0.0, where=slice(lack_of_fit.SEEN, None)),
         }
 
