@@ -90,7 +90,7 @@ class _Taken:
 
     blocks: list[SamplesBlock]
     kept: Mapping[str, bytes]
-    marks: tuple[Any, ...]
+    mark: tuple[Any, ...] | None
 
 
 class Collector:
@@ -138,7 +138,6 @@ class Collector:
         self._numbers = {group.name: 0 for group in self._groups}
         self._given_up = 0  # samples, since the first start
         self._parts: list[ByValve] = []
-        self._marks: list[Any] = [None] * len(sources.parts)
         self._news = False
         self._unsaved: list[Packed] = []
         self._saving: asyncio.Task[None] | None = None
@@ -178,9 +177,6 @@ class Collector:
         """Make samples; save them when it is time."""
         own = self._own(valves)
         self._connected[own] = True
-        for k, part in enumerate(self._sources.parts):
-            if valves is None or part.valves == tuple(valves.tolist()):
-                self._marks[k] = part.source.mark
         self._news = True
         self._use(self._arrivals.take(changes))
         self._save_in_time()
@@ -245,14 +241,14 @@ class Collector:
         """What has come since the last time, as it stands now."""
         blocks = list(self._cut())
         self._parts, self._news = [], False
-        marks = tuple(self._marks)
+        mark = self._sources.mark
         kept = {
             _NUMBERS: json.dumps({"groups": self._numbers, "given_up": self._given_up}).encode(),
             _ARRIVALS: self._arrivals.to_bytes(),
         }
-        if any(mark is not None for mark in marks):
-            kept[_POSITION] = self._sources.position(marks)
-        return _Taken(blocks, kept, marks)
+        if mark is not None:
+            kept[_POSITION] = self._sources.position(mark)
+        return _Taken(blocks, kept, mark)
 
     def _cut(self) -> Sequence[SamplesBlock]:
         """All that came, by group, none larger than a message may be."""
@@ -293,7 +289,8 @@ class Collector:
             self._hold_no_more_than_allowed()
             self._say("samples not kept, they are held in memory", reason=str(error))
             return
-        self._sources.commit(taken.marks)
+        if taken.mark is not None:
+            self._sources.commit(taken.mark)
         if given_up:
             self._give_up(given_up, "spool is full, the oldest samples are given up")
 

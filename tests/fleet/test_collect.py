@@ -86,6 +86,14 @@ def collector(path, source, clock, config=CONFIG):
     return found, spool
 
 
+async def hear(one, n, messages):
+    """Have a collector take the next messages, as its supervisor does."""
+    sources = one._sources
+    changes = sources.parts[0].source.hand_out(messages, n)
+    sources.taken[0] = sources.parts[0].source.mark
+    await one.take(changes, np.arange(VALVES))
+
+
 def arrived(topic):
     """Samples of each valve, from the blocks of each group by their numbers."""
     blocks = {}
@@ -113,9 +121,8 @@ async def live(path, source, messages, topic, rng, steps):
     one, spool = collector(path, source, clock)
     try:
         for _ in range(steps):
-            changes = source.hand_out(messages, int(rng.integers(1, 6)))
             clock.advance(0.03)
-            await one.take(changes, np.arange(VALVES))
+            await hear(one, int(rng.integers(1, 6)), messages)
             await one.tick()
             if rng.random() < 0.7:
                 await asyncio.sleep(0.002)
@@ -142,9 +149,10 @@ async def test_a_collector_that_is_killed_loses_no_sample_and_doubles_none(
         if source.at == len(messages):
             break
     assert lives > 3
-    one, spool = collector(path, Source(), ManualClock(START))
-    while (changes := one._sources.parts[0].source.hand_out(messages, 10)) and len(changes):
-        await one.take(changes, np.arange(VALVES))
+    source = Source()
+    one, spool = collector(path, source, ManualClock(START))
+    while source.at < len(messages):
+        await hear(one, 10, messages)
     await one.finish()
     topic += [(block.group, block.data) for block in iter_all(spool)]
     spool.close()
@@ -165,7 +173,7 @@ async def test_a_disk_that_takes_nothing_is_waited_for_and_nothing_is_lost(
     one, spool = collector(tmp_path / "north.sqlite", source, clock)
     spool._connection.execute("PRAGMA max_page_count = 12")
     while source.at < len(messages):
-        await one.take(source.hand_out(messages, 5), np.arange(VALVES))
+        await hear(one, 5, messages)
         clock.advance(0.2)
         await one._saving
     assert source.safe < len(messages)
@@ -182,7 +190,7 @@ async def test_no_block_is_larger_than_a_message_may_be(tmp_path, messages):
     config = CONFIG.model_copy(update={"topics": TopicsConfig(message_mb=0.1)})
     source, clock = Source(), ManualClock(START)
     one, spool = collector(tmp_path / "north.sqlite", source, clock, config)
-    await one.take(source.hand_out(messages, len(messages)), np.arange(VALVES))
+    await hear(one, len(messages), messages)
     await one.finish()
     sizes = [len(block.data) for block in iter_all(spool)]
     spool.close()
@@ -193,7 +201,7 @@ async def test_no_block_is_larger_than_a_message_may_be(tmp_path, messages):
 async def test_what_is_under_way_of_other_valves_is_left_aside(tmp_path, messages, capsys):
     source = Source()
     one, spool = collector(tmp_path / "north.sqlite", source, ManualClock(START))
-    await one.take(source.hand_out(messages, 7), np.arange(VALVES))
+    await hear(one, 7, messages)
     await one.finish()
     spool.close()
     known = catalogue_of({"north": site([f"W{k}" for k in range(VALVES)])}, 1, PER_GROUP)
