@@ -83,7 +83,7 @@ def grid_of_rows(X: Floats) -> Grid:
     shares = np.concatenate(((1 - p) * (1 - q), (1 - p) * q, p * (1 - q), p * q))
 
     def at_nodes(values: Floats) -> Floats:
-        return np.bincount(corners, values, NODES_A * NODES_B)
+        return np.bincount(corners, values, NODES_A * NODES_B).astype(np.float64, copy=False)
 
     sums = [at_nodes(shares * np.tile(column, 4)) for column in X[usable].T]
     return Grid(a, b, np.stack(sums, axis=1) / np.maximum(at_nodes(shares), 1e-9)[:, None])
