@@ -8,8 +8,11 @@ ENV PIP_DISABLE_PIP_VERSION_CHECK=1 \
     PIP_PYTHON=/opt/valvemap/venv/bin/python
 WORKDIR /src
 RUN python -m venv --without-pip /opt/valvemap/venv
-COPY requirements-image.lock ./
+COPY requirements-image.lock requirements-fleet.lock ./
 RUN python -m pip install --no-compile --require-hashes --only-binary=:all: -r requirements-image.lock
+# With --build-arg FLEET=yes: Kafka and Dask, for `valvemap fleet`.
+ARG FLEET=
+RUN test -z "$FLEET" || python -m pip install --no-compile --require-hashes --only-binary=:all: -r requirements-fleet.lock
 # Tests of others are not run here; warm-up compiles what is imported.
 RUN find /opt/valvemap/venv/lib -depth -type d -name tests -exec rm -r {} +
 COPY pyproject.toml README.md LICENSE ./

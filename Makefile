@@ -81,6 +81,9 @@ lock:
 	    -o requirements.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --extra dashboard pyproject.toml -c requirements.lock -o requirements-image.lock
+	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
+	    --extra dashboard --extra fleet pyproject.toml -c requirements-dev.lock \
+	    -o requirements-fleet.lock
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

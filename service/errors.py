@@ -9,6 +9,7 @@
     ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
     │   └── NoSuchFile            what was named is not there, exit code 2
     ├── FleetError                broker, topics or memory of a fleet cannot be used
+    │   ├── BrokerAway            worth another try: no broker can be reached
     │   └── BlockError            a message is no block that can be read
     ├── CommandRejected           an operator's command cannot be carried out
     └── SourceError               the source server
@@ -51,6 +52,10 @@ class NoSuchFile(StorageError):  # noqa: N818
 
 class FleetError(ValvemapError):
     """Broker, topics or memory of a fleet cannot be used."""
+
+
+class BrokerAway(FleetError):  # noqa: N818 - it says what happened
+    """No broker can be reached: what waits for it goes on waiting."""
 
 
 class BlockError(FleetError):

@@ -84,7 +84,9 @@ def test_what_runs_carries_neither_builder_nor_installer():
 def test_every_dependency_is_installed_by_its_hash_and_without_a_compiler():
     installs = [argument for argument in BUILD.all("RUN") if "pip install" in argument]
     assert "--require-hashes --only-binary=:all: -r requirements-image.lock" in installs[0]
-    assert installs[1:] == ["python -m pip install --no-compile --no-deps ."]
+    assert installs[1].startswith('test -z "$FLEET" || python -m pip install')
+    assert "--require-hashes --only-binary=:all: -r requirements-fleet.lock" in installs[1]
+    assert installs[2:] == ["python -m pip install --no-compile --no-deps ."]
 
 
 def test_what_is_installed_is_what_is_locked_for_everybody_without_pictures_and_parquet():
@@ -94,6 +96,7 @@ def test_what_is_installed_is_what_is_locked_for_everybody_without_pictures_and_
 
     image, everybody = pinned("requirements-image.lock"), pinned("requirements.lock")
     assert image < everybody
+    assert image < pinned("requirements-fleet.lock") < pinned("requirements-dev.lock")
     left_out = {package.partition("==")[0] for package in everybody - image}
     assert {"matplotlib", "pyarrow"} <= left_out
     assert {"numba", "asyncua", "uvicorn"} & left_out == set()
@@ -182,7 +185,11 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
 # -- docker-compose.yml
 
 
-@pytest.mark.parametrize("name", ["init", "rig", "service", "page"])
+OF_FLEET = ("collect", "worker", "fleet-service")
+OURS = ("init", "rig", "service", "page", "rig-fleet", "fleet-topics", *OF_FLEET)
+
+
+@pytest.mark.parametrize("name", OURS)
 def test_every_container_is_locked_down(name):
     container = SERVICES[name]
     assert container["user"] == FINAL.last("USER")
@@ -190,7 +197,9 @@ def test_every_container_is_locked_down(name):
     assert container["cap_drop"] == ["ALL"]
     assert container["security_opt"] == ["no-new-privileges:true"]
     assert container["tmpfs"][0].startswith("/tmp:")
-    assert container["volumes"] == ["data:/data"]
+    data, *settings = container["volumes"]
+    assert data == "data:/data"
+    assert settings in ([], ["./container/fleet:/fleet:ro"])
     assert not {"privileged", "cap_add", "devices", "pid", "ipc"} & set(container)
     assert container.get("network_mode") != "host"
     assert "data" in COMPOSE["volumes"]
@@ -198,11 +207,12 @@ def test_every_container_is_locked_down(name):
 
 def test_there_are_four_containers_and_more_to_watch_them_where_they_are_wanted():
     of_profile = {name: service.get("profiles") for name, service in SERVICES.items()}
-    monitoring, scada = ["monitoring"], ["scada"]
+    monitoring, scada, fleet = ["monitoring"], ["scada"], ["fleet"]
     assert of_profile == {
         **dict.fromkeys(["init", "rig", "service", "page"]),
         **dict.fromkeys(["prometheus", "grafana"], monitoring),
         **dict.fromkeys(["fuxa", "fuxa-project"], scada),
+        **dict.fromkeys(["kafka", "fleet-topics", "rig-fleet", *OF_FLEET], fleet),
     }
 
 
@@ -245,6 +255,9 @@ def test_ports_are_published_on_loopback_alone():
     assert "ports" not in SERVICES["fuxa-project"]
     ports = {"rig": 4840, "service": 4841, "page": 8080}
     watching = {"prometheus": 9090, "grafana": 3000, "fuxa": 1881}
+    (published,) = SERVICES["fleet-service"]["ports"]
+    assert published == "127.0.0.1:${VALVEMAP_FLEET_PORT:-4843}:4841"
+    assert not [name for name in ("kafka", "collect", "worker") if "ports" in SERVICES[name]]
     for name, port in {**ports, **watching}.items():
         (published,) = SERVICES[name]["ports"]
         assert re.fullmatch(rf"127\.0\.0\.1:\$\{{\w+:-{port}\}}:{port}", published)
@@ -322,6 +335,48 @@ def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
     assert config.server.url == "opc.tcp://0.0.0.0:4841/valvemap/service/"
     assert config.log.format == "json"
     assert config.source.security == "Basic256Sha256"
+
+
+def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):
+    """Every path of its files lies in the containers, every valve is one that its rig plays."""
+    pytest.importorskip("confluent_kafka")
+    from service.fleet.catalogue import load_catalogue
+    from service.fleet.settings import load_fleet
+    from service.fleet.topics import wanted
+    from virtual_rig.fleet import valve_names
+    from virtual_rig.scenario import Fleet, Scenario
+
+    fleet = load_fleet(ROOT / "container" / "fleet" / "fleet.toml")
+    known = load_catalogue(fleet.catalogue)
+    (site,) = known.sites.values()
+    words = SERVICES["rig-fleet"]["command"]
+    playing = Scenario(fleet=Fleet(valves=int(words[words.index("--valves") + 1])))
+    assert [valve.name for valve in site.valves] == valve_names(playing)
+    assert site.source.url == environment("rig-fleet")["VALVEMAP_RIG_URL"].replace(
+        "0.0.0.0", "rig-fleet"
+    )
+    assert fleet.broker.addresses == ("kafka:9092",)
+    assert (
+        SERVICES["kafka"]["environment"]["KAFKA_ADVERTISED_LISTENERS"] == "PLAINTEXT://kafka:9092"
+    )
+    largest = {topic.settings["max.message.bytes"] for topic in wanted(fleet.topics)}
+    assert largest == {SERVICES["kafka"]["environment"]["KAFKA_MESSAGE_MAX_BYTES"]}
+    assert SERVICES["worker"]["deploy"]["replicas"] <= fleet.topics.partitions
+    for path in (fleet.collect.spool, fleet.work.state, site.security.pki, site.security.users):
+        assert str(path).startswith(("/data/", "/tmp/")), path
+    for name in ("fleet-topics", *OF_FLEET):
+        group, (word, command, *options) = fleet_command(), SERVICES[name]["command"]
+        assert word == "fleet"
+        context = group.commands[command].make_context(command, options)
+        assert str(context.params["config"]) == "/fleet/fleet.toml"
+
+
+def fleet_command():
+    import typer.main
+
+    from service.cli import application
+
+    return typer.main.get_command(application()).commands["fleet"]
 
 
 # -- the health check

@@ -20,6 +20,7 @@ from service.errors import SourceError, StorageError
 from service.identification.samples import Times
 from service.storage.recordings import RecordingWriter
 from service.streaming.alignment import ByValve
+from service.streaming.arrivals import Arrivals
 from service.streaming.data_changes import DataChanges
 from service.streaming.supervisor import supervise
 
@@ -94,12 +95,9 @@ class _Recorder:
         self, config: Config, writer: RecordingWriter, progress: Callable[[int], None]
     ) -> None:
         self._names = [valve.name for valve in config.valves]
-        self._alignment = build_alignment(config)
-        self._waiting = self._alignment.initial_state()
-        self._timing = build_timing(config)
+        self._arrivals = Arrivals(self._names, build_alignment(config), build_timing(config))
         self._writer = writer
         self._progress = progress
-        self._every = np.arange(len(self._names))
         self._source_started = 0
         self.samples = 0
 
@@ -107,18 +105,15 @@ class _Recorder:
         """The source is there; if it was restarted, its samples are counted anew."""
         before, self._source_started = self._source_started, source_started
         if before and source_started and source_started != before:
-            self._waiting, samples = self._alignment.begin_anew(self._waiting, self._every)
-            self._append(samples)
+            self._append(self._arrivals.begin_source_anew(np.arange(len(self._names))))
 
     async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:
-        self._align(changes if self._timing is None else self._timing.take(changes))
+        self._append(self._arrivals.take(changes))
 
     def finish(self) -> None:
         """Write what waits for more of its scan, or for earlier samples."""
-        if self._timing is not None:
-            self._align(self._timing.flush(self._every))
-        self._waiting, samples = self._alignment.flush(self._waiting, self._every)
-        self._append(samples)
+        for samples in self._arrivals.finish():
+            self._append(samples)
 
     def write_timing(self, file: Path) -> None:
         """Write beside the recording how the signals came.
@@ -127,7 +122,7 @@ class _Recorder:
         ------
         StorageError
         """
-        found = {} if self._timing is None else self._timing.found_by(self._names)
+        found = self._arrivals.timing.found_by(self._names)
         if not found:
             return
         beside = file.with_name(f"{file.name}.timing.json")
@@ -135,10 +130,6 @@ class _Recorder:
             beside.write_text(json.dumps(found, indent=2, ensure_ascii=False), encoding="utf-8")
         except OSError as error:
             raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
-
-    def _align(self, changes: DataChanges) -> None:
-        self._waiting, samples = self._alignment.take(self._waiting, changes)
-        self._append(samples)
 
     def _append(self, samples: ByValve) -> None:
         for valve, batch in samples.items():

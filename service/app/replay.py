@@ -1,7 +1,7 @@
 """Replay: recordings through the same pipeline as live data, and a verdict at the end."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -84,6 +84,7 @@ def replay(
     tap: Tap = lambda _valve, _samples, _traces: None,
     *,
     insist: bool = False,
+    only: Collection[str] | None = None,
 ) -> Report:
     """Run recordings through the pipeline, file after file, in constant memory.
 
@@ -99,6 +100,8 @@ def replay(
         Sees every batch with what the estimators said of it.
     insist
         Learn from signals that cannot be what they are called, too.
+    only
+        Names of the valves that are learnt; None: all.
 
     Returns
     -------
@@ -115,6 +118,8 @@ def replay(
     valves: dict[str, _Learnt] = {}
     for file in files:
         for name, samples in _read(file, layout, progress):
+            if only is not None and name not in only:
+                continue
             if name not in valves:
                 plan = _default_plan(name) if plans is None else plans.get(name)
                 if plan is None:

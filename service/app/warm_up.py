@@ -146,6 +146,12 @@ def _learn(estimator: Estimator[Any]) -> None:
     estimator.parameters(state)
 
 
+def compile_alignment(config: Config) -> None:
+    """What makes samples of changes: all that is needed by one who learns nothing."""
+    decode_data_changes(_NO_CHANGES)
+    _align(config)
+
+
 def _align(config: Config) -> None:
     alignment = build_alignment(config)
     waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)

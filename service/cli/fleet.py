@@ -1,5 +1,7 @@
 """``valvemap fleet``: one pipeline on many machines, by way of Kafka."""
 
+import asyncio
+import os
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -8,7 +10,9 @@ from typing import Annotated
 import typer
 
 from service.cli.logs import set_up_logs
-from service.errors import ConfigurationError
+from service.cli.options import ConfigOption
+from service.cli.progress import bars
+from service.errors import ConfigurationError, FleetError
 
 FleetOption = Annotated[
     Path,
@@ -26,7 +30,7 @@ fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True
 
 @fleet.callback()
 def _needs_the_extra() -> None:
-    for needed in ("confluent_kafka", "pyarrow", "quixstreams"):
+    for needed in ("confluent_kafka", "distributed", "pyarrow", "quixstreams"):
         if find_spec(needed) is None:
             raise ConfigurationError(f"a fleet needs {needed}: pip install 'valvemap[fleet]'")
 
@@ -42,6 +46,29 @@ def topics(config: FleetOption = CONFIG) -> None:
 
 
 @fleet.command()
+def collect(
+    site: Annotated[
+        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
+    ] = None,
+    config: FleetOption = CONFIG,
+) -> None:
+    """Send the samples of a site's sources to the workers, until Ctrl-C."""
+    from service.app.signals import stop_on_signal
+    from service.fleet.collect import collect as run
+    from service.fleet.settings import load_fleet
+
+    loaded = load_fleet(config)
+    set_up_logs()
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, site, stop)
+
+    asyncio.run(until_stopped())
+
+
+@fleet.command()
 def work(config: FleetOption = CONFIG) -> None:
     """Learn from what the topics bring, beside other workers, until Ctrl-C."""
     from service.fleet.settings import load_fleet
@@ -50,6 +77,70 @@ def work(config: FleetOption = CONFIG) -> None:
     loaded = load_fleet(config)
     set_up_logs()
     run(loaded)
+
+
+@fleet.command()
+def serve(
+    site: Annotated[
+        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
+    ] = None,
+    config: FleetOption = CONFIG,
+) -> None:
+    """Show a site's results to any OPC UA client, until Ctrl-C."""
+    from service.app.signals import stop_on_signal
+    from service.fleet.serve import serve as run
+    from service.fleet.settings import load_fleet
+
+    loaded = load_fleet(config)
+    set_up_logs()
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, site, stop)
+
+    asyncio.run(until_stopped())
+
+
+@fleet.command()
+def reidentify(
+    files: Annotated[
+        list[Path], typer.Argument(help="Recordings, in the order of their time.", metavar="FILES")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the models.")],
+    config: ConfigOption = None,
+    processes: Annotated[
+        int, typer.Option(min=1, max=1_024, metavar="N", help="So many learn side by side.")
+    ] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask cluster instead, e.g. tcp://north:8786."),
+    ] = None,
+    *,
+    insist: Annotated[
+        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+    ] = False,
+) -> None:
+    """Learn valves anew from recordings, on all processors; go on after a kill."""
+    from service.config.loading import load_config
+    from service.fleet.reidentify import reidentify as run
+
+    loaded = None if config is None else load_config(config)
+    with bars() as shown:
+        bar = shown.add_task("valves", total=None)
+        found = run(
+            files,
+            out,
+            loaded,
+            processes=processes,
+            scheduler=scheduler,
+            insist=insist,
+            progress=lambda done, of: shown.update(bar, completed=done, total=of),
+        )
+    known = f", {found.known} of them before" if found.known else ""
+    typer.echo(f"{out}: {found.valves} valves{known}")
+    if found.refused:
+        raise FleetError("\n".join(found.refused))
 
 
 @fleet.command()

@@ -116,6 +116,27 @@ def read_samples(message: bytes) -> SamplesBlock:
     return SamplesBlock(head.group, head.number, valves, samples, catalogue)
 
 
+def renumbered(samples: ByValve, numbers: NDArray[np.int64]) -> ByValve:
+    """The same, each valve under another number, in their order; those below 0 are left out.
+
+    Examples
+    --------
+    >>> samples = Samples.of(t=[0, 1], U=[10, 20], p1=[200, 200], p2=[100, 0], Q=[9, 30])
+    >>> two = ByValve(samples, Segments(*(np.array(x) for x in ([0, 1], [0, 1], [1, 2]))))
+    >>> {valve: one.Q.tolist() for valve, one in renumbered(two, np.array([7, 3])).items()}
+    {3: [30.0], 7: [9.0]}
+    """
+    members, starts, stops = samples.segments
+    if (numbers >= 0).all() and (np.diff(numbers) > 0).all():
+        return ByValve(samples.samples, Segments(numbers, starts, stops))
+    order = np.argsort(numbers)
+    order = order[numbers[order] >= 0]
+    parts = [samples[int(members[k])] for k in order]
+    edges = np.cumsum([0, *map(len, parts)]).astype(np.int64)
+    whole = Samples.concatenate(parts)
+    return ByValve(whole, Segments(numbers[order], edges[:-1], edges[1:]))
+
+
 def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:
     """Pack columns of equal length under a head."""
     said = {"block": head.kind, "version": VERSION, "group": head.group, "number": head.number}

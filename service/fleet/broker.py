@@ -1,5 +1,6 @@
 """How Kafka's clients are set up, and what they raise, as one line."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from confluent_kafka import KafkaException
 
 from service.config.secret_files import read_secret
-from service.errors import ConfigurationError, FleetError
+from service.errors import BrokerAway, ConfigurationError, FleetError
 from service.fleet.settings import BrokerConfig
 
 
@@ -47,6 +48,15 @@ def client_settings(broker: BrokerConfig) -> dict[str, Any]:
     return said
 
 
+def silent() -> logging.Logger:
+    """A logger for clients whose lines are all raised, or handed to callbacks, too."""
+    quiet = logging.getLogger("valvemap.kafka")
+    if not quiet.handlers:
+        quiet.addHandler(logging.NullHandler())
+    quiet.propagate = False
+    return quiet
+
+
 _FIELDS = {
     "ssl.ca.location": "ca_file",
     "ssl.certificate.location": "certificate_file",
@@ -60,17 +70,23 @@ def speaking_to(broker: BrokerConfig) -> Iterator[None]:
     try:
         yield
     except KafkaException as error:
-        raise FleetError(f"broker {','.join(broker.addresses)}: {reason(error)}") from None
+        kind = BrokerAway if _name(error) in _AWAY else FleetError
+        raise kind(f"broker {','.join(broker.addresses)}: {reason(error)}") from None
 
 
 def reason(error: KafkaException) -> str:
     """What Kafka says, in a few words."""
     kafka = error.args[0] if error.args else error
     text = kafka.str() if hasattr(kafka, "str") else str(kafka)
-    name = kafka.name() if hasattr(kafka, "name") else ""
+    name = _name(error)
     if name in _AWAY:
         return "cannot be reached: is it running, and broker.addresses right?"
     return (text.splitlines() or [name])[0]
+
+
+def _name(error: KafkaException) -> str:
+    kafka = error.args[0] if error.args else error
+    return kafka.name() if hasattr(kafka, "name") else ""
 
 
 _AWAY = {"_TRANSPORT", "_ALL_BROKERS_DOWN", "_TIMED_OUT", "_RESOLVE"}

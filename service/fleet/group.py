@@ -11,13 +11,22 @@ from typing import Final
 import numpy as np
 
 from service.errors import BlockError, CommandRejected, FleetError
-from service.fleet.blocks import SamplesBlock
+from service.fleet.blocks import SamplesBlock, renumbered
 from service.fleet.catalogue import GroupPlan
-from service.fleet.commands import Command, Reply, carry_out
+from service.fleet.commands import (
+    ACTIONS,
+    ESTIMATOR,
+    NOTHING,
+    QUESTIONS,
+    Command,
+    Reply,
+    carry_out,
+    read_reply,
+    write_message,
+)
 from service.fleet.memory import Memory, read_memory, write_memory
 from service.fleet.result_blocks import ResultsBlock
 from service.identification.estimator import StateMismatchError
-from service.identification.samples import Segments
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.identification import MAPS_AT_ONCE, SURVEYS_AT_ONCE, Identification
 from service.streaming.ports import Results
@@ -30,6 +39,7 @@ COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED)
 _RESULTS: Final = "results"
 _MAPS: Final = "maps"
 _NO_TABLE: Final = np.empty((0, 0))
+_REPLIES: Final = 100  # kept of a group: a command that is sent twice is so within seconds
 
 
 @dataclass(frozen=True)
@@ -62,6 +72,7 @@ class Group:
         self.number = 0
         self.counts = dict.fromkeys(COUNTS, 0)
         self._due: dict[str, int] = {}
+        self._replies: dict[str, Reply] = {}
         self._numbers = {one.name: number for number, one in enumerate(plan.plans)}
 
     def take(self, block: SamplesBlock) -> Iterator[ResultsBlock]:
@@ -88,21 +99,43 @@ class Group:
         yield from self._results_due(newest)
 
     def do(self, command: Command) -> Iterator[ResultsBlock | Reply]:
-        """Do what is asked for, between two blocks; the results show it at once."""
+        """Do what is asked for, between two blocks; the results show it at once.
+
+        A command that comes again, by its id, is answered as before, and not done again.
+        """
+        before = self._replies.get(command.id)
+        if before is not None:
+            yield before
+            return
         reason = ""
+        values: tuple[float | None, ...] = ()
         if command.valve not in self._numbers:
             reason = f"group {self.plan.name} has no valve {command.valve!r}"
         elif not self._knows(command):
             reason = f"{command.valve} has no estimator {command.estimator!r}"
         else:
             try:
-                carry_out(command, self.identification)
+                values = carry_out(command, self.identification)
             except CommandRejected as error:
                 reason = str(error)
-        if not reason:
-            for results in self.identification.results([self._numbers[command.valve]]):
-                yield self._block(_without_tables(results))
-        yield Reply(command.id, self.plan.name, self.number, done=not reason, reason=reason)
+        reply = Reply(command.id, self.plan.name, self.number, not reason, reason, values)
+        if command.action not in QUESTIONS:
+            self._note(reply)
+            if not reason:
+                for results in self.identification.results([self._numbers[command.valve]]):
+                    yield self._block(_without_tables(results))
+        yield reply
+
+    def everything(self) -> Iterator[ResultsBlock]:
+        """All that is known, tables and surveys made anew."""
+        self._refresh()
+        for results in self.identification.results(range(len(self.plan.plans))):
+            yield self._block(results)
+
+    def _note(self, reply: Reply) -> None:
+        self._replies[reply.id] = reply
+        while len(self._replies) > _REPLIES:
+            del self._replies[next(iter(self._replies))]
 
     def refuse(self) -> None:
         """Count a message that could not be read."""
@@ -119,6 +152,7 @@ class Group:
                 counts=self.counts,
                 columns=own.columns(),
                 baselines=own.baselines(),
+                replies=[write_message(reply).decode() for reply in self._replies.values()],
             )
         )
 
@@ -139,6 +173,8 @@ class Group:
         self.number = memory.number
         self.counts.update(memory.counts)
         self._due = dict(memory.due)
+        for packed_reply in memory.replies:
+            self._note(read_reply(packed_reply.encode()))
         return sorted(f"{valve}: {key.partition(' ')[0]}" for key, valve in afresh)
 
     def _check(self, memory: Memory) -> None:
@@ -159,19 +195,13 @@ class Group:
         """The samples, under our numbers of the valves."""
         if block.group != self.plan.name:
             raise BlockError(f"a block of group {block.group} under the key {self.plan.name}")
-        members, starts, stops = block.samples.segments
-        names = [block.valves[member] for member in members]
+        names = [block.valves[member] for member in block.samples.segments.members]
         unknown = [name for name in names if name not in self._numbers]
         if unknown:
             raise BlockError(f"group {self.plan.name} has no valve {unknown[0]!r}")
-        own = np.array([self._numbers[name] for name in names], np.int64)
-        order = np.argsort(own)
-        if (np.diff(own) > 0).all():
-            return replace(block.samples, segments=Segments(own, starts, stops))
-        parts = [block.samples[int(members[k])] for k in order]
-        edges = np.cumsum([0, *map(len, parts)])
-        whole = type(block.samples.samples).concatenate(parts)
-        return ByValve(whole, Segments(own[order], edges[:-1], edges[1:]))
+        return renumbered(
+            block.samples, np.array([self._numbers[name] for name in names], np.int64)
+        )
 
     def _newest(self) -> int:
         (signals, *_) = self.identification.columns()
@@ -179,7 +209,8 @@ class Group:
 
     def _knows(self, command: Command) -> bool:
         plan = self.plan.plans[self._numbers[command.valve]]
-        return not command.estimator or command.estimator in plan.estimators
+        on, _ = ACTIONS.get(command.action, (NOTHING, 0))
+        return on != ESTIMATOR or command.estimator in plan.estimators
 
     def _results_due(self, newest: int) -> Iterator[ResultsBlock]:
         if not self._is_due(_RESULTS, newest, self._rhythm.results_ns):

@@ -38,6 +38,8 @@ class Memory:
         What the valves remember.
     baselines
         By valve: its approved map, packed.
+    replies
+        To the last commands, packed, the oldest first: one that comes again is not done again.
     """
 
     catalogue: int
@@ -46,6 +48,7 @@ class Memory:
     counts: Mapping[str, int]
     columns: Sequence[Columns]
     baselines: Mapping[str, bytes]
+    replies: Sequence[str] = ()
 
 
 def write_memory(memory: Memory) -> bytes:
@@ -72,6 +75,7 @@ def write_memory(memory: Memory) -> bytes:
             ]
             for columns in memory.columns
         ],
+        "replies": list(memory.replies),
         "baselines": [[valve, len(packed)] for valve, packed in memory.baselines.items()],
     }
     said = json.dumps(head).encode()
@@ -125,4 +129,5 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
         {str(name): int(n) for name, n in head["counts"].items()},
         found,
         baselines,
+        [str(reply) for reply in head.get("replies", ())],
     )

@@ -77,6 +77,20 @@ class CatalogueConfig(Section):
     )
 
 
+class CollectConfig(Section):
+    """Who listens to the sources."""
+
+    spool: Path = Field(
+        Path("data/spool"), description="folder of what waits for the broker, a file for each site"
+    )
+    commit_s: float = Field(
+        0.1, ge=0.01, le=60.0, description="how often what came is made into blocks, and kept"
+    )
+    most_mb: float = Field(
+        2_000.0, ge=1.0, le=1e7, description="so much may wait for the broker, MB; the oldest goes"
+    )
+
+
 class WorkConfig(Section):
     """The workers."""
 
@@ -98,6 +112,20 @@ class WorkConfig(Section):
     )
 
 
+class ServeConfig(Section):
+    """Who shows the results."""
+
+    stale_after_s: float = Field(
+        5.0,
+        ge=0.5,
+        le=86_400.0,
+        description="a valve without newer results for so long is Uncertain, for twice as long Bad",
+    )
+    answer_s: float = Field(
+        10.0, ge=0.5, le=600.0, description="longest that an operator waits for the workers"
+    )
+
+
 class FleetConfig(SettingsFile):
     """All of it: a TOML file, overridden by ``VALVEMAP_FLEET_<SECTION>__<FIELD>``."""
 
@@ -106,7 +134,9 @@ class FleetConfig(SettingsFile):
     broker: BrokerConfig = BrokerConfig()
     topics: TopicsConfig = TopicsConfig()
     catalogue: CatalogueConfig = CatalogueConfig()
+    collect: CollectConfig = CollectConfig()
     work: WorkConfig = WorkConfig()
+    serve: ServeConfig = ServeConfig()
 
 
 def load_fleet(file: Path) -> FleetConfig:

@@ -4,18 +4,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from confluent_kafka import Consumer, KafkaException, TopicPartition
+from confluent_kafka import Consumer, TopicPartition
 from confluent_kafka.admin import AdminClient
 
 from service.errors import FleetError
-from service.fleet.broker import client_settings, reason, speaking_to
-from service.fleet.catalogue import Catalogue, load_catalogue
+from service.fleet.broker import client_settings, speaking_to
+from service.fleet.catalogue import load_catalogue
 from service.fleet.group import COUNTS
-from service.fleet.memory import MAGIC, Memory, read_memory
+from service.fleet.memory import Memory, read_memory
 from service.fleet.settings import FleetConfig
+from service.fleet.state_topic import Kept, memories
 from service.fleet.topics import SAMPLES, STATE, WORKERS, check_partitions, topic_name
-
-_POLL_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -53,14 +52,6 @@ class GroupStatus:
         return int(max((t.max(initial=0) for t in signals), default=np.int64(0)))
 
 
-@dataclass(frozen=True)
-class Kept:
-    """The newest memory of a group in the state topic, and where it lies."""
-
-    partition: int
-    packed: bytes
-
-
 def status(config: FleetConfig) -> list[GroupStatus]:
     """Look at all groups of the catalogue.
 
@@ -81,7 +72,7 @@ def status(config: FleetConfig) -> list[GroupStatus]:
     )
     try:
         with speaking_to(config.broker):
-            kept = dict(_newest_memories(reader, config, catalogue))
+            kept = dict(memories(reader, config, set(catalogue.groups)))
             lags = _lags(reader, config)
             owners = _owners(config)
     finally:
@@ -133,40 +124,6 @@ def _of(
     return GroupStatus(
         name, where, owners.get(where, ""), lags.get(where, 0), memory, len(kept.packed)
     )
-
-
-def _newest_memories(
-    reader: Consumer, config: FleetConfig, catalogue: Catalogue
-) -> Iterator[tuple[str, Kept]]:
-    """Read the state topic, which holds little but the newest memory of each group."""
-    topic = topic_name(config.topics, STATE)
-    names = {name.encode(): name for name in catalogue.groups}
-    places = [TopicPartition(topic, p, 0) for p in range(config.topics.partitions)]
-    ends = {
-        p.partition: reader.get_watermark_offsets(p, timeout=config.broker.timeout_s)
-        for p in places
-    }
-    reader.assign([TopicPartition(topic, p, low) for p, (low, _) in ends.items()])
-    while not _is_at_the_end(reader, places, {p: high for p, (_, high) in ends.items()}):
-        message = reader.poll(_POLL_S)
-        if message is None:
-            continue
-        if message.error() is not None:
-            raise FleetError(f"{topic}: {reason(KafkaException(message.error()))}")
-        value, key = message.value() or b"", message.key() or b""
-        at = value.find(MAGIC, 0, _PREFIX_BYTES + len(MAGIC))
-        name = names.get(key.partition(_SEPARATOR)[0])
-        if at >= 0 and name is not None:
-            yield name, Kept(message.partition(), value[at:])
-
-
-_SEPARATOR = b"|"  # Quix Streams', between a message's key and the state's
-_PREFIX_BYTES = 16  # before a value, at most: Quix Streams' stamp of its expiry
-
-
-def _is_at_the_end(reader: Consumer, places: list[TopicPartition], ends: Mapping[int, int]) -> bool:
-    now = reader.position([TopicPartition(p.topic, p.partition) for p in places])
-    return all(p.offset >= ends[p.partition] or ends[p.partition] == 0 for p in now)
 
 
 def _lags(reader: Consumer, config: FleetConfig) -> dict[int, int]:

@@ -1,6 +1,5 @@
 """The fleet's topics: made where they are missing, checked where they are there."""
 
-import logging
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from confluent_kafka import KafkaError, KafkaException
 from confluent_kafka.admin import AdminClient, ConfigResource, NewTopic, ResourceType
 
 from service.errors import FleetError
-from service.fleet.broker import client_settings, reason, speaking_to
+from service.fleet.broker import client_settings, reason, silent, speaking_to
 from service.fleet.settings import BrokerConfig, FleetConfig, TopicsConfig
 
 SAMPLES: Final = "samples"
@@ -153,10 +152,7 @@ def _ms(hours: float) -> str:
 
 
 def _admin(broker: BrokerConfig) -> AdminClient:
-    quiet = logging.getLogger("valvemap.kafka")  # what it says is raised, too
-    quiet.addHandler(logging.NullHandler())
-    quiet.propagate = False
-    return AdminClient(client_settings(broker), logger=quiet)
+    return AdminClient(client_settings(broker), logger=silent())
 
 
 def _create(admin: AdminClient, topic: Topic, broker: BrokerConfig) -> bool:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from asyncua import ua
 
-from service.errors import CommandRejected
 from service.hardened import (
     Argument,
     Clock,
@@ -27,11 +26,12 @@ from service.hardened import (
     caller,
 )
 from service.hardened import CommandRejected as Refused
+from service.opcua.answers import answered
 from service.opcua.information_model import ALARMS, ROOT, SERVICE, VariableNode, alarm_variables
 from service.opcua.result_types import ALARM, type_of
 from service.opcua.result_values import Shown, alarm_values
 from service.streaming.alarm_words import ALARM_DESCRIPTIONS
-from service.streaming.ports import AlarmReport, Operator, Remark, Results, ValveDescription
+from service.streaming.ports import AlarmReport, Answer, Operator, Remark, Results, ValveDescription
 
 CONDITION = "Condition"
 MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
@@ -52,7 +52,7 @@ _COMMENT = Argument("Comment", "What was done about it", type=ua.VariantType.Str
 
 Show = Callable[[str, Shown], None]
 AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
-Act = Callable[[str | None, str, Remark], None]
+Act = Callable[[str | None, str, Remark], Answer[None]]
 
 
 class ResultAlarms:
@@ -190,30 +190,32 @@ class ResultAlarms:
             )
             yield [condition for condition in every if condition.retain]
 
-    def acknowledge(self, condition: ua.NodeId, comment: str) -> None:
+    def acknowledge(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Note that it was seen."""
-        self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
+        return self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
 
-    def confirm(self, condition: ua.NodeId, comment: str) -> None:
+    def confirm(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Note that it was dealt with."""
-        self._act_on(condition, "Confirm", self._operator.confirm, comment)
+        return self._act_on(condition, "Confirm", self._operator.confirm, comment)
 
-    def remark(self, condition: ua.NodeId, comment: str) -> None:
+    def remark(self, condition: ua.NodeId, comment: str) -> Answer[None]:
         """Note what somebody said of it."""
-        self._act_on(condition, "AddComment", self._operator.remark, comment)
+        return self._act_on(condition, "AddComment", self._operator.remark, comment)
 
-    def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> None:
+    def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> Answer[None]:
         found = self._owner_of(condition)
         if found is None:
             raise Refused(f"{condition.to_string()}: there is no such condition")
-        self._act(name, act, *found, comment)
+        return self._act(name, act, *found, comment)
 
-    def _act(self, name: str, act: Act, valve: str | None, alarm: str, comment: str) -> None:
+    def _act(
+        self, name: str, act: Act, valve: str | None, alarm: str, comment: str
+    ) -> Answer[None]:
         now = self._clock.now()
-        try:
-            act(valve, alarm, Remark(comment, caller(), now))
-        except CommandRejected as rejected:
-            raise Refused(str(rejected)) from rejected
+        asked = partial(act, valve, alarm, Remark(comment, caller(), now))
+        return answered(asked, lambda _: self._acted(name, valve, alarm, comment, now))
+
+    def _acted(self, name: str, valve: str | None, alarm: str, comment: str, now: int) -> None:
         reports = [report for report in self._operator.alarms(valve) if report.name == alarm]
         self.take(SERVICE if valve is None else valve, reports, now)
         if valve is not None:

@@ -32,6 +32,7 @@ from service.hardened import CommandRejected as Refused
 from service.identification.inversion import InverseStatus
 from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
+from service.opcua.answers import answered, say_nothing
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import (
     ALARMS,
@@ -86,6 +87,7 @@ from service.opcua.result_values import (
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     AlarmReport,
+    Answer,
     EstimatorDescription,
     Health,
     Operator,
@@ -573,7 +575,7 @@ class ResultsServer(Startable):
         parent: ua.NodeId,
         node: VariableNode,
         value: Any,  # noqa: ANN401 - as the variable's type says
-        on_write: Callable[[float], None] | None = None,
+        on_write: Callable[[float], Answer[None]] | None = None,
         type_definition: ua.NodeId | None = None,
     ) -> Variable:
         variable = await add_variable(
@@ -602,27 +604,29 @@ class ResultsServer(Startable):
             self._blocks.show(self._numbers[valve], name, variable)
         return variable
 
-    def _demand_flow(self, valve: str, Q: float) -> None:
-        self._demand(valve, Q, self._demands[valve][1])
+    def _demand_flow(self, valve: str, Q: float) -> Answer[None]:
+        return self._demand(valve, Q, self._demands[valve][1])
 
-    def _demand_at(self, valve: str, dp: float) -> None:
-        self._demand(valve, self._demands[valve][0], dp)
+    def _demand_at(self, valve: str, dp: float) -> Answer[None]:
+        return self._demand(valve, self._demands[valve][0], dp)
 
-    def _demand(self, valve: str, Q: float, dp: float) -> None:
-        self._operator.demand(valve, Q, dp)
-        self._demands[valve] = (Q, dp)
-        self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
+    def _demand(self, valve: str, Q: float, dp: float) -> Answer[None]:
+        def demanded(_: None) -> None:
+            self._demands[valve] = (Q, dp)
+            self._note(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 
-    def _approve(self, valve: str) -> None:
-        self._operator.approve(valve)
-        self._show_baseline(valve)
+        return answered(partial(self._operator.demand, valve, Q, dp), demanded)
 
-    def _roll_back(self, valve: str) -> None:
-        self._operator.roll_back(valve)
+    def _approve(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.approve, valve)
+        return answered(asked, lambda _: self._show_baseline(valve))
 
-    def _replace_valve(self, valve: str) -> None:
-        self._operator.replace_valve(valve)
-        self._show_baseline(valve)
+    def _roll_back(self, valve: str) -> Answer[None]:
+        return self._operator.roll_back(valve)
+
+    def _replace_valve(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.replace_valve, valve)
+        return answered(asked, lambda _: self._show_baseline(valve))
 
     def _show_baseline(self, valve: str) -> None:
         """At once: who has called may read."""
@@ -631,21 +635,22 @@ class ResultsServer(Startable):
             for new in baseline_values(found, self._clock.now()):
                 self._show(self._server, valve, new)
 
-    def _compare(self, valve: str, estimator: str) -> tuple[float, float, float, float, int]:
-        try:
-            found = self._operator.compare(valve, estimator)
-        except CommandRejected as rejected:
-            self._note_refusal(valve, str(rejected))
-            raise Refused(str(rejected)) from rejected
-        return found.mean, found.largest, found.U, found.dp, found.points
+    def _compare(
+        self, valve: str, estimator: str
+    ) -> Answer[tuple[float, float, float, float, int]]:
+        return answered(
+            partial(self._operator.compare, valve, estimator),
+            lambda found: (found.mean, found.largest, found.U, found.dp, found.points),
+            partial(self._note_refusal, valve),
+        )
 
-    def _arm(self, valve: str) -> None:
-        self._operator.arm(valve)
-        self._show_armed(valve, armed=True)
+    def _arm(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.arm, valve)
+        return answered(asked, lambda _: self._show_armed(valve, armed=True))
 
-    def _disarm(self, valve: str) -> None:
-        self._operator.disarm(valve)
-        self._show_armed(valve, armed=False)
+    def _disarm(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.disarm, valve)
+        return answered(asked, lambda _: self._show_armed(valve, armed=False))
 
     def _show_armed(self, valve: str, *, armed: bool) -> None:
         """At once: who has called may read."""
@@ -659,21 +664,19 @@ class ResultsServer(Startable):
         parent: ua.NodeId,
         prefix: str,
         name: str,
-        function: Callable[..., None],
+        function: Callable[..., Answer[None]],
         description: str,
         *inputs: Argument,
     ) -> None:
         valve, _, part = prefix.partition(".")
 
-        def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
-            try:
-                _refusing(function)(*arguments)
-            except Refused as refusal:
-                if part == BASELINE:
-                    self._note_refusal(valve, str(refusal))
-                raise
+        def command(*arguments: Any) -> Answer[None]:  # noqa: ANN401 - the command's own
             given = "".join(f" {argument:g}" for argument in arguments)
-            self._note(valve, f"{part} {name}{given}")
+            return answered(
+                partial(function, *arguments),
+                lambda _: self._note(valve, f"{part} {name}{given}"),
+                partial(self._note_refusal, valve) if part == BASELINE else say_nothing,
+            )
 
         await add_method(
             server,
@@ -698,38 +701,39 @@ class ResultsServer(Startable):
             new = Shown(f"{BASELINE}.LastRefusal", why, ua.StatusCodes.Good, self._clock.now())
             self._show(self._server, valve, new)
 
-    def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
+    def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
         if not 0.0 < lam <= 1.0:
             raise OutOfRange(f"forgetting factor {lam:g}: allowed is 0 < λ <= 1")
-        self._operator.set_forgetting_factor(valve, estimator, lam)
+        return self._operator.set_forgetting_factor(valve, estimator, lam)
 
     def _predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
-    ) -> tuple[float, float, int]:
-        Q, std, status = self._operator.predict(valve, estimator, U, dp, T)
-        return Q, std, int(status)
+    ) -> Answer[tuple[float, float, int]]:
+        return answered(
+            partial(self._operator.predict, valve, estimator, U, dp, T),
+            lambda found: (found[0], found[1], int(found[2])),
+        )
 
     def _predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
-    ) -> tuple[float, float, float, int]:
-        *answer, status = self._operator.predict_measurement(valve, estimator, U, dp, T)
-        return answer[0], answer[1], answer[2], int(status)
+    ) -> Answer[tuple[float, float, float, int]]:
+        return answered(
+            partial(self._operator.predict_measurement, valve, estimator, U, dp, T),
+            lambda found: (found[0], found[1], found[2], int(found[3])),
+        )
 
-    def _invert(self, valve: str, Q: float, dp: float, T: float) -> tuple[float, float, float, int]:
-        answer = self._operator.invert(valve, Q, dp, T)
-        return _first(answer.U), _first(answer.lower), _first(answer.upper), int(answer.status[0])
-
-
-def _refusing(function: Callable[..., None]) -> Callable[..., None]:
-    """Let the server know a command that the service rejects as one that it refuses."""
-
-    def command(*arguments: Any) -> None:  # noqa: ANN401 - the command's own
-        try:
-            function(*arguments)
-        except CommandRejected as rejected:
-            raise Refused(str(rejected)) from rejected
-
-    return command
+    def _invert(
+        self, valve: str, Q: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, float, int]]:
+        return answered(
+            partial(self._operator.invert, valve, Q, dp, T),
+            lambda answer: (
+                _first(answer.U),
+                _first(answer.lower),
+                _first(answer.upper),
+                int(answer.status[0]),
+            ),
+        )
 
 
 async def _refusing_later(function: Callable[[], Awaitable[None]]) -> None:

@@ -4,9 +4,9 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 :mod:`service.errors`, and the supervisor decides.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -471,69 +471,73 @@ class ResultSink(Protocol):
         """Show how the service itself stands."""
 
 
+T = TypeVar("T")
+Answer: TypeAlias = T | Awaitable[T]
+
+
 class Operator(Protocol):
-    """What a results server lets people do; every call answers at once.
+    """What a results server lets people do; it answers at once, or once somebody else has.
 
     ``valve`` and ``estimator`` are names that the server was built with. A command that cannot be
     carried out raises :class:`~service.errors.CommandRejected` with a sentence.
     """
 
-    def reset(self, valve: str, estimator: str) -> None:
+    def reset(self, valve: str, estimator: str) -> Answer[None]:
         """Forget all samples."""
 
-    def freeze(self, valve: str, estimator: str) -> None:
+    def freeze(self, valve: str, estimator: str) -> Answer[None]:
         """Stop adaptation: predict only."""
 
-    def resume(self, valve: str, estimator: str) -> None:
+    def resume(self, valve: str, estimator: str) -> Answer[None]:
         """Adapt again."""
 
-    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
+    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
         """Use another forgetting factor, 0 < lam <= 1, from the next sample on."""
 
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
-    ) -> tuple[float, float, Status]:
+    ) -> Answer[tuple[float, float, Status]]:
         """Q (l/min), its standard deviation and the estimator's status."""
 
     def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
-    ) -> tuple[float, float, float, Status]:
+    ) -> Answer[tuple[float, float, float, Status]]:
         """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
 
-    def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
+    def invert(self, valve: str, Q: float, dp: float, T: float) -> Answer[Inversion]:
         """U for a demanded flow at a pressure drop; arrays of shape (1,)."""
 
-    def demand(self, valve: str, Q: float, dp: float) -> None:
+    def demand(self, valve: str, Q: float, dp: float) -> Answer[None]:
         """Set the standing demand; NaN takes it back."""
 
-    def approve(self, valve: str) -> None:
+    def approve(self, valve: str) -> Answer[None]:
         """Keep what is known of a valve as its map when new: its baseline."""
 
-    def roll_back(self, valve: str) -> None:
+    def roll_back(self, valve: str) -> Answer[None]:
         """Go back to the baseline."""
 
-    def replace_valve(self, valve: str) -> None:
+    def replace_valve(self, valve: str) -> Answer[None]:
         """Another valve is there: forget all, the baseline too."""
 
-    def compare(self, valve: str, estimator: str) -> Compared:
+    def compare(self, valve: str, estimator: str) -> Answer[Compared]:
         """By how much an estimator's map has moved away from the baseline."""
 
     def baseline(self, valve: int) -> Version | None:
         """The baseline of a valve, by its number."""
 
-    def arm(self, valve: str) -> None:
+    def arm(self, valve: str) -> Answer[None]:
         """Have the answer to the standing demand written to the valve, while it may be."""
 
-    def disarm(self, valve: str) -> None:
+    def disarm(self, valve: str) -> Answer[None]:
         """Write nothing to the valve any more."""
 
-    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
         """Note that somebody has seen an alarm, of a valve or (None) of the service."""
 
-    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
         """Note that an alarm that was acknowledged was dealt with."""
 
-    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
         """Note what somebody said of an alarm."""
 
     def alarmed(self) -> Iterable[str]:

@@ -8,9 +8,10 @@ from support.processes import running, wait_for
 
 pytest.importorskip("confluent_kafka")
 
-from confluent_kafka import Consumer, Producer, TopicPartition
+from confluent_kafka import Producer
 from confluent_kafka.admin import AdminClient, NewPartitions
 from support.fleet import as_messages, day, feed
+from support.kafka import everything, until
 
 from service.cli import run
 from service.fleet.catalogue import load_catalogue
@@ -75,26 +76,6 @@ def memories(broker, topic):
     return found
 
 
-def everything(broker, topic):
-    """All committed messages of a topic, in the order of each partition."""
-    consumer = Consumer(
-        {"bootstrap.servers": broker, "group.id": "reader", "enable.auto.commit": False}
-    )
-    try:
-        partitions = consumer.list_topics(topic).topics[topic].partitions
-        ends = {p: consumer.get_watermark_offsets(TopicPartition(topic, p))[1] for p in partitions}
-        consumer.assign([TopicPartition(topic, p, 0) for p in partitions])
-        while True:
-            message = consumer.poll(1.0)
-            if message is not None and message.error() is None:
-                yield message
-            places = consumer.position([TopicPartition(topic, p) for p in partitions])
-            if all(max(place.offset, 0) >= ends[place.partition] for place in places):
-                return
-    finally:
-        consumer.close()
-
-
 def numbers(broker, topic):
     """The last block behind the results of each group."""
     found = {}
@@ -103,13 +84,6 @@ def numbers(broker, topic):
             block = read_results(message.value())
             found[block.group] = block.number
     return found
-
-
-def until(condition, seconds=240.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.2)
 
 
 BLOCKS = 60

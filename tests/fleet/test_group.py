@@ -117,21 +117,72 @@ def test_a_command_is_answered_when_it_is_done_or_why_not(plan):
     assert np.isfinite(read_results(results[0]).results.inverse.required_U[0])
     for asked, reason in (
         (Command("b", "north.0", "V9", "reset", "RLS"), "group north.0 has no valve 'V9'"),
-        (Command("b", "north.0", "V1", "reset", "KF"), "V1 has no estimator 'KF'"),
-        (Command("b", "north.0", "V1", "melt"), "melt with 0 values: there are reset (0)"),
-        (Command("b", "north.0", "V1", "demand"), "demand with 0 values"),
+        (Command("c", "north.0", "V1", "reset", "KF"), "V1 has no estimator 'KF'"),
+        (Command("d", "north.0", "V1", "melt"), "melt with 0 values: there are reset (0)"),
+        (Command("e", "north.0", "V1", "demand"), "demand with 0 values"),
         (
-            Command("b", "north.0", "V1", "set_forgetting_factor", "RLS", (2.0,)),
+            Command("f", "north.0", "V1", "set_forgetting_factor", "RLS", (2.0,)),
             "forgetting factor 2: allowed is 0 < lam <= 1",
         ),
-        (Command("b", "north.0", "V1", "roll_back"), "V1 has no baseline"),
+        (Command("g", "north.0", "V1", "roll_back"), "V1 has no baseline"),
+        (Command("h", "north.0", "V1", "acknowledge", "Rust", (1,)), "no alarm 'Rust'"),
+        (
+            Command("i", "north.0", "V1", "acknowledge", "Changed", (1,)),
+            "V1.Changed: there is nothing to acknowledge",
+        ),
+        (Command("j", "north.0", "V1", "compare", "RLS"), "V1 has no baseline"),
     ):
-        before = one.to_bytes()
+        before = without_replies(one)
         (reply,) = feed(one, [asked])
         said = read_reply(reply)
         assert not said.done
         assert said.reason.startswith(reason)
-        assert one.to_bytes() == before
+        assert without_replies(one) == before
+
+
+def without_replies(one):
+    return write_memory(replace(read_memory(one.to_bytes()), replies=()))
+
+
+def test_a_command_that_comes_twice_is_done_once_by_whoever_learns_the_group(plan):
+    """A reset, samples, and the same reset again; then another that asks for it anew."""
+    reset = Command("once", "north.0", "V1", "reset", "RLS")
+    one = group(plan)
+    *_, reply = feed(one, [block(plan, 1, (60, 60, 60)), reset])
+    feed(one, [block(plan, 2, (30, 30, 30), seed=2, first=60)])
+    other = group(plan)
+    other.remember(one.to_bytes())
+    before = other.to_bytes()
+    assert feed(other, [reset]) == [reply]
+    assert other.to_bytes() == before
+    assert other.identification.lane("V1", "RLS").t > 0
+    feed(other, [replace(reset, id="again")])
+    assert other.identification.lane("V1", "RLS").t == 0
+    refused = Command("r", "north.0", "V1", "roll_back")
+    (reply,) = feed(other, [refused])
+    feed(other, [Command("a", "north.0", "V0", "approve"), replace(refused, valve="V0")])
+    assert feed(other, [refused]) == [reply]
+
+
+def test_replies_are_kept_of_the_last_commands_alone(plan):
+    one = group(plan)
+    for k in range(130):
+        feed(one, [Command(str(k), "north.0", "V1", "freeze", "RLS")])
+    assert len(read_memory(one.to_bytes()).replies) == 100
+
+
+def test_questions_are_answered_in_numbers_and_leave_no_trace(plan):
+    one = group(plan)
+    feed(one, [block(plan, 1, (60, 60, 60))])
+    before = one.to_bytes()
+    (reply,) = feed(one, [Command("q", "north.0", "V1", "predict", "RLS", (50.0, 80.0, None))])
+    expected = one.identification.predict("V1", "RLS", 50.0, 80.0, np.nan)
+    assert read_reply(reply).values == expected
+    (reply,) = feed(one, [Command("q", "north.0", "V1", "invert", "", (1e3, 80.0, 40.0))])
+    U, _, _, status = read_reply(reply).values
+    assert one.identification.invert("V1", 1e3, 80.0, 40.0).U[0] == U or U is None
+    assert status is not None
+    assert one.to_bytes() == before
 
 
 def test_commands_travel_as_they_are_and_others_are_refused():

@@ -12,7 +12,7 @@ from service.hardened.security.users import Role
 
 Range = tuple[float, float]
 Value = Any  # what a variable holds: bool, int, float, str, or a list or array of them
-OnWrite = Callable[[Any], None] | Callable[[Any], Awaitable[None]]
+OnWrite = Callable[[Any], Awaitable[None] | None]
 Function = Callable[..., Any]
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
-from service.hardened.address_space.method_calls import rejection_code
+from service.hardened.address_space.method_calls import Outside, rejection_code
 from service.hardened.binary.encoding import instant
 from service.hardened.clock import Clock
 from service.hardened.conditions.condition import Condition
@@ -73,8 +73,10 @@ class Conditions:
             wanted.MethodId in _MOVES or wanted.MethodId in REFRESHES
         )
 
-    def call(self, session: Asking, wanted: ua.CallMethodRequest) -> ua.CallMethodResult:
-        """Carry a call out."""
+    async def call(
+        self, session: Asking, wanted: ua.CallMethodRequest, outside: Outside
+    ) -> ua.CallMethodResult:
+        """Carry a call out; what takes a while is awaited by ``outside``."""
         given = wanted.InputArguments or []
         expected = _GIVEN[wanted.MethodId]
         if len(given) != len(expected):
@@ -90,13 +92,14 @@ class Conditions:
         if wanted.MethodId in REFRESHES:
             code = self._refresh(session, wanted.ObjectId, values)
         else:
-            code = self._move(session, wanted, *values)
+            code = await self._move(session, wanted, outside, *values)
         return _result(code, found if code == _Codes.Good else ())
 
-    def _move(
+    async def _move(
         self,
         session: Asking,
         wanted: ua.CallMethodRequest,
+        outside: Outside,
         event_id: bytes | None,
         comment: ua.LocalizedText | None,
     ) -> int:
@@ -117,7 +120,9 @@ class Conditions:
         if done:
             return code
         try:
-            act(id_, (comment.Text or "") if comment is not None else "")
+            outcome = act(id_, (comment.Text or "") if comment is not None else "")
+            if outcome is not None:
+                await outside(outcome)
         except CommandRejected as rejected:
             _log.warning("%s: refused: %s", id_.Identifier, rejected)
             return rejection_code(rejected)

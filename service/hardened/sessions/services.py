@@ -234,7 +234,7 @@ class Services:
             return await self._call_for_session(request, wanted)
         with acting_for(_name(session)):
             if self._conditions.is_call(wanted):
-                return self._conditions.call(session, wanted)
+                return await self._conditions.call(session, wanted, request.turn.outside)
             return await self._attributes.call(wanted, session.role, request.turn.outside)
 
     async def _call_for_session(
