@@ -55,7 +55,13 @@ class Chores:
             self._clock.call_at(self._clock.monotonic() + pause, self._run)
 
     def _run(self) -> None:
-        self._under_way = False
+        try:
+            self._work()
+        finally:
+            self._under_way = False  # not before: what a step adds waits for the pause, too
+            self._wake(_PAUSE_S)
+
+    def _work(self) -> None:
         began = now = self._clock.processor()
         while self._waiting and now - began < _SLICE_S:
             steps, charge = self._waiting[0]
@@ -67,4 +73,3 @@ class Chores:
             charge(now - since)
             if done:
                 self._waiting.popleft()
-        self._wake(_PAUSE_S)

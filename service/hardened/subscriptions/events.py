@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 from asyncua import ua
 
 from service.hardened.chores import Chores
+from service.hardened.clock import Clock
 from service.hardened.monitoring.event_filter import Event
 from service.hardened.monitoring.event_item import EventItem
 from service.hardened.security.users import Role
 from service.hardened.subscriptions.subscription import Subscription
 
-_JUDGED_AT_ONCE = 16  # events of one item, before other items' are judged
+_TURN_S = 0.001  # processor time for the events of one item, before other items' are judged
 
 
 class EventDelivery:
@@ -20,8 +21,9 @@ class EventDelivery:
     the account of whose they are, one item after the other.
     """
 
-    def __init__(self, chores: Chores) -> None:
+    def __init__(self, chores: Chores, clock: Clock) -> None:
         self._chores = chores
+        self._clock = clock
         self._listeners: dict[ua.NodeId, dict[int, tuple[Subscription, EventItem]]] = {}
 
     def __len__(self) -> int:
@@ -75,9 +77,8 @@ class EventDelivery:
         )
 
     def _judge(self, subscription: Subscription, item: EventItem) -> Iterator[None]:
-        for _ in range(_JUDGED_AT_ONCE):
-            if not item.inbox:
-                return
+        began = self._clock.processor()
+        while item.inbox and self._clock.processor() - began < _TURN_S:
             event, unfiltered = item.inbox[0]
             if unfiltered or item.filter.passes(event):
                 item.notify(event)

@@ -58,7 +58,7 @@ class Subscriptions:
         self._items = 0
         self._watchers: dict[tuple[ua.NodeId, int], dict[int, int]] = {}
         self.blocks: dict[ua.NodeId, Place] = {}
-        self.events = EventDelivery(self.chores)
+        self.events = EventDelivery(self.chores, clock)
 
     def create(
         self, session: Owner, params: ua.CreateSubscriptionParameters
