@@ -115,6 +115,8 @@ def _behind(Q: Floats, tau: float) -> Floats:
 def page(record: Record) -> str:
     """The page, all of it from the record: figures unchanged, what was tried, what moves them."""
     base, tried = record["base"], record["tried"]
+    if not tried:
+        return f"{INTRODUCTION}\nNothing has been tried yet of `Auto` as it is.\n"
     modules = dict.fromkeys(threshold.rpartition(".")[0] for threshold in tried)
     lines = [INTRODUCTION, "| figure | unchanged |", "|---|---|"]
     lines += [f"| {name} | {value:.3g} |" for name, value in base.items()]

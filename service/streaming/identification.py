@@ -31,12 +31,12 @@ from service.identification.samples import (
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.survey import Survey
 from service.streaming import pipeline
+from service.streaming.alarm_states import AlarmRule
 from service.streaming.alarms import (
     ALARM_NAMES,
     SERVICE_ALARM_NAMES,
     SERVICE_RULES,
     Alarm,
-    AlarmRule,
     ServiceAlarm,
     ServiceAlarms,
 )
@@ -65,6 +65,7 @@ from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResults,
     InverseResults,
+    Remark,
     Results,
     SignalResults,
     ValveDescription,
@@ -580,17 +581,42 @@ class Identification:
             raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
         return found
 
-    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Note that somebody has seen an alarm, of a valve or (None) of the service."""
         if valve is None:
-            taken = self._service_alarms.acknowledge(
-                ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm)), now
-            )
+            taken = self._service_alarms.acknowledge(_of_service(alarm), remark)
         else:
             fleet, m = self._at(self._numbers[valve])
-            taken = fleet.alarms.acknowledge(m, Alarm(ALARM_NAMES.index(alarm)), now)
+            taken = fleet.alarms.acknowledge(m, _of_valve(alarm), remark)
         if not taken:
             raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
+
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that an alarm that was acknowledged was dealt with."""
+        if valve is None:
+            taken = self._service_alarms.confirm(_of_service(alarm), remark)
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            taken = fleet.alarms.confirm(m, _of_valve(alarm), remark)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to confirm")
+
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        if valve is None:
+            self._service_alarms.remark(_of_service(alarm), remark)
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            fleet.alarms.remark(m, _of_valve(alarm), remark)
+
+    def alarmed(self) -> list[str]:
+        """The valves of which any alarm ever came."""
+        versions = [fleet.alarms.version for fleet in self._fleets]
+        return [
+            plan.name
+            for valve, plan in enumerate(self.plans)
+            if versions[self._fleet_of[valve]][self._member_of[valve]]
+        ]
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
         """How all alarms of a valve, or (None) of the service, stand."""
@@ -903,6 +929,14 @@ class Identification:
     def _put(self, valve: str, estimator: str, lane: Lane) -> None:
         fleet, m = self._at(self._numbers[valve])
         fleet.put(m, estimator, lane)
+
+
+def _of_valve(alarm: str) -> Alarm:
+    return Alarm(ALARM_NAMES.index(alarm))
+
+
+def _of_service(alarm: str) -> ServiceAlarm:
+    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))
 
 
 def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:

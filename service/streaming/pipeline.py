@@ -23,7 +23,8 @@ from service.identification.samples import Codes, Floats, Samples, Status
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
-from service.streaming.alarms import RULES, Alarm, AlarmRule
+from service.streaming.alarm_states import AlarmRule
+from service.streaming.alarms import RULES, Alarm
 from service.streaming.feedforward import FeedForward
 from service.streaming.kernels import score as of_score
 from service.streaming.quality_gate import GateState, QualityGate

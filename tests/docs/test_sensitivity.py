@@ -54,6 +54,10 @@ def test_the_page_lists_what_moves_a_figure_by_more_than_a_tenth():
     assert "Tried: 2 thresholds of `drift`." in page
 
 
+def test_the_page_says_so_where_nothing_was_tried():
+    assert "Nothing has been tried yet" in sensitivity.page({"base": {}, "tried": {}})
+
+
 def test_the_page_is_what_the_record_makes_of_it():
     record = json.loads(sensitivity.RESULTS.read_text(encoding="utf-8"))
     assert sensitivity.PAGE.read_text(encoding="utf-8") == sensitivity.page(record)

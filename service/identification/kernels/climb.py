@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.grid import MEAN_Q
 from service.identification.kernels.map_fit import fit_rows, plan_of
 from service.identification.kernels.map_rows import RowsInS, rows_in_s
@@ -82,14 +82,14 @@ def _of_axes(points: Floats, top: float) -> list[RowsInS]:
     return found
 
 
-@inner
+@spliced
 def _bic(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, sigma_2: float) -> float:
     rss, penalty, fall, n_effective = _fit(points, in_s, shape, top)
     criterion = (rss + penalty + fall) / sigma_2 + n_effective * math.log(len(points))
     return criterion if math.isfinite(criterion) else math.inf
 
 
-@inner
+@spliced
 def _noise(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, rich: Floats) -> float:
     own = shape[ladder.DEAD_BAND :]
     if rich[0] == 0.0 or not _are_same(own, rich[1:]):
@@ -105,7 +105,7 @@ def _are_same(a: Floats, b: Floats) -> bool:
     return True
 
 
-@inner
+@spliced
 def _left_by_richest(points: Floats, in_s: list[RowsInS], shape: Floats, top: float) -> float:
     richest = shape.copy()
     richest[ladder.CELLS_OF], richest[ladder.AXIS] = RICH_CELLS, RICH_AXIS
@@ -117,7 +117,7 @@ def _left_by_richest(points: Floats, in_s: list[RowsInS], shape: Floats, top: fl
     return max(rss / max(len(points) - n_effective, 1.0), floor, 1e-30)
 
 
-@inner
+@spliced
 def _fit(
     points: Floats, in_s: list[RowsInS], shape: Floats, top: float
 ) -> tuple[float, float, float, float]:
