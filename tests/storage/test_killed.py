@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.skipif(sys.platform == "win32", reason="fork")
 @pytest.mark.parametrize(
-    "kills", [10, pytest.param(950, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+    "kills", [5, pytest.param(950, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
 )
 def test_killed_at_any_moment_nothing_is_lost_twice_or_different(kills, tmp_path):
     command = [sys.executable, forks.__file__, str(kills), "1", str(tmp_path / "state.sqlite")]

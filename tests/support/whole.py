@@ -2,10 +2,11 @@
 
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -123,7 +124,7 @@ class Whole:
         return self.log.read_text(errors="replace").count(text) if self.log.exists() else 0
 
     def kept(self):
-        """What is on the disk now, by (valve, estimator), and whether some of it is damaged."""
+        """What a service that is gone has kept, by (valve, estimator); is some of it damaged."""
         with tempfile.TemporaryDirectory() as name:
             for part in self.state.parent.glob(f"{self.state.name}*"):
                 if not part.name.endswith("-shm"):
@@ -134,8 +135,14 @@ class Whole:
         return found, bool(damaged)
 
     def has_kept(self):
-        """Whether a place at the source has been kept."""
-        return self.state.exists() and POSITION in self.kept()[0]
+        """Whether a place at the source has been kept, by a service that may be at it."""
+        query = "SELECT count(*) FROM checkpoint WHERE valve = ? AND estimator = ?"
+        with (
+            suppress(sqlite3.OperationalError),  # not made yet
+            closing(sqlite3.connect(f"file:{self.state}?mode=ro", uri=True)) as file,
+        ):
+            return file.execute(query, POSITION).fetchone()[0] > 0
+        return False
 
     def account(self, valve="V1"):
         """What was learnt of a valve, against one life over the samples that were sent."""
