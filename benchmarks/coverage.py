@@ -6,7 +6,7 @@ noise's correlation known, and with the λ and the weight of the structure's pri
 hindsight; its width is 3.92 times the RMS of its true error, pooled over the seeds.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
+from service.identification.adaptation import Adaptation
 from service.identification.auto import Auto, AutoState
 from service.identification.estimator import Estimator
 from service.identification.forgetting import Adaptive
@@ -127,8 +128,7 @@ def _scaled(valve: c.Valve, factor: float, U: np.ndarray, dp: np.ndarray) -> np.
 
 
 def _reacts(estimator: Estimator[Any], state: Any) -> bool:
-    told: Callable[[Any], bool] | None = getattr(estimator, "reacts", None)
-    return bool(told and told(state))
+    return estimator.adaptation(state) == Adaptation.REACTING
 
 
 def _oracles(of: Stream, structure: Structure, at: c.Region, truth: np.ndarray) -> list[float]:
