@@ -538,7 +538,7 @@ def _beyond_lag(state: MaximumLikelihoodState, X: Floats, std: Floats) -> Floats
             chance += X[:, j] * (X * row).sum(axis=1)
         here = np.maximum(behind - CHANCE * chance, 0.0)
         lags = np.where(over_all > 0.0, here + over_all, 0.0)
-        return np.sqrt(std**2 + np.where(np.isfinite(lags), lags, 0.0))
+        return np.asarray(np.sqrt(std**2 + np.where(np.isfinite(lags), lags, 0.0)))
 
 
 def _inflations(state: MaximumLikelihoodState) -> Floats:
