@@ -7,7 +7,10 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or milo or broker or image or chromium or tutorial
+PEERS := node or milo or languages or broker or image or chromium or tutorial
+
+# Many tests start programs; without kept bytecode each of them compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install demo test peers hardened lint format soak bench report reference docs sbom lock clean
 
@@ -19,7 +22,7 @@ demo: $(RUNTIME)
 test: lint
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "waits and not (soak or $(PEERS))"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))"
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
 
 peers: $(DEV)

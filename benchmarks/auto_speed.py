@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.measured_data import Floats
+from benchmarks.speed_page import AUTO
 from service.app.replay import replay
 from service.config.estimators import build_estimator, default_estimators
 from service.identification.auto import Auto
@@ -68,6 +69,15 @@ def alone(kind: str, valves: int, N: int) -> Figures:
     return {"first 1,000 samples": young, "after them": settled}
 
 
+def measured(valves: int = 10, N: int = 10_000) -> Mapping[str, Figures]:
+    """Samples per second of `Auto` alone, on scattered points and on a machine's cycle."""
+    alone("cycle", 1, 2 * YOUNG)  # compiles
+    speeds = {kind: alone(kind, valves, N) for kind in ("scattered", "cycle")}
+    return {
+        AUTO: {f"{kind}: {when}": v for kind in speeds for when, v in speeds[kind].items()},
+    }
+
+
 def default_configuration(valves: int, N: int) -> Figures:
     """Samples per second of CPU time: replay of all valves from Parquet."""
     with tempfile.TemporaryDirectory() as folder:
@@ -99,12 +109,9 @@ def size_of(state: State) -> float:
 def main(arguments: Sequence[str]) -> int:
     """Measure and print."""
     valves, N = map(int, arguments) if arguments else (100, 10_000)
-    few = max(2, valves // 10)
-    alone("cycle", 1, 2 * YOUNG)  # compiles
     tables = {
         "Memory of a valve, kB": memory(),
-        "Auto alone, scattered, samples/s": alone("scattered", few, N),
-        "Auto alone, cycle, samples/s": alone("cycle", few, N),
+        **measured(max(2, valves // 10), N),
         f"Default configuration, {valves} valves x {N:,}, samples/s": default_configuration(
             valves, N
         ),

@@ -1,54 +1,68 @@
-"""What users run: the default configuration, live and replayed, by valves and rate.
+"""What users run: the default configuration, replayed, live by valves and rate, and its memory.
 
-``python -m benchmarks.default_speed [SECONDS]`` measures each fleet for so long, and draws
-``docs/performance.png``. Live is over TCP without encryption: a rig that plays the fleet, and the
-service in this process, which learns with all estimators, publishes and keeps its states.
+``python -m benchmarks.default_speed [replay] [live] [memory] [--seconds S]``: all three, or what is
+named; each fleet is measured live for so long. Live is over TCP without encryption: a rig that
+plays the fleet, and the service in this process, which learns with all estimators, publishes and
+keeps its states.
 """
 
+import argparse
 import asyncio
+import gc
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from benchmarks import auto_speed, live_speed
+from benchmarks import auto_speed, live_speed, pipeline_speed
+from benchmarks.speed_page import FLEETS, MEMORY, REPLAY, live_title
+from service.app.build import build_identification
 from service.cli.logs import set_up_logs
 from service.config.estimators import default_estimators
-from service.config.models import LogConfig
+from service.config.loading import load_config
+from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
 from service.opcua.results_server import ResultsServer
 from service.streaming.ports import Results
 
-PICTURE = Path(__file__).parents[1] / "docs" / "performance.png"
-FLEETS: Final = (10, 100.0), (100, 100.0), (1_000, 10.0)  # valves, Hz
 REPLAYED: Final = 100, 10_000  # valves, samples of each
+SHORT_S: Final = 60.0
+MEMORISED: Final = 20, 120  # valves: of these the difference is taken
+MEMORISED_SAMPLES: Final = 2_000  # of each: 20 s of 100 Hz
 
-_REPLAY: Final = "Default configuration, replay from Parquet"
-
-Sections = Mapping[str, Mapping[str, float]]
+Figures = Mapping[str, float]
+Sections = Mapping[str, Figures]
+Ages = NDArray[np.float32]
 
 
 def measured(seconds: float = 30.0) -> Sections:
-    """Replay, and every fleet live."""
-    found = {_REPLAY: replayed()}
-    for valves, hz in FLEETS:
-        found[_live(valves, hz)] = live(valves, hz, seconds)
-    return found
+    """Replay, every fleet live, memory."""
+    return {REPLAY: replayed(), **lived(seconds), MEMORY: memory()}
 
 
-def replayed() -> Mapping[str, float]:
+def replayed() -> Figures:
     """Samples per second of one core."""
     valves, N = REPLAYED
     found = auto_speed.default_configuration(valves, N)
     return {"valves": valves, "samples of each": N, "samples/s of a core": found["replay"]}
 
 
-def live(valves: int, hz: float, seconds: float) -> Mapping[str, float]:
+def lived(seconds: float) -> Sections:
+    """Every fleet live for so long; the first, which has no bar, not longer than `SHORT_S`."""
+    durations = [min(seconds, SHORT_S), *(seconds for _ in FLEETS[1:])]
+    return {
+        live_title(*fleet): live(*fleet, for_s)
+        for fleet, for_s in zip(FLEETS, durations, strict=True)
+    }
+
+
+def live(valves: int, hz: float, seconds: float) -> Figures:
     """What was lost, how old results were when they were published, and the cores used."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name, _ages() as ages:
@@ -57,25 +71,63 @@ def live(valves: int, hz: float, seconds: float) -> Mapping[str, float]:
             names = live_speed.names_of(valves)
             config = live_speed.open_config(names, Path(name), url, default_estimators())
             figures = asyncio.run(live_speed.live(config, hz, seconds, secured=False))
-        settled = ages[len(ages) // 3 :]
+        settled = np.concatenate([age for when, age in ages if ages[-1][0] - when <= seconds])
     return {
+        "seconds": seconds,
         "samples/s": figures["reached, notifications/s"] / live_speed.SIGNALS,
         "lost": figures["lost"],
-        "results' age when published, p99, s": float(np.percentile(settled, 99)),
+        "age when published, p99, s": float(np.percentile(settled, 99)),
         "cores of the service": figures["cores of the service"],
     }
 
 
+def memory() -> Figures:
+    """Resident kB of a valve that has learnt, and what of it its estimators' arrays hold.
+
+    In a process of its own: what this one has freed would be taken again unseen.
+    """
+    with get_context("spawn").Pool(1) as pool:
+        resident = pool.apply(_resident_of_a_valve)
+    return {
+        "resident": resident,
+        **{f"arrays: {name}": size for name, size in auto_speed.memory().items()},
+    }
+
+
+def _resident_of_a_valve() -> float:
+    kept, sizes = [], []
+    for valves in MEMORISED:
+        gc.collect()
+        before = pipeline_speed.resident()
+        identification = build_identification(_fleet(valves))
+        for valve in range(valves):
+            samples = auto_speed.recording("cycle", valve, MEMORISED_SAMPLES)
+            for start in range(0, MEMORISED_SAMPLES, auto_speed.BATCH):
+                identification.take_samples(valve, samples[start : start + auto_speed.BATCH])
+        gc.collect()
+        sizes.append(pipeline_speed.resident() - before)
+        kept.append(identification)
+    few, many = MEMORISED
+    return (sizes[1] - sizes[0]) / (many - few)
+
+
+def _fleet(valves: int) -> Config:
+    names = [f"V{k}" for k in range(valves)]
+    made = tuple(ValveConfig(name=name, nodes=NodesConfig.of_rig(name)) for name in names)
+    return load_config().model_copy(update={"valves": made})
+
+
 @contextmanager
-def _ages() -> Iterator[list[float]]:
-    """Ages of results in s, as they are published."""
-    ages: list[float] = []
+def _ages() -> Iterator[list[tuple[float, Ages]]]:
+    """When results were published, by a clock in s, and how old in s: the oldest of each valve."""
+    ages: list[tuple[float, Ages]] = []
     publish = ResultsServer.publish
 
     async def noted(self: ResultsServer, results: Results) -> None:
         await publish(self, results)
-        newest = np.max([found.t for found in results.estimators.values()], axis=0)
-        ages.extend((time.time_ns() - newest[newest > 0]) / 1e9)
+        now = time.time_ns()
+        oldest = np.min([found.t for found in results.estimators.values()], axis=0)
+        ages.append((now / 1e9, ((now - oldest[oldest > 0]) / 1e9).astype(np.float32)))
 
     ResultsServer.publish = noted  # type: ignore[method-assign]
     try:
@@ -84,47 +136,25 @@ def _ages() -> Iterator[list[float]]:
         ResultsServer.publish = publish  # type: ignore[method-assign]
 
 
-def draw(found: Sections, rls: float | None = None) -> None:
-    """Valves by rate: what a core carries, and what was carried live."""
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
-    axes = figure.add_subplot(
-        xscale="log", yscale="log", xlabel="valves", ylabel="samples per valve and second, Hz"
-    )
-    valves = np.array([1.0, 10_000.0])
-    replay = found[_REPLAY]["samples/s of a core"]
-    lines = {f"replay, a core: {replay:,.0f} samples/s": replay}
-    if rls is not None:
-        lines[f"RLS alone, live, a core: {rls:,.0f} samples/s"] = rls
-    for label, speed in lines.items():
-        axes.plot(valves, speed / valves, label=label)
-    for n, hz in FLEETS:
-        figures = found[_live(n, hz)]
-        cores, lost = figures["cores of the service"], figures["lost"]
-        axes.plot([n], [hz], "o" if lost == 0 else "x", color="black")
-        axes.annotate(
-            f"live: {cores:.2f} cores, {lost:,.0f} lost",
-            (n, hz),
-            (6, 6),
-            textcoords="offset points",
-        )
-    axes.set(xlim=(1, 10_000), ylim=(1, 10_000))
-    axes.grid(visible=True, which="major", alpha=0.3)
-    axes.legend(loc="lower left")
-    figure.savefig(PICTURE, dpi=110)
-
-
-def _live(valves: int, hz: float) -> str:
-    return f"Default configuration, live, {valves:,} valves of {hz:g} Hz"
-
-
 def main(arguments: Sequence[str]) -> int:
-    """Measure, draw and print."""
-    found = measured(*(float(x) for x in arguments))
-    draw(found)
-    for title, figures in found.items():
-        print(title)
-        for name, figure in figures.items():
-            print(f"  {name:40} {figure:14,.3f}")
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.default_speed")
+    parts = {
+        "replay": lambda _: {REPLAY: replayed()},
+        "live": lived,
+        "memory": lambda _: {MEMORY: memory()},
+    }
+    parser.add_argument("part", nargs="*", help=", ".join(parts))
+    parser.add_argument("--seconds", type=float, default=30.0)
+    asked = parser.parse_args(arguments)
+    unknown = set(asked.part) - set(parts)
+    if unknown:
+        parser.error(f"{', '.join(sorted(unknown))}: no such part")
+    for part in asked.part or parts:
+        for title, figures in parts[part](asked.seconds).items():
+            print(title)
+            for name, figure in figures.items():
+                print(f"  {name:40} {figure:14,.3f}", flush=True)
     return 0
 
 

@@ -32,7 +32,7 @@ from service.identification.samples import Floats, Samples, Segments
 
 N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7
 LAM = 0.998
-SIZES = 5, 2, 9, 20, 63
+SIZES = 5, 9, 20, 63
 SOURCE = Path(__file__).with_name("rls.c")
 
 Figures = dict[str, float]
@@ -48,7 +48,8 @@ def one_model() -> Figures:
     }
     library = _compiled()
     if library is not None:
-        jobs["C -O3"] = (lambda: _c_rls(library, X, y), N)
+        jobs["C -O3"] = (lambda: _c_plain(library, X, y), N)
+        jobs["C -O3, the same algorithm"] = (lambda: _c_factors(library, X, y), N)
     for name in peers.installed():
         if name in peers.FOLLOWERS:
             jobs[name] = (lambda f=peers.FOLLOWERS[name]: f(*few, LAM), PEER_N)
@@ -56,17 +57,29 @@ def one_model() -> Figures:
 
 
 def model_sizes() -> Figures:
-    """Time per update, ns, of default forgetting, by the number of parameters."""
-    rng = np.random.default_rng(0)
-    jobs: dict[str, tuple[Callable[[], object], int]] = {}
+    """Time per update, ns, by the number of parameters, and how many times that of C.
+
+    C is `rls_ud`, the same algorithm, with exponential forgetting; beside it the plain recursion,
+    whose P may become indefinite, and ours with its default, which watches for changes, too.
+    """
+    found: Figures = {}
     for n in SIZES:
+        rng = np.random.default_rng(0)
         X = rng.normal(size=(N // 4, n))
         y = X.sum(axis=1) + rng.normal(size=len(X))
-        jobs[f"n = {n}"] = (
-            lambda X=X, y=y: recursive_least_squares(X, y, Adaptive(LAM)),
-            len(X),
-        )
-    return _nanoseconds(jobs)
+        jobs: dict[str, tuple[Callable[[], object], int]] = {
+            name: (lambda r=rule: recursive_least_squares(X, y, r), len(X))  # noqa: B023 - now
+            for name, rule in (("ours", Exponential(LAM)), ("ours, default", Adaptive()))
+        }
+        library = _compiled()
+        if library is not None:
+            jobs["C -O3"] = (lambda: _c_factors(library, X, y), len(X))  # noqa: B023 - now
+            jobs["C -O3, plain"] = (lambda: _c_plain(library, X, y), len(X))  # noqa: B023 - now
+        figures = _nanoseconds(jobs)
+        found |= {f"n = {n}: {name}": ns for name, ns in figures.items()}
+        if library is not None:
+            found[f"n = {n}: ours over C"] = figures["ours"] / figures["C -O3"]
+    return found
 
 
 def whole_estimators() -> Figures:
@@ -111,14 +124,19 @@ def many_models(rule: Forgetting) -> Figures:
     return _nanoseconds(jobs)
 
 
+def compared() -> dict[str, Figures]:
+    """Ours, first, and others."""
+    return {
+        "One model, n = 5, ns per update": one_model(),
+        "Estimators as the service runs them, ns per sample": whole_estimators(),
+        "10,000 models, default forgetting, ns": many_models(Adaptive(LAM)),
+        "10,000 models, exponential, ns": many_models(Exponential(LAM)),
+    }
+
+
 def main() -> int:
     """Measure and print."""
-    for title, figures in (
-        ("one model, rows in", one_model()),
-        ("one model, signals in", whole_estimators()),
-        ("10,000 models, default", many_models(Adaptive(LAM))),
-        ("10,000 models, exponential", many_models(Exponential(LAM))),
-    ):
+    for title, figures in (compared() | {"by the number of parameters": model_sizes()}).items():
         print(title)
         slowest = max(map(len, figures))
         first = next(iter(figures.values()))
@@ -168,13 +186,20 @@ def _pointer(array: Floats) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def _c_rls(library: ctypes.CDLL, X: Floats, y: Floats) -> Floats:
+def _c_plain(library: ctypes.CDLL, X: Floats, y: Floats) -> Floats:
     n = X.shape[1]
     theta, P, e = np.zeros(n), 1e8 * np.eye(n), np.empty(len(y))
-    lam = ctypes.c_double(LAM)
-    library.rls(
-        n, ctypes.c_long(len(y)), *map(_pointer, (X, y)), lam, *map(_pointer, (theta, P, e))
-    )
+    samples = n, ctypes.c_long(len(y)), *map(_pointer, (X, y)), ctypes.c_double(LAM)
+    library.rls(*samples, *map(_pointer, (theta, P, e)))
+    return theta
+
+
+def _c_factors(library: ctypes.CDLL, X: Floats, y: Floats) -> Floats:
+    n = X.shape[1]
+    theta, U, e = np.zeros(n), 1e8 * np.eye(n)[np.tril_indices(n)], np.empty(len(y))
+    S = np.zeros_like(U)
+    samples = n, ctypes.c_long(len(y)), *map(_pointer, (X, y)), ctypes.c_double(LAM)
+    library.rls_ud(*samples, *map(_pointer, (theta, U, S, e)))
     return theta
 
 

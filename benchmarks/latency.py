@@ -22,18 +22,18 @@ from service.streaming.identification import Identification
 PUBLISHING_MS = 1.0
 
 
-def measured(hz: float = 1_000.0, seconds: float = 20.0) -> dict[str, float]:
-    """Percentiles of the latency, ms; what was lost."""
+def measured(hz: float = 1_000.0, seconds: float = 20.0, *, known: bool = True) -> dict[str, float]:
+    """Percentiles of the latency, ms, once the valve is ``known`` if so; what was lost."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
         url = live_speed.free_url("rig")
         command = ["service", "rig", "--under-demo", "--url", url, "--rate", str(hz)]
         command += ["--publishing-interval", str(PUBLISHING_MS)]
         with live_speed.running(command, {}):
-            return asyncio.run(_measured(Path(name), url, seconds))
+            return asyncio.run(_measured(Path(name), url, seconds, known=known))
 
 
-async def _measured(folder: Path, url: str, seconds: float) -> dict[str, float]:
+async def _measured(folder: Path, url: str, seconds: float, *, known: bool) -> dict[str, float]:
     config = live_speed.open_config(["Valvistor"], folder, url)
     quick = config.source.model_copy(update={"publishing_interval_ms": PUBLISHING_MS})
     config = config.model_copy(update={"source": quick})
@@ -41,7 +41,7 @@ async def _measured(folder: Path, url: str, seconds: float) -> dict[str, float]:
     identification, stop = build_identification(config), asyncio.Event()
     serving = asyncio.ensure_future(serve(config, stop, settings, identification))
     try:
-        while not serving.done() and not _knows_its_valve(identification):  # noqa: ASYNC110 - a state
+        while not serving.done() and not _is_ready(identification, known=known):  # noqa: ASYNC110 - a state
             await asyncio.sleep(0.5)
         figures = {}
         for whose in ("ours", "asyncua"):
@@ -66,8 +66,10 @@ async def _measured(folder: Path, url: str, seconds: float) -> dict[str, float]:
     return {**figures, "lost": lost}
 
 
-def _knows_its_valve(identification: Identification) -> bool:
-    """Tell whether the first half minute is over, in which the rig has been nowhere else yet."""
+def _is_ready(identification: Identification, *, known: bool) -> bool:
+    """Tell whether samples come, and the first half minute is over, in which no map is good yet."""
+    if not known:
+        return bool(live_speed.counts(identification, "aligned").min() > 0)
     return all(e.quality == Quality.GOOD for e in identification.result(0).estimators.values())
 
 

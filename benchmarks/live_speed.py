@@ -39,7 +39,14 @@ SCRIPTED_VALVES, SCRIPTED_HZ = 50, 200.0
 Figures = dict[str, float]
 
 
-def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = False) -> Figures:
+def measured(
+    valves: int,
+    hz: float,
+    seconds: float = 60.0,
+    *,
+    settling_s: float = SETTLING_S,
+    secured: bool = False,
+) -> Figures:
     """Notifications per second that reach the parameters, what was lost, and the cores used."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
@@ -52,7 +59,8 @@ def measured(valves: int, hz: float, seconds: float = 60.0, *, secured: bool = F
                 config = _with_valves(loaded, names, folder, {"url": url})
             else:
                 config = open_config(names, folder, url)
-            figures = asyncio.run(live(config, hz, seconds, secured=secured))
+            serving = live(config, hz, seconds, settling_s=settling_s, secured=secured)
+            figures = asyncio.run(serving)
     return {"valves": valves, "wanted, notifications/s": valves * hz * SIGNALS, **figures}
 
 
@@ -80,7 +88,9 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-async def live(config: Config, hz: float, seconds: float, *, secured: bool) -> Figures:
+async def live(
+    config: Config, hz: float, seconds: float, *, settling_s: float = SETTLING_S, secured: bool
+) -> Figures:
     """Serve for so long, once all valves have been learnt from for a while."""
     identification, stop = build_identification(config), asyncio.Event()
     settings = None if secured else open_settings(config, Limits())
@@ -90,7 +100,7 @@ async def live(config: Config, hz: float, seconds: float, *, secured: bool) -> F
         lambda: (
             serving.done()
             or time.perf_counter() >= given_up
-            or counts(identification, "aligned").min() >= hz * SETTLING_S
+            or counts(identification, "aligned").min() >= hz * settling_s
         )
     )
     before = counts(identification, "aligned")

@@ -130,12 +130,12 @@ def memory() -> Figures:
     """Resident kB per valve, by the difference of 10,000 and 1,000 valves after 20 samples."""
     kept, sizes = [], {}
     for valves in (1_000, 10_000):
-        before = _resident()
+        before = resident()
         identification = service(valves, rls)
         rng = np.random.default_rng(0)
         for k in range(20):
             identification.take(_changes(valves, 1, k, rng))
-        sizes[valves] = _resident() - before
+        sizes[valves] = resident() - before
         kept.append(identification)
     return {"kB per valve": (sizes[10_000] - sizes[1_000]) / 9_000}
 
@@ -155,10 +155,10 @@ def replayed(n: int, folder: Path) -> Figures:
     alone = {"estimators": (RlsConfig(),), "inverse": "RLS"}
     config = config.model_copy(update={"valves": (valve.model_copy(update=alone),)})
     replay([file], config)  # compiles, fills the cache of the disk
-    before, start = _resident(), time.perf_counter()
+    before, start = resident(), time.perf_counter()
     replay([file], config)
     took = time.perf_counter() - start
-    return {"samples/s": n / took, "MB more": (_resident() - before) / 1024}
+    return {"samples/s": n / took, "MB more": (resident() - before) / 1024}
 
 
 def all_figures(replayed_samples: int = 10_000_000) -> dict[str, Figures]:
@@ -170,8 +170,8 @@ def all_figures(replayed_samples: int = 10_000_000) -> dict[str, Figures]:
             "Time per sample, ns, 100,000 samples in a message": scaling(lambda v: 100_000 // v),
             "Time per sample, ns, 10,000 samples in a message": scaling(lambda v: 10_000 // v),
             "Time per sample, ns, ten samples of each valve": scaling(lambda _: 10),
-            "Memory": memory(),
-            "Replay": replayed(replayed_samples, Path(folder)),
+            "Memory, RLS alone": memory(),
+            "Replay, RLS alone": replayed(replayed_samples, Path(folder)),
         }
 
 
@@ -233,7 +233,7 @@ def _records(changes: DataChanges, kind: np.dtype, mask: int, type_: int) -> np.
     return records
 
 
-def _resident() -> float:
+def resident() -> float:
     """Resident memory of this process, kB; NaN where the system does not say."""
     try:
         pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])

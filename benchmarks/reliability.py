@@ -1,17 +1,22 @@
-"""What cuts, kills, disorder and damage cost: ``python -m benchmarks.reliability``.
+"""What cuts, kills, disorder, damage and load cost: ``python -m benchmarks.reliability``.
 
-Writes ``docs/reliability.md``. One valve at 100 Hz from a guarded server in the same process,
-through a proxy that cuts and stalls; every sample is numbered, so every loss shows.
+Writes each row into ``docs/reliability.md``. One valve at 100 Hz from a guarded server in the same
+process, through a proxy that cuts and stalls; every sample is numbered, so every loss shows.
+``--hour [SECONDS]`` runs 1,000 valves for so long, ``--only half`` with half a processor.
 """
 
 import argparse
 import asyncio
 import io
+import json
+import os
 import sqlite3
+import subprocess
 import sys
 import tempfile
 import time
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,12 +31,18 @@ from service.streaming.ports import Checkpoint
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.lives import fresh, lived
+from support import forks
+from support.lives import fresh
 from support.plant import plant as samples_of
 from support.stream import NumberedServer, until, watching
+from support.whole import Account
+
+from benchmarks import reliability_lives, reliability_load
 
 PAGE = Path(__file__).parents[1] / "docs" / "reliability.md"
-FIRST = "| fault | lost | twice | bits different | data again after, s |"
+FAULTS = "| fault | lost | twice | bits different | data again after, s |"
+LOADS = "| circumstance | measured |"
+Rows = Iterable[tuple[str, str]]
 HISTORY = 40_000  # samples that the source remembers: 400 s
 ALIGN = Alignment(AlignmentSettings(), (True,), (True,))
 
@@ -57,7 +68,7 @@ def disorder(delay_s: float, *, doubled: bool, again_s: float, seed: int) -> str
         getattr(ours[0], name).tobytes() == getattr(right[0], name).tobytes()
         for name in ("t", "U", "p1", "p2", "Q", "T")
     )
-    return f"{lost} of {n} | {twice} | {0 if same else 'all'} | |"
+    return f"{lost} of {n} | {twice} | {0 if same else 'all'} |"
 
 
 async def line(served: tuple[NumberedServer, str], fault: str, seconds: float) -> str:
@@ -84,33 +95,7 @@ async def line(served: tuple[NumberedServer, str], fault: str, seconds: float) -
         span = numbers[-1] - numbers[0] + 1
         lost, twice = span - len(set(numbers)), collector.counters.get("duplicates", 0)
     asked = f"; {caught_up:.0f} × real time" if source.counters.from_history else ""
-    return f"{lost} of {span} | {twice} | | {again_s:.1f}{asked} |"
-
-
-async def kills(served: tuple[NumberedServer, str], count: int, seed: int) -> str:
-    """A service that is killed at random times and started again."""
-    plant, _ = served
-    plant.sent.clear()
-    rng = np.random.default_rng(seed)
-    playing = asyncio.create_task(plant.play(100))
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "state.sqlite"
-        for _ in range(count):
-            with CheckpointFile(file) as store:
-                await lived(served, store, float(rng.uniform(1.5, 3.5)))
-        playing.cancel()
-        with suppress(asyncio.CancelledError):
-            await playing
-        with CheckpointFile(file) as store:
-            last = await lived(served, store, 3.0)
-    counters = last.counters(0)
-    one_life = fresh()
-    one_life.take(plant.sent_from(plant.written - counters["aligned"]))
-    same = one_life.checkpoints() == last.checkpoints()
-    lost = counters["gaps"] + counters["missing"] + counters["lost_by_time"]
-    return (
-        f"{lost} of {counters['aligned']} | {counters['duplicates']} | {0 if same else 'all'} | |"
-    )
+    return f"{lost} of {span} | {twice} | | {again_s:.1f}{asked}"
 
 
 def flips(count: int, seed: int) -> str:
@@ -173,7 +158,7 @@ def short_and_foreign(count: int, seed: int) -> str:
             except StorageError:
                 refused += 1
     return (
-        f"Cut short, {count} times: {wrong} wrong, {silent} silent. Of the format before, of "
+        f"cut short {count} times: {wrong} wrong, {silent} silent. Of the format before, of "
         f"another program: {refused} of 2 said."
     )
 
@@ -203,14 +188,11 @@ def out_of_range(count: int, seed: int) -> str:
             again.take_samples(0, samples_of(50, first=400))
         except Exception:  # noqa: BLE001 - it is counted
             crashes += 1
-    return (
-        f"Out of range under a valid digest, {count} times: {refused} refused, {crashes} crashes."
-    )
+    return f"{count} times: {refused} refused, {crashes} crashes."
 
 
-async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
-    """All rows of the page."""
-    rows = []
+def disorders(seed: int) -> Rows:
+    """Samples out of order, doubled, sent again."""
     for text, delay_s, doubled, again_s in (
         ("reordered by up to 0.1 s", 0.1, False, 0.0),
         ("reordered by up to 0.9 s", 0.9, False, 0.0),
@@ -218,43 +200,143 @@ async def measured(cuts: list[float], count: int, seed: int) -> list[str]:
         ("10 s sent again", 0.0, False, 10.0),
         ("all of these", 0.9, True, 10.0),
     ):
-        told = disorder(delay_s, doubled=doubled, again_s=again_s, seed=seed)
-        rows.append(f"| {text} | {told}")
+        yield text, disorder(delay_s, doubled=doubled, again_s=again_s, seed=seed)
+
+
+async def lines(cuts: list[float]) -> list[tuple[str, str]]:
+    """Lines that are cut, flap, stall."""
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     with tempfile.TemporaryDirectory() as cache:
         plant = await NumberedServer.create(Path(cache), users=users, remembers=HISTORY)
         async with plant.server:
             served = plant, password
-            for seconds in cuts:
-                told = await line(served, "cut", seconds)
-                rows.append(f"| line cut for {seconds:g} s | {told}")
-            rows.append(f"| 10 cuts in 5 s | {await line(served, 'flapping', 5.0)}")
-            rows.append(f"| stall of 20 s | {await line(served, 'stall', 20.0)}")
-            told = await kills(served, count, seed)
-            rows.append(f"| service killed {count} times | {told}")
-    return rows
+            cut = [(f"line cut for {s:g} s", await line(served, "cut", s)) for s in cuts]
+            return [
+                *cut,
+                ("10 cuts in 5 s", await line(served, "flapping", 5.0)),
+                ("stall of 20 s", await line(served, "stall", 20.0)),
+            ]
+
+
+def whole(kills: int, seed: int) -> Rows:
+    """The whole service: killed, reloaded, started from a history."""
+    account, unreadable = asyncio.run(reliability_lives.kills(kills, seed))
+    lives = f" ({kills} kills, {unreadable} files unreadable)"
+    yield "`valvemap serve` killed at random times", account.row(lives)
+    yield (
+        "reload, one valve of two changed: the other",
+        asyncio.run(reliability_lives.reload()).row(),
+    )
+    yield (
+        "start from 20 s of the source's history",
+        asyncio.run(reliability_lives.warm_start()).row(),
+    )
+
+
+def forked(kills: int, seed: int) -> Rows:
+    """Pipeline and storage, killed."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, forks.__file__, str(kills), str(seed), f"{folder}/state.sqlite"]
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(("tests", "."))}
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
+    found = json.loads(done.stdout)
+    lives = f" ({kills} kills, {found['unreadable']} files unreadable)"
+    learnt = found["samples"] - found["lost"]
+    different = ("?",) * found["different"]
+    account = Account(learnt, found["lost"], found["twice"], different)
+    yield "pipeline and storage killed at random times", account.row(lives)
+
+
+def damage(flipped: int, seed: int) -> Rows:
+    """Files of states that are damaged, or hold what cannot be."""
+    yield "bits flipped in kept states", flips(flipped, seed)
+    yield "kept states cut short, foreign, of the format before", short_and_foreign(flipped, seed)
+    yield "a number out of range under a valid digest", out_of_range(flipped, seed)
+
+
+def slow(seconds: float) -> Rows:
+    """A disk whose every sync takes 2 s longer."""
+    for valves, hz in ((1, 100.0), (1_000, 2.0)):
+        found = asyncio.run(reliability_load.slow_disk(valves, hz, seconds))
+        yield f"sync + 2 s, {valves:,} valves x {hz:g} Hz", found
+
+
+def long(valves: int, hz: float, seconds: float, *, half: bool) -> Rows:
+    """Many valves for long; with ``half`` the service has half a processor."""
+    found = asyncio.run(reliability_load.soak(valves, hz, seconds, half=half))
+    stopped = ", stopped and continued every 50 ms" if half else ""
+    yield f"{valves:,} valves x {hz:g} Hz{stopped}", f"{seconds:g} s: {found}"
+
+
+def merged(page: str, head: str, rows: Iterable[tuple[str, str]]) -> str:
+    """The page with these rows in the table of this head, in place of those of the same name.
+
+    >>> page = "Text.\\n\\n| fault | lost |\\n|---|---|\\n| cut | 0 |\\n| stall | 1 |\\n\\nMore.\\n"
+    >>> print(merged(page, "| fault | lost |", [("stall", "3"), ("flood", "0")]))
+    Text.
+    <BLANKLINE>
+    | fault | lost |
+    |---|---|
+    | cut | 0 |
+    | stall | 3 |
+    | flood | 0 |
+    <BLANKLINE>
+    More.
+    <BLANKLINE>
+    """
+    before, found, rest = page.partition(f"{head}\n")
+    table, gap, after = rest.partition("\n\n")
+    rule, *old = table.splitlines()
+    known = {line.strip("| ").partition(" | ")[0]: line for line in old}
+    known |= {name: f"| {name} | {cells} |" for name, cells in rows}
+    return before + found + "\n".join([rule, *known.values()]) + (gap or "\n") + after
+
+
+SUBJECTS = ("order", "lines", "whole", "forks", "damage", "disk", "soak", "half")
 
 
 def main() -> None:
-    """Measure, and write the page between its marks."""
+    """Measure, and write each row into the page's tables."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="+", choices=SUBJECTS, default=SUBJECTS[:6])
     parser.add_argument(
         "--cuts", type=float, nargs="+", default=[1.0, 10.0, 45.0, 300.0], metavar="S"
     )
-    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--kills", type=int, default=60, help="of the whole service")
+    parser.add_argument("--forks", type=int, default=950, help="of pipeline and storage")
     parser.add_argument("--flips", type=int, default=300)
+    parser.add_argument("--valves", type=int, default=1_000, help="of the long runs")
+    parser.add_argument("--hz", type=float, default=10.0, help="of the long runs")
+    parser.add_argument(
+        "--hour",
+        type=float,
+        nargs="?",
+        const=3_600.0,
+        metavar="SECONDS",
+        help="the long run alone, an hour; with --only half stopped and continued",
+    )
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    rows = asyncio.run(measured(given.cuts, given.kills, given.seed))
-    table = "\n".join([FIRST, "|---|---|---|---|---|", *rows])
-    files = " ".join(
-        damage(given.flips, given.seed) for damage in (flips, short_and_foreign, out_of_range)
-    )
-    text = f"{table}\n\nSeed {given.seed}. Kept states, {files}\n"
-    print(text)
-    page = PAGE.read_text(encoding="utf-8")
-    head, mark, _ = page.partition("<!-- measured -->\n")
-    PAGE.write_text(f"{head}{mark}{text}", encoding="utf-8")
+    seconds = 60.0 if given.hour is None else given.hour
+    chosen = given.only
+    if given.hour is not None and chosen == SUBJECTS[:6]:
+        chosen = ("soak",)
+    subjects: dict[str, tuple[str, Callable[[], Rows]]] = {
+        "order": (FAULTS, lambda: disorders(given.seed)),
+        "lines": (FAULTS, lambda: asyncio.run(lines(given.cuts))),
+        "whole": (FAULTS, lambda: whole(given.kills, given.seed)),
+        "forks": (FAULTS, lambda: forked(given.forks, given.seed)),
+        "damage": (LOADS, lambda: damage(given.flips, given.seed)),
+        "disk": (LOADS, lambda: slow(30.0)),
+        "soak": (LOADS, lambda: long(given.valves, given.hz, seconds, half=False)),
+        "half": (LOADS, lambda: long(given.valves, given.hz, seconds, half=True)),
+    }
+    for name in chosen:
+        head, measured = subjects[name]
+        for row in measured():
+            print(" | ".join(row), flush=True)
+            page = merged(PAGE.read_text(encoding="utf-8"), head, [row])
+            PAGE.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

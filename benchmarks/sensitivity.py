@@ -1,31 +1,35 @@
 """Which thresholds of `Auto` matter: each halved and doubled, ``python -m benchmarks.sensitivity``.
 
-Writes ``docs/sensitivity.md``: those that move a figure by more than a tenth. A threshold is a
-number with a name and, on its line, a comment. With ``kernels`` those of the compiled loops are
-tried, too; each is compiled anew, so that takes hours.
+``[MODULE…]`` follow: of these alone, else of all that are python; ``kernels`` means those of the
+compiled loops, each of which is compiled anew, so that takes hours. Writes
+``results/sensitivity.json``, which keeps what was tried before as long as `Auto` stays the same,
+and ``docs/sensitivity.md``: those that move a figure by more than a tenth. ``page`` as a module
+tries nothing.
 """
 
-import ast
-import importlib.util
+import hashlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.thresholds import KERNELS, PURE, change, source, thresholds
+
 Floats = NDArray[np.float64]
 
-PAGE = Path(__file__).parents[1] / "docs" / "sensitivity.md"
-ROOM: Final = "service.identification"
-PURE: Final = "auto", "fit_budget", "drift", "map_search", "lag_search"
-KERNELS: Final = "kernels.cells", "kernels.grid", "kernels.lag", "kernels.climb", "kernels.map_fit"
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "results" / "sensitivity.json"
+PAGE = ROOT / "docs" / "sensitivity.md"
 MOVED: Final = 0.1  # share of a figure that counts as moved
+FACTORS: Final = 0.5, 2.0
 SEEDS: Final = 3
 N, CHANGED_AT, LOST = 10_000, 6_000, 0.08  # samples; when the valve loses a share of its flow
 SPACING: Final = 10_000_000  # ns: 100 Hz
@@ -34,10 +38,13 @@ METER_LAG: Final = 0.06  # s
 
 INTRODUCTION = """# Sensitivity
 
-Made by `python -m benchmarks.sensitivity`; do not edit. Every threshold of `Auto` was halved and
-doubled; here are those that moved a figure by more than a tenth, with the figure over what it is
-without. 1.00 is no difference, larger is worse; *fails* is an error.
+Made by `python -m benchmarks.sensitivity`; do not edit. Every threshold of `Auto` is halved and
+doubled, on a valve with dead band and saturation, a sudden loss of flow, and a meter that lags.
+Here are those that move a figure by more than a tenth, with the figure over what it is without.
+1.00 is no difference, larger is worse; *fails* is an error.
 """
+
+Record = Mapping[str, Any]
 
 
 def figures() -> dict[str, float]:
@@ -105,90 +112,30 @@ def _behind(Q: Floats, tau: float) -> Floats:
     return shown
 
 
-def thresholds(modules: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Module and name of every number with a name and a comment on its line."""
-    for module in modules:
-        source = _source(module)
-        lines = source.splitlines()
-        for node in ast.parse(source).body:
-            if "#" in lines[(node.end_lineno or 1) - 1]:
-                for name, value in _assigned(node):
-                    if _is_number(value):
-                        yield module, name
+def page(record: Record) -> str:
+    """The page, all of it from the record: figures unchanged, what was tried, what moves them."""
+    base, tried = record["base"], record["tried"]
+    if not tried:
+        return f"{INTRODUCTION}\nNothing has been tried yet of `Auto` as it is.\n"
+    modules = dict.fromkeys(threshold.rpartition(".")[0] for threshold in tried)
+    lines = [INTRODUCTION, "| figure | unchanged |", "|---|---|"]
+    lines += [f"| {name} | {value:.3g} |" for name, value in base.items()]
+    names = ", ".join(f"`{module}`" for module in modules)
+    lines += ["", f"Tried: {len(tried)} thresholds of {names}.", ""]
+    lines += ["| threshold | times | moves |", "|---|---|---|"]
+    for threshold, outcomes in tried.items():
+        for factor, found in outcomes.items():
+            what = _moved(found, base)
+            if what:
+                lines.append(f"| `{threshold}` | {factor} | {what} |")
+    return "\n".join(lines) + "\n"
 
 
-def _assigned(node: ast.stmt) -> list[tuple[str, ast.expr]]:
-    """Names that a statement gives, with what it gives them."""
-    match node:
-        case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
-            return [(name, value)]
-        case ast.Assign(targets=[ast.Name(id=name)], value=value):
-            return [(name, value)]
-        case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
-            pairs = zip(names, values, strict=True)
-            return [(name.id, value) for name, value in pairs if isinstance(name, ast.Name)]
-    return []
-
-
-def _is_number(value: ast.expr) -> bool:
-    return all(
-        isinstance(node, ast.BinOp | ast.operator)
-        or (isinstance(node, ast.Constant) and isinstance(node.value, int | float))
-        for one in (value.elts if isinstance(value, ast.Tuple) else [value])
-        for node in ast.walk(one)
-    )
-
-
-def _value(number: ast.expr) -> float:
-    found = eval(compile(ast.Expression(number), "", "eval"), {})  # noqa: S307 - of our own source
-    assert isinstance(found, int | float)  # noqa: S101 - see `_is_number`
-    return found
-
-
-def _scaled(source: str, name: str, factor: float) -> ast.Module:
-    """The same module with one threshold times a factor; a whole number stays one, and above 0."""
-    tree = ast.parse(source)
-    for statement in tree.body:
-        for assigned, value in _assigned(statement):
-            if assigned == name:
-                numbers = value.elts if isinstance(value, ast.Tuple) else [value]
-                for number in numbers:
-                    _replace(tree, number, _times(_value(number), factor))
-    return ast.fix_missing_locations(tree)
-
-
-def _times(value: float, factor: float) -> float:
-    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
-
-
-def _replace(tree: ast.Module, old: ast.expr, value: float) -> None:
-    class Replacing(ast.NodeTransformer):
-        def visit(self, node: ast.AST) -> Any:
-            if node is old:
-                return ast.copy_location(ast.Constant(value), old)
-            return self.generic_visit(node)
-
-    Replacing().visit(tree)
-
-
-def _source(module: str) -> str:
-    return (
-        (Path(__file__).parents[1] / ROOM.replace(".", "/"))
-        .joinpath(*module.split("."))
-        .with_suffix(".py")
-        .read_text("utf-8")
-    )
-
-
-def _change(module: str, name: str, factor: float) -> None:
-    """Have one module, not imported yet, come into being with another threshold."""
-    whole = f"{ROOM}.{module}"
-    spec = importlib.util.find_spec(whole)
-    assert spec is not None and spec.origin is not None  # noqa: PT018, S101 - it is ours
-    tree = _scaled(_source(module), name, factor)
-    made = importlib.util.module_from_spec(spec)
-    sys.modules[whole] = made
-    exec(compile(tree, spec.origin, "exec"), made.__dict__)  # noqa: S102 - our own module
+def _moved(found: Mapping[str, float], base: Mapping[str, float]) -> str:
+    """Which figures are others by more than a tenth, in words; none where it failed."""
+    ratios = {name: value / base[name] for name, value in found.items()}
+    moved = [f"{name}: {x:.2f}" for name, x in ratios.items() if abs(x - 1.0) > MOVED]
+    return ", ".join(moved) if found else "*fails*"
 
 
 def _measured(module: str, name: str, factor: float) -> Mapping[str, float]:
@@ -202,31 +149,52 @@ def _measured(module: str, name: str, factor: float) -> Mapping[str, float]:
     return json.loads(done.stdout) if done.returncode == 0 else {}
 
 
+def _sources() -> str:
+    """A hash of all that is `Auto`."""
+    text = "".join(source(module) for module in (*PURE, *KERNELS))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _try(modules: Sequence[str], before: Record) -> Record:
+    """Halve and double their thresholds, those not tried yet, several at a time."""
+    sources = _sources()
+    record: dict[str, Any] = (
+        dict(before)
+        if before.get("sources") == sources
+        else {"sources": sources, "base": figures(), "tried": {}}
+    )
+    tried = record["tried"]
+    due = [(m, name) for m, name in thresholds(modules) if f"{m}.{name}" not in tried]
+
+    def both(threshold: tuple[str, str]) -> dict[str, Mapping[str, float]]:
+        return {str(factor): _measured(*threshold, factor) for factor in FACTORS}
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for (module, name), outcomes in zip(due, pool.map(both, due), strict=True):
+            tried[f"{module}.{name}"] = outcomes
+            for factor, found in outcomes.items():
+                what = _moved(found, record["base"]) or "moves nothing"
+                print(f"{module}.{name} x {factor}: {what}", flush=True)
+            RESULTS.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    return record
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Measure one change, or all, and write the page."""
+    """Measure one change, or all that is asked for, and write the page."""
     if arguments[:1] == ["one"]:
         module, name, factor = arguments[1:]
-        _change(module, name, float(factor))
+        change(module, name, float(factor))
         print(json.dumps(figures()))
         return 0
-    modules = PURE + (KERNELS if "kernels" in arguments else ())
-    base = figures()
-    rows, tried = [], 0
-    for module, name in thresholds(modules):
-        tried += 1
-        for factor in (0.5, 2.0):
-            found = _measured(module, name, factor)
-            moved = {key: found[key] / base[key] for key in found}
-            moved = {key: ratio for key, ratio in moved.items() if abs(ratio - 1.0) > MOVED}
-            what = ", ".join(f"{key}: {ratio:.2f}" for key, ratio in moved.items())
-            print(f"{module}.{name} x {factor}: {what if found else 'fails'}", flush=True)
-            if moved or not found:
-                rows.append(f"| `{module}.{name}` | {factor} | {what if found else '*fails*'} |")
-    lines = [INTRODUCTION, "| what | unchanged |", "|---|---|"]
-    lines += [f"| {key} | {value:.3g} |" for key, value in base.items()]
-    lines += ["", f"{tried} thresholds of {', '.join(f'`{m}`' for m in modules)} were tried.", ""]
-    lines += ["| threshold | times | moves |", "|---|---|---|", *rows]
-    PAGE.write_text("\n".join(lines) + "\n", "utf-8")
+    asked = [m for one in arguments for m in (KERNELS if one == "kernels" else (one,))]
+    unknown = set(asked) - {*PURE, *KERNELS, "page"}
+    if unknown:
+        print(f"{', '.join(sorted(unknown))}: no module of Auto", file=sys.stderr)
+        return 2
+    record = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {}
+    if asked != ["page"]:
+        record = _try(asked or PURE, record)
+    PAGE.write_text(page(record), "utf-8")
     return 0
 
 

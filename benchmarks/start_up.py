@@ -3,7 +3,8 @@
 Rig and service are set up by ``valvemap init``; everything is compiled already. Beside it a bare
 server of asyncua's, in turns, the best of some starts each. Then a service of a thousand valves in
 the default configuration, until it serves, until a client has read a number of a few valves, and
-until it has read one of every valve.
+until it has read one of every valve. And the first start on a machine, which compiles everything.
+``many`` or ``first`` measure these alone.
 """
 
 import asyncio
@@ -19,6 +20,7 @@ from urllib.parse import urlparse
 from asyncua import Client, ua
 
 from benchmarks import live_speed
+from benchmarks.speed_page import FIRST_START, MANY, START
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
 from service.config.loading import load_config
@@ -69,6 +71,25 @@ def many(valves: int = 1_000) -> dict[str, float]:
             return found | asyncio.run(_read(url, names, began))
 
 
+def first() -> dict[str, float]:
+    """Seconds until everything is compiled, into an empty cache, and those of a core it took."""
+    before = os.times()
+    with tempfile.TemporaryDirectory() as cache:
+        began = time.perf_counter()
+        command = [sys.executable, "-m", "service", "warm-up"]
+        environment = os.environ | {"NUMBA_CACHE_DIR": cache}
+        subprocess.run(command, check=True, capture_output=True, env=environment)
+        compiled, after = time.perf_counter() - began, os.times()
+    spent = after.children_user + after.children_system
+    spent -= before.children_user + before.children_system
+    return {"compiled": compiled, "compiled, s of a core": spent}
+
+
+def all_figures() -> dict[str, dict[str, float]]:
+    """Every figure of this file."""
+    return {START: measured(), MANY: many(), FIRST_START: first()}
+
+
 async def _read(url: str, names: Sequence[str], began: float) -> dict[str, float]:
     """Seconds until a client has read one valve, and every one."""
     found = {}
@@ -108,11 +129,17 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[:1] == ["serve"]:
         asyncio.run(_serve(Path(arguments[1])))
         return 0
-    figures = {f"1,000 valves: {name}": seconds for name, seconds in many().items()}
-    if arguments != ["many"]:
-        figures = measured() | figures
-    for name, seconds in figures.items():
-        print(f"{name:32} {seconds:6.2f} s")
+    match arguments:
+        case ["many"]:
+            found = {MANY: many()}
+        case ["first"]:
+            found = {FIRST_START: first()}
+        case _:
+            found = all_figures()
+    for title, figures in found.items():
+        print(title)
+        for name, seconds in figures.items():
+            print(f"  {name:32} {seconds:6.2f} s")
     return 0
 
 

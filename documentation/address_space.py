@@ -18,7 +18,8 @@ _HEAD = """# Address space
 Namespace `{namespace}`; everything lies below `Objects/Identification`. A NodeId is
 `s=<Valve>.<Estimator>.<Variable>`, and the browse path has the same names. `<Valve>` is a valve's
 name in the configuration, `<Estimator>` one of {estimators} unless others are configured. *(of …)*
-names those that have a node where not all do. Ids and paths never change.
+names those that have a node where not all do. Ids and paths never change. Below each
+`s=<Valve>.Alarms.<Alarm>.Condition` lies what Part 9 has of its type, see [alarms](../alarms.md).
 
 A result's SourceTimestamp is that of the sample behind it. Uncertain is what rests on poor
 excitation, Bad what rests on a lost sensor; a stale value is never Good.
@@ -100,6 +101,8 @@ async def _below(node: Node, index: int) -> AsyncIterator[Found]:
     ):
         if reference.NodeId.NamespaceIndex != index:
             continue
+        if reference.BrowseName.NamespaceIndex != index:
+            continue  # the standard's: what a condition has is Part 9's
         child = Node(node.session, ua.NodeId(reference.NodeId.Identifier, index))
         match reference.NodeClass:
             case ua.NodeClass.Variable:

@@ -7,6 +7,7 @@ from documentation.commands import commands_page
 from documentation.configuration import configuration_page
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
+NODE_SET = Path(__file__).parents[1] / "service" / "opcua" / "valvemap.NodeSet2.xml"
 MADE_BY = "<!-- Made by `make reference`; do not edit. -->\n\n"
 
 

@@ -35,8 +35,6 @@ from service.streaming.sources import Sources, supervise_all
 
 log = structlog.get_logger(__name__)
 
-FAREWELL_S = 4.2  # longest that an end may take to keep states: some ask for all to end in 5
-
 SampleTap = Callable[[str, Samples], None]
 
 
@@ -175,7 +173,7 @@ async def _live(
         log.info("results served", url=server.url)
         if not was_warmed_up():
             await plan.compiled.ended()
-        stopping = asyncio.create_task(_pass_on(stop, ended))
+        stopping = asyncio.create_task(_pass_on(stop, live, ended))
         following = asyncio.create_task(_following(plan, reload, ended))
         try:
             supervision = build_supervisor_settings(config)
@@ -186,7 +184,7 @@ async def _live(
                 task.cancel()
             await asyncio.gather(stopping, following, return_exceptions=True)
             goes_on = not (following.cancelled() or stop.is_set())
-            if not goes_on and not await live.keep(within_s=FAREWELL_S):
+            if not goes_on and not await live.keep(within_s=live.time_left_s):
                 log.warning("disk too slow to keep the last states, those before are kept")
         if not goes_on:
             return None, []
@@ -198,8 +196,9 @@ async def _live(
     return following.result(), states
 
 
-async def _pass_on(stop: asyncio.Event, ended: asyncio.Event) -> None:
+async def _pass_on(stop: asyncio.Event, live: LiveService, ended: asyncio.Event) -> None:
     await stop.wait()
+    live.end_soon()
     ended.set()
 
 

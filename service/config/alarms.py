@@ -5,7 +5,8 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from service.config.sections import Section
-from service.streaming.alarms import RULES, SERVICE_RULES, Alarm, AlarmRule, ServiceAlarm
+from service.streaming.alarm_states import AlarmRule
+from service.streaming.alarms import RULES, SERVICE_RULES, Alarm, ServiceAlarm
 
 
 class AlarmConfig(Section):

@@ -50,7 +50,8 @@ _ALARMS: Final = pa.list_(
     pa.struct(
         [("name", pa.string()), ("active", pa.bool_()), ("acked", pa.bool_())]
         + [(name, pa.int64()) for name in ("severity", "since", "at", "count")]
-        + [("text", pa.string())]
+        + [("text", pa.string()), ("confirmed", pa.bool_()), ("limit", pa.float64())]
+        + [("comment", pa.string()), ("commented_by", pa.string()), ("commented", pa.int64())]
     )
 )
 _NO_TABLE: Final = np.empty((0, 0))

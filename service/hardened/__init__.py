@@ -15,9 +15,17 @@ from service.hardened.address_space.nodes import (
     add_property,
     add_variable,
 )
+from service.hardened.address_space.types import Declarations, add_type
 from service.hardened.address_space.units import Unit
 from service.hardened.caller import caller
 from service.hardened.clock import Clock, ManualClock, SystemClock
+from service.hardened.conditions.condition import (
+    Condition,
+    ConditionClass,
+    ConditionKey,
+    ConditionKind,
+)
+from service.hardened.conditions.keeper import ConditionKeeper
 from service.hardened.errors import (
     CertificateError,
     CommandRejected,
@@ -49,7 +57,13 @@ __all__ = [
     "CertificateError",
     "Clock",
     "CommandRejected",
+    "Condition",
+    "ConditionClass",
+    "ConditionKeeper",
+    "ConditionKey",
+    "ConditionKind",
     "ConfigurationError",
+    "Declarations",
     "HardenedError",
     "HardenedServer",
     "Historian",
@@ -76,6 +90,7 @@ __all__ = [
     "add_method",
     "add_object",
     "add_property",
+    "add_type",
     "add_variable",
     "caller",
     "ensure_certificate",

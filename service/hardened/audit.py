@@ -105,7 +105,7 @@ class Audit:
     @property
     def is_heard(self) -> bool:
         """Whether somebody listens to the events."""
-        return self._subscriptions.has_audience(_SERVER, Role.SECURITY_ADMIN)
+        return self._subscriptions.events.has_audience((_SERVER,), Role.SECURITY_ADMIN)
 
     def certificate_refused(self, host: str, der: bytes, code: int, sentence: str) -> None:
         """Report that the certificate of a channel was refused."""
@@ -262,8 +262,8 @@ class Audit:
         }
         if actor.session is not None:
             fields["SessionId"] = ua.Variant(actor.session.id, _Types.NodeId)
-        event = Event(_SERVER, ua.NodeId(kind), fields, Role.SECURITY_ADMIN)
-        self._subscriptions.trigger_event(event)
+        event = Event((_SERVER,), ua.NodeId(kind), fields, Role.SECURITY_ADMIN)
+        self._subscriptions.events.trigger(event)
 
 
 def shown(text: str | None) -> str:

@@ -21,7 +21,8 @@ from service.hardened.address_space.attributes import Attributes
 from service.hardened.address_space.blocks import Block
 from service.hardened.address_space.browse import View
 from service.hardened.address_space.declarations import Method, Value, Variable
-from service.hardened.address_space.insertion import many_nodes
+from service.hardened.address_space.insertion import many_nodes, reference
+from service.hardened.address_space.metadata import describe_namespace
 from service.hardened.address_space.packed_nodes import make_later
 from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
@@ -29,6 +30,10 @@ from service.hardened.address_space.watchers import drive, notify
 from service.hardened.audit import Audit
 from service.hardened.binary.encoding import DTYPES, instant, nanoseconds
 from service.hardened.clock import Clock, SystemClock
+from service.hardened.conditions.calls import Conditions
+from service.hardened.conditions.condition import Condition, ConditionKey
+from service.hardened.conditions.keeper import ConditionKeeper
+from service.hardened.conditions.nodes import ConditionNodes, references_to
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
 from service.hardened.history.aggregates import Aggregate
 from service.hardened.history.historian import Historian
@@ -56,6 +61,8 @@ from service.hardened.transport.listener import Listener
 from service.hardened.transport.shared import Own, Shared, Traffic
 
 _log = bounded_logger(__name__)
+
+_EMITS = 1 << ua.EventNotifier.SubscribeToEvents
 
 Update = tuple[Variable, Value, int, int]
 
@@ -123,6 +130,9 @@ class HardenedServer(Startable):
             limits.audit_events_per_second,
         )
         self._histories = Histories(limits, aspace)
+        self._conditions = Conditions(
+            self._subscriptions, ConditionNodes(aspace, self._write_data_value), self._clock
+        )
         self._has_history = False
         self._services = Services(
             limits,
@@ -131,6 +141,7 @@ class HardenedServer(Startable):
             self._view,
             self._subscriptions,
             self._histories,
+            self._conditions,
             self._audit,
         )
         self._announcements = SelfDescription(
@@ -153,6 +164,13 @@ class HardenedServer(Startable):
         await server.ua.init()
         await server.ua.set_application_uri(settings.application_uri)
         server.namespace_index = await server.namespace(settings.namespace_uri)
+        describe_namespace(
+            server.address_space,
+            server.namespace_index,
+            settings.namespace_uri,
+            settings.namespace_version,
+            settings.namespace_published,
+        )
         return server
 
     @property
@@ -345,6 +363,55 @@ class HardenedServer(Startable):
             historizing = ua.DataValue(ua.Variant(True, ua.VariantType.Boolean))  # noqa: FBT003
             attributes[ua.AttributeIds.Historizing].value = historizing
 
+    def keep_conditions(self, keeper: ConditionKeeper) -> None:
+        """Let clients acknowledge, confirm, comment on and refresh the conditions of a keeper."""
+        self._conditions.keeper = keeper
+
+    def report(self, condition: Condition) -> None:
+        """Say once that a condition has changed; who does not listen hears it with a refresh."""
+        self._conditions.report(condition)
+
+    def add_condition(self, folder: ua.NodeId, condition: Callable[[], Condition]) -> None:
+        """Show a condition as what is below an object, from when somebody first looks there.
+
+        Parameters
+        ----------
+        folder
+            The condition's own object, of the condition's type, without children.
+        condition
+            Says how it stands then.
+        """
+        added_at = self._added_at()
+
+        async def make() -> None:
+            self._conditions.nodes.make(condition(), added_at)
+
+        self.add_later(folder, make)
+
+    def let_emit(self, source: ua.NodeId, notifier: ua.NodeId | None = None) -> None:
+        """Let clients listen to the events of an object.
+
+        Parameters
+        ----------
+        source
+            The object.
+        notifier
+            What is to refer to it by HasNotifier; None: nothing, since that reference is one of
+            those that browsers follow, and would show the object a second time.
+        """
+        aspace = self._inside.aspace
+        own = aspace[source]
+        if notifier is not None:
+            kind, above = ua.NodeId(ua.ObjectIds.HasNotifier), aspace[notifier]
+            above.references.append(reference(kind, own, forward=True))
+            own.references.append(reference(kind, above, forward=False))
+        emits = ua.DataValue(ua.Variant(_EMITS, ua.VariantType.Byte))
+        own.attributes[ua.AttributeIds.EventNotifier].value = emits
+
+    def refer_to_conditions(self, source: ua.NodeId, conditions: Iterable[ConditionKey]) -> None:
+        """Say which conditions an object has, whether they have nodes yet or not."""
+        self._inside.aspace[source].references.extend(references_to(conditions))
+
     def mark(self, variable: Variable, code: int) -> None:
         """Change the status of a variable's value, keeping value and source time."""
         held = self._inside.aspace.read_attribute_value(variable.id, ua.AttributeIds.Value)
@@ -401,7 +468,10 @@ class HardenedServer(Startable):
             raise ServerError(f"{settings.url}: cannot listen there: {reason}") from error
         self._listener = listener
         shared.offered.extend(offered_endpoints(settings, self.url, der))
-        self._announcements.announce(tuple(Aggregate) if self._has_history else None)
+        self._announcements.announce(
+            tuple(Aggregate) if self._has_history else None,
+            conditions=self._conditions.keeper is not None,
+        )
         self._announcements.start()
         if settings.none_on_loopback:
             _log.warning("%s: also open without security, on loopback (demo only)", self.url)
@@ -439,7 +509,7 @@ class HardenedServer(Startable):
         self.write([(variable, value, ua.StatusCodes.Good, source)])
 
     def _trigger_event_of_asyncua(self, event: Any) -> None:  # noqa: ANN401 - asyncua's
-        self._subscriptions.trigger_event(event_of_asyncua(event))
+        self._subscriptions.events.trigger(event_of_asyncua(event))
 
     def _summary(self) -> dict[str, int]:
         totals, traffic = self._sessions.totals, self._traffic

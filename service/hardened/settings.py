@@ -1,5 +1,6 @@
 """Identity, endpoints and limits of a guarded server."""
 
+import datetime as dt
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,6 +49,8 @@ class Limits:
         Subscriptions.
     monitored_items, monitored_items_per_subscription
         Monitored items.
+    event_items
+        Monitored items that monitor events: each costs with every event of its object.
     links_per_subscription
         Links by which items of a subscription trigger others: each costs with every message.
     monitored_items_per_node, monitored_items_per_node_and_session
@@ -105,6 +108,7 @@ class Limits:
     subscriptions_per_session: int = 20
     monitored_items: int = 20_000
     monitored_items_per_subscription: int = 10_000
+    event_items: int = 500
     links_per_subscription: int = 1_000
     monitored_items_per_node: int = 50
     monitored_items_per_node_and_session: int = 5
@@ -152,8 +156,8 @@ class ServerSettings:
         Identity of this installation; the certificate names the first letter by letter.
     product
         What software it is.
-    namespace_uri
-        Namespace of the server's own nodes.
+    namespace_uri, namespace_version, namespace_published
+        Namespace of the server's own nodes; version and date of the model behind it.
     pki
         Certificates; with None only the demo's endpoint without security is offered.
     require_crl
@@ -178,6 +182,8 @@ class ServerSettings:
     application_uri: str
     application_name: str
     namespace_uri: str
+    namespace_version: str = "1.0.0"
+    namespace_published: dt.datetime = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
     product: Product = Product()
     pki: Pki | None = None
     require_crl: bool = True

@@ -17,7 +17,7 @@ from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, ladder, lag, map_fit, reaction
+from service.identification.kernels import grid, held, ladder, lag, map_fit, reaction
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
@@ -481,7 +481,8 @@ class Auto:
         if len(points) > NEW_START * progress[STARTED, 1]:
             progress[STARTED] = 0, len(points)
         if len(points) >= ENOUGH_CELLS:
-            varied = variety(_weights(state), points, sum(self.lags(state)))
+            shared = held.shared(state.slots, state.cells)
+            varied = variety(shared, points, sum(self.lags(state)))
             least = coloured_noise.least_variance(scalars)
             challenger, explorer = self._climb(
                 points, challenger, explorer, top, varied, state, least
@@ -589,24 +590,17 @@ def _trusted(state: AutoState, ahead: float) -> Floats:
 
     But for those of a few samples far off all others: spikes.
     """
-    points = state.cells[state.cells[:, grid.WEIGHT] > 0.0].astype(np.float64)
-    points = drift.carried(points, state.scalars, ahead)
+    points = drift.carried(held.points(state.cells), state.scalars, ahead)
     if not state.counters[memory.FITTED] or not len(points):
         return points
     misfit = kernel.misfit(_surface(state, CHAMPION), points)
     usual = max(
-        float(np.median(misfit)),
+        float(np.partition(misfit, len(misfit) // 2)[len(misfit) // 2]),
         math.sqrt(state.scalars[memory.NOISE]),
         1e-4 * float(np.abs(points[:, grid.MEAN_Q]).max()),
     )
     spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
-
-
-def _weights(state: AutoState) -> Floats:
-    """Samples in the cells of either direction, (N, 2), of all that have any."""
-    held = np.concatenate([[0.0], state.cells[:, grid.WEIGHT]])[state.slots].reshape(-1, 2)
-    return held[held.any(axis=1)]
 
 
 def _surface(state: AutoState, which: int) -> Surface:

@@ -64,7 +64,10 @@ def carried(points: Floats, scalars: Floats, ahead: float) -> Floats:
 
     A rate that is found now may have been another one before: a walk of steps of LASTING s.
     """
-    rate_now, ages = scalars[memory.RATE], _ages(points) + ahead
+    rate_now = scalars[memory.RATE]
+    if not rate_now:
+        return points
+    ages = _ages(points) + ahead
     points[:, MEAN_Q] *= 1.0 + rate_now * ages
     if is_sure(scalars):
         walked = rate_now**2 * LASTING * ages * points[:, MEAN_Q] ** 2

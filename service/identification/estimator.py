@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from tokenize import TokenError
 from typing import Any, Protocol, Self, TypeVar
 
@@ -33,12 +34,8 @@ class State:
         """Pack the state; ``key`` names the hyper-parameters it belongs to."""
         arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
         arrays["header_"] = np.array([str(STATE_VERSION), type(self).__name__, key])
-        record = np.zeros((), [(name, array.dtype, array.shape) for name, array in arrays.items()])
-        for name, array in arrays.items():
-            record[name] = array
-        buffer = io.BytesIO()
-        np.save(buffer, record, allow_pickle=False)
-        return buffer.getvalue()
+        layout = tuple((name, array.dtype.str, array.shape) for name, array in arrays.items())
+        return b"".join((_npy_head(layout), *(array.tobytes() for array in arrays.values())))
 
     @classmethod
     def from_bytes(cls, data: bytes, key: str) -> Self:
@@ -79,6 +76,14 @@ class State:
     def is_coherent(self) -> bool:
         """Whether arrays fit together that may each hold what they do."""
         return True
+
+
+@lru_cache(maxsize=256)
+def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
+    """What numpy writes in front of a record of such arrays: it takes longer than the arrays."""
+    record, buffer = np.zeros((), list(layout)), io.BytesIO()
+    np.save(buffer, record, allow_pickle=False)
+    return buffer.getvalue()[: -record.nbytes]
 
 
 class Template:

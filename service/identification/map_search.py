@@ -55,13 +55,12 @@ def noise(points: Floats, shape: Shape, top: float, rich: Floats | None = None) 
     return float(kernel.noise(points, shape.to_array(), top, _known(rich)))
 
 
-def variety(sides: Floats, points: Floats, lag: float = 0.0) -> Variety:
+def variety(shared: float, points: Floats, lag: float = 0.0) -> Variety:
     """What the memory can tell apart, behind lags of ``lag`` s in all.
 
-    ``sides`` (N, 2): samples with U falling and rising, cell by cell.
+    ``shared`` is the share of the samples where U came from either side, see :mod:`kernels.held`.
     """
     weight = points[:, WEIGHT] / points[:, WEIGHT].sum()
-    shared = sides.min(axis=1).sum() / sides.sum()
     T = points[:, MEAN_T]
     return Variety(
         least_play=max(LEAST_PLAY, LAG_DOUBT * lag) if shared > LEAST_SHARE else math.inf,

@@ -75,17 +75,15 @@ def grid_of_rows(X: Floats) -> Grid:
             share = (X[:, column] - low[column]) / (high[column] - low[column])
         where[axis] = np.where(usable, share * steps[axis], np.nan)
     a, b = where
-    nodes, weights = np.zeros((NODES_A * NODES_B, n)), np.zeros(NODES_A * NODES_B)
     i = np.minimum(a[usable].astype(np.int64), NODES_A - 2)
     j = np.minimum(b[usable].astype(np.int64), NODES_B - 2)
     p, q = a[usable] - i, b[usable] - j
-    for up, right, share in (
-        (0, 0, (1 - p) * (1 - q)),
-        (0, 1, (1 - p) * q),
-        (1, 0, p * (1 - q)),
-        (1, 1, p * q),
-    ):
-        k = (i + up) * NODES_B + j + right
-        np.add.at(nodes, k, share[:, None] * X[usable])
-        np.add.at(weights, k, share)
-    return Grid(a, b, nodes / np.maximum(weights, 1e-9)[:, None])
+    k = i * NODES_B + j
+    corners = np.concatenate((k, k + 1, k + NODES_B, k + NODES_B + 1))
+    shares = np.concatenate(((1 - p) * (1 - q), (1 - p) * q, p * (1 - q), p * q))
+
+    def at_nodes(values: Floats) -> Floats:
+        return np.bincount(corners, values, NODES_A * NODES_B).astype(np.float64, copy=False)
+
+    sums = [at_nodes(shares * np.tile(column, 4)) for column in X[usable].T]
+    return Grid(a, b, np.stack(sums, axis=1) / np.maximum(at_nodes(shares), 1e-9)[:, None])

@@ -21,7 +21,6 @@ from service.opcua.information_model import (
 from service.opcua.result_values import (
     Column,
     Shown,
-    alarm_values,
     baseline_values,
     discovery_values,
     estimator_own_words,
@@ -47,7 +46,6 @@ class ChangedResults:
         self._counts = np.full((valves, counters), -1, np.int64)
         self._counted = np.zeros((valves, counters), np.int64)  # when it last grew, UTC ns
         self._told: dict[tuple[int, str], tuple[Any, ...]] = {}
-        self._alarms = np.zeros(valves, np.int64)  # versions
 
     def counts(self, results: Results, due: NDArray[np.bool_], now: int) -> Iterator[Column]:
         """Counters of those valves that are due, with the time when they were first seen so."""
@@ -71,7 +69,6 @@ class ChangedResults:
         yield from self._feed_forward(results, now)
         yield from self._waiting(results, now)
         yield from self._baselines(results, now)
-        yield from self._changed_alarms(results, now)
         for name, found in results.estimators.items():
             codes = estimator_own_words(found).tolist()
             t = _times(found.t, now)
@@ -113,17 +110,6 @@ class ChangedResults:
                 for name in results.estimators:
                     good = int(ua.StatusCodes.Good)
                     yield valve, Shown(f"{name}.{BUILDS_ON}", version, good, now)
-
-    def _changed_alarms(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
-        if results.alarms is None:
-            return
-        valves, versions = results.valves, results.alarms.version
-        changed = np.flatnonzero(versions != self._alarms[valves])
-        self._alarms[valves] = versions
-        for m in changed.tolist():
-            came = (alarm for alarm in results.alarms.reports(m) if alarm.at)
-            for new in alarm_values(came, now):
-                yield int(valves[m]), new
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Whether it is another thing, or one of the facts is another than last time."""

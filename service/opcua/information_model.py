@@ -37,7 +37,7 @@ DIAGNOSTICS = "Diagnostics"
 LAG_U, LAG_Q = "LagU", "LagQ"
 PARAMETERS = "Parameters"
 FRAME, FRAME_NAMES = "Frame", "FrameNames"
-SERVICE, SIGNALS, ALARMS = "Service", "Signals", "Alarms"
+SERVICE, SIGNALS, ALARMS, TYPES = "Service", "Signals", "Alarms", "Types"
 SAMPLE_AGE, PENDING = f"{DIAGNOSTICS}.SampleAge", f"{DIAGNOSTICS}.Pending"
 WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
@@ -86,7 +86,7 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
     ConfigurationError
         naming valve or estimator.
     """
-    _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE})
+    _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE, TYPES})
     for valve in valves:
         names = [estimator.name for estimator in valve.estimators]
         _check_unique(f"valve {valve.name}: estimator", names, _TAKEN)
@@ -345,6 +345,12 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
             "Whether somebody has acknowledged it since it came last; true before the first time.",
             ua.VariantType.Boolean,
         ),
+        VariableNode(
+            f"{prefix}.Confirmed",
+            "Whether it needs no confirming: false from when it was acknowledged until somebody "
+            "says that it was dealt with.",
+            ua.VariantType.Boolean,
+        ),
     )
 
 
@@ -509,7 +515,7 @@ def counter_name(counter: str) -> str:
 
 def counter_variable(valve: str, counter: str) -> VariableNode:
     """One counter of a valve."""
-    meaning = _COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
+    meaning = COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
     return VariableNode(
         f"{valve}.{counter_name(counter)}",
         f"{meaning} Counted since the service started.",
@@ -636,7 +642,7 @@ def _check_unique(what: str, names: Sequence[str], taken: set[str]) -> None:
             raise ConfigurationError(f"{what} '{name}': the name is taken")
 
 
-_COUNTERS = {
+COUNTERS = {
     "aligned": "Samples whose signals found together.",
     "late": "Signals that came after their sample had been given up.",
     "missing": "Samples given up because a signal did not come.",

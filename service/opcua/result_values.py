@@ -154,6 +154,7 @@ def alarm_values(alarms: Iterable[AlarmReport], now: int) -> Iterator[Shown]:
         yield Shown(f"{prefix}.Since", since, good if since else int(_Codes.BadNoData), t)
         yield Shown(f"{prefix}.Text", alarm.text, good, t)
         yield Shown(f"{prefix}.Acked", alarm.acked, good, t)
+        yield Shown(f"{prefix}.Confirmed", alarm.confirmed, good, t)
 
 
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:

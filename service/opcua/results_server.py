@@ -12,6 +12,7 @@ from service.errors import CommandRejected
 from service.hardened import (
     Argument,
     Clock,
+    Declarations,
     HardenedServer,
     OutOfRange,
     Role,
@@ -71,17 +72,17 @@ from service.opcua.information_model import (
     waiting_variable,
 )
 from service.opcua.past import ResultsPast, has_past
+from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
+from service.opcua.result_types import ESTIMATOR, VALVE, add_types, type_of
 from service.opcua.result_values import (
     Column,
     Shown,
-    alarm_values,
     baseline_values,
     columns_of,
     service_values,
 )
-from service.streaming.alarm_words import ALARM_DESCRIPTIONS
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     AlarmReport,
@@ -100,8 +101,8 @@ _PARTS = {
     f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
     f"{SERVICE}.Source": "What came from the source since the service started.",
 }
-_AddPart = Callable[[HardenedServer, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
-MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
+_AddPart = Callable[["_Place", ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+_Place = HardenedServer | Declarations
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -166,6 +167,7 @@ class ResultsServer(Startable):
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
         self._blocks: ResultBlocks
+        self._alarms: ResultAlarms
         self._service_alarms: tuple[AlarmReport, ...] = ()
 
     @property
@@ -190,12 +192,32 @@ class ResultsServer(Startable):
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
         self._blocks = ResultBlocks(server, self._valves, self._clock.now())
+        self._alarms = ResultAlarms(
+            server,
+            self._valves,
+            self._operator,
+            self._clock,
+            partial(self._show, server),
+            self._note,
+        )
+        server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
         with many_nodes():
+            await add_types(
+                server,
+                self._add_frame,
+                self._add_estimator,
+                self._declare_alarm,
+                self._parts(),
+            )
+            kind = type_of(server, VALVE)
             for number, valve in enumerate(self._valves):
                 words = f"The valve {valve.name} and what is known of it."
-                folder = await add_object(server, root, valve.name, description=words)
+                folder = await add_object(
+                    server, root, valve.name, description=words, type_definition=kind
+                )
+                server.let_emit(folder)
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
         await server.start()
@@ -224,6 +246,7 @@ class ResultsServer(Startable):
         self._blocks.write(valves[due], (*columns, *self._changed.counts(results, due, now)))
         for valve, new in self._changed.values(results, now):
             self._show(self._server, self._valves[valve].name, new)
+        self._alarms.publish(results, now)
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""
@@ -244,10 +267,9 @@ class ResultsServer(Startable):
         )
         if health.alarms != self._service_alarms:
             self._service_alarms = tuple(health.alarms)
-            for new in alarm_values(health.alarms, now):
-                self._show(self._server, SERVICE, new)
+            self._alarms.take(SERVICE, health.alarms, now)
 
-    def _show(self, server: HardenedServer, valve: str, new: Shown) -> None:
+    def _show(self, server: _Place, valve: str, new: Shown) -> None:
         """Write a variable, or keep what is new of it until it has a node."""
         id_ = f"{valve}.{new.name}"
         variable = self._variables.get(id_)
@@ -268,20 +290,31 @@ class ResultsServer(Startable):
     async def _add_valve(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
         """Add what is below a valve's folder; what is in folders there is added later still."""
         valve = self._valves[number]
-        of_frame, of_names = frame_variables(valve)
-        await self._add_variable(server, folder, of_names, frame_names(valve))
-        await self._add_variable(server, folder, of_frame, None)
+        server.refer_to_conditions(folder, self._alarms.keys(valve.name))
+        await self._add_frame(server, folder, valve)
         add_part = partial(self._add_part, server, folder, valve)
         for estimator in valve.estimators:
             add_estimator = partial(self._add_estimator, estimator)
-            await add_part(estimator.name, estimator.description, add_estimator)
-        await add_part(SIGNALS, "The newest sample.", self._add_signals)
-        await add_part(INVERSE, "The control voltage that a flow demands.", self._add_inverse)
-        await add_part(BASELINE, "The map that was approved as new.", self._add_baseline)
+            kind = type_of(server, ESTIMATOR)
+            await add_part(estimator.name, estimator.description, add_estimator, kind)
+        for name, (words, add) in self._parts().items():
+            await add_part(name, words, add, type_of(server, name) if name != ALARMS else None)
+
+    def _parts(self) -> dict[str, tuple[str, _AddPart]]:
+        """What every valve has: what it is, and what adds what is in it."""
         words = "What became of the valve's data on their way into the model."
-        await add_part(DIAGNOSTICS, words, self._add_diagnostics)
-        words = "What needs somebody's attention."
-        await add_part(ALARMS, words, self._add_alarms)
+        return {
+            SIGNALS: ("The newest sample.", self._add_signals),
+            INVERSE: ("The control voltage that a flow demands.", self._add_inverse),
+            BASELINE: ("The map that was approved as new.", self._add_baseline),
+            DIAGNOSTICS: (words, self._add_diagnostics),
+            ALARMS: ("What needs somebody's attention.", self._add_alarms_of),
+        }
+
+    async def _add_frame(self, server: _Place, folder: ua.NodeId, valve: ValveDescription) -> None:
+        of_frame, of_names = frame_variables(valve)
+        await self._add_variable(server, folder, of_names, frame_names(valve))
+        await self._add_variable(server, folder, of_frame, None)
 
     async def _add_part(
         self,
@@ -291,18 +324,25 @@ class ResultsServer(Startable):
         name: str,
         description: str,
         add: _AddPart,
+        kind: ua.NodeId | None,
     ) -> None:
-        part = await add_object(server, folder, f"{valve.name}.{name}", description=description)
+        part = await add_object(
+            server,
+            folder,
+            f"{valve.name}.{name}",
+            description=description,
+            type_definition=kind,
+        )
         server.add_later(part, partial(add, server, part, valve))
 
     async def _add_signals(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node in signal_variables(valve):
             await self._add_variable(server, parent, node, None)
 
     async def _add_diagnostics(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node, middles in zip(survey_axes(valve), axes(max(valve.dp_range)), strict=True):
             await self._add_variable(server, parent, node, middles.tolist())
@@ -316,50 +356,26 @@ class ResultsServer(Startable):
         for node in health_variables(valve.name):
             await self._add_variable(server, parent, node, None)
 
-    async def _add_alarms(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
-    ) -> None:
-        await self._add_alarms_of(server, parent, valve.name)
-
     async def _add_alarms_of(
-        self, server: HardenedServer, parent: ua.NodeId, valve: str | None
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription | None
     ) -> None:
-        owner = SERVICE if valve is None else valve
-        reports = self._operator.alarms(valve)
-        now = {new.name: new for new in alarm_values(reports, self._clock.now())}
-        for alarm in reports:
-            prefix = f"{owner}.{ALARMS}.{alarm.name}"
-            each = await add_object(
-                server, parent, prefix, description=ALARM_DESCRIPTIONS[alarm.name]
-            )
-            for node in alarm_variables(prefix):
-                new = now[node.id.partition(".")[2]]
-                self._not_shown.setdefault(node.id, new)
-                await self._add_variable(server, each, node, None)
-            await add_method(
-                server,
-                each,
-                f"{prefix}.Acknowledge",
-                partial(self._acknowledge, valve, alarm.name),
-                inputs=(Argument("Comment", "What was done about it", type=ua.VariantType.String),),
-                required=Role.OPERATOR,
-                description="Say that the alarm was seen. A change of the valve goes with it.",
-            )
+        async def add(parent: ua.NodeId, node: VariableNode, now: Shown) -> None:
+            self._not_shown.setdefault(node.id, now)
+            await self._add_variable(server, parent, node, None)
 
-    def _acknowledge(self, valve: str | None, alarm: str, comment: str) -> None:
-        now = self._clock.now()
-        _refusing(self._operator.acknowledge)(valve, alarm, now)
-        if self._server is not None:
-            for new in alarm_values(self._operator.alarms(valve), now):
-                if new.name.startswith(f"{ALARMS}.{alarm}."):
-                    self._show(self._server, SERVICE if valve is None else valve, new)
-        if valve is not None:
-            self._note(valve, f"{ALARMS}.{alarm} Acknowledge {comment[:MOST_OF_A_COMMENT]!r}")
+        await self._alarms.add(parent, None if valve is None else valve.name, add)
+
+    async def _declare_alarm(self, server: _Place, own: ua.NodeId) -> None:
+        for node in alarm_variables(str(own.Identifier)):
+            await self._add_variable(server, own, node, None)
+        await self._alarms.declare(server, own)
 
     async def _add_service(self, server: HardenedServer, root: ua.NodeId) -> None:
         folder = await add_object(
             server, root, SERVICE, description="How the service itself stands."
         )
+        server.let_emit(folder)
+        server.refer_to_conditions(folder, self._alarms.keys(None))
         for part, variables in service_variables().items():
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
@@ -382,7 +398,7 @@ class ResultsServer(Startable):
     async def _add_estimator(
         self,
         estimator: EstimatorDescription,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         valve: ValveDescription,
     ) -> None:
@@ -449,7 +465,7 @@ class ResultsServer(Startable):
         )
 
     async def _add_inverse(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         prefix = f"{valve.name}.{INVERSE}"
         start: dict[str, Any] = {
@@ -496,7 +512,7 @@ class ResultsServer(Startable):
         )
 
     async def _add_baseline(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
+        self, server: _Place, parent: ua.NodeId, valve: ValveDescription
     ) -> None:
         for node in baseline_variables(valve.name):
             empty = "" if node.kind == ua.VariantType.String else None
@@ -532,9 +548,7 @@ class ResultsServer(Startable):
             "on measurements.",
         )
 
-    async def _add_map(
-        self, server: HardenedServer, parent: ua.NodeId, valve: ValveDescription
-    ) -> None:
+    async def _add_map(self, server: _Place, parent: ua.NodeId, valve: ValveDescription) -> None:
         """Add the map, and make it an ImageItemType: SCADA clients draw it without our help."""
         variable = await self._add_variable(
             server, parent, map_variable(valve), None, type_definition=_IMAGE_ITEM_TYPE
@@ -555,7 +569,7 @@ class ResultsServer(Startable):
 
     async def _add_variable(
         self,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         node: VariableNode,
         value: Any,  # noqa: ANN401 - as the variable's type says
@@ -641,7 +655,7 @@ class ResultsServer(Startable):
 
     async def _add_command(
         self,
-        server: HardenedServer,
+        server: _Place,
         parent: ua.NodeId,
         prefix: str,
         name: str,

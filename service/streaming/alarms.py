@@ -22,7 +22,7 @@ and Extrapolated are judged at the end of each batch, all others sample by sampl
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from service.identification.adaptation import Adaptation
 from service.identification.estimator import State, StateMismatchError
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
-from service.streaming.alarm_words import Measured, text_of
+from service.streaming.alarm_states import AlarmRule, AlarmStates
 from service.streaming.kernels import alarms as kernel
-from service.streaming.kernels.alarms import Conditions, Flags, Senses, Watched
-from service.streaming.ports import AlarmReport
+from service.streaming.kernels.alarms import Flags, Senses, Watched
+from service.streaming.ports import AlarmReport, Remark
 
 LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
 ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
@@ -81,26 +81,6 @@ ALARM_NAMES = tuple(alarm.title for alarm in Alarm)
 SERVICE_ALARM_NAMES = tuple(alarm.title for alarm in ServiceAlarm)
 
 
-@dataclass(frozen=True)
-class AlarmRule:
-    """When an alarm comes and goes.
-
-    Attributes
-    ----------
-    limit, hysteresis : float
-        It comes above the limit and goes below the limit less the hysteresis.
-    delay_s : float
-        For so long the limit must be exceeded.
-    severity : int
-        1 … 1,000 (Part 5, 6.4.2).
-    """
-
-    limit: float
-    hysteresis: float
-    delay_s: float
-    severity: int
-
-
 RULES: Mapping[Alarm, AlarmRule] = {
     Alarm.CHANGED: AlarmRule(limit=0.25, hysteresis=0.0, delay_s=0.0, severity=600),
     Alarm.RESIDUAL: AlarmRule(limit=2.5, hysteresis=0.8, delay_s=2.0, severity=500),
@@ -133,6 +113,8 @@ class _KeptOfService(State):
     causes: Any
     came: Any
     version: Any
+    confirmed: Any
+    remarks: Any
 
 
 @dataclass(frozen=True)
@@ -173,10 +155,11 @@ class Alarms:
     """
 
     def __init__(self, M: int, rules: Mapping[Alarm, AlarmRule], Q_span: float) -> None:
-        self._rules = [rules[alarm] for alarm in Alarm]
-        self._limits = _limits(self._rules)
+        by_number = [rules[alarm] for alarm in Alarm]
+        self._limits = _limits(by_number)
         self._Q_span = Q_span
-        self._conditions = _nothing_wrong(M, len(Alarm))
+        self._states = AlarmStates(M, ALARM_NAMES, by_number)
+        self._conditions = self._states.conditions
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
 
@@ -282,19 +265,23 @@ class Alarms:
         began = np.where(usable == kernel.NEVER, now, began)
         self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
 
-    def acknowledge(self, m: int, alarm: Alarm, now: int) -> bool:
+    def acknowledge(self, m: int, alarm: Alarm, remark: Remark) -> bool:
         """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
-        conditions = self._conditions
-        if conditions.acked[m, alarm]:
-            return False
-        conditions.acked[m, alarm] = True
-        conditions.at[m, alarm] = now
-        conditions.version[m] += 1
-        if alarm is Alarm.CHANGED:
+        taken = self._states.acknowledge(m, alarm, remark)
+        if taken and alarm is Alarm.CHANGED:
+            conditions = self._conditions
             seen = conditions.detail[m, alarm, 1]
             self._senses.memory[m, kernel.CHANGES_SEEN] = seen
             conditions.active[m, alarm], conditions.over[m, alarm] = False, 0
-        return True
+        return taken
+
+    def confirm(self, m: int, alarm: Alarm, remark: Remark) -> bool:
+        """Note that it was dealt with; False if there was nothing to confirm."""
+        return self._states.confirm(m, alarm, remark)
+
+    def remark(self, m: int, alarm: Alarm, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        self._states.remark(m, alarm, remark)
 
     def was_away(self) -> None:
         """Take up that nobody listened: silence until now is no loss, and no standstill."""
@@ -316,14 +303,13 @@ class Alarms:
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
         """How every alarm of one valve stands, in words."""
-        return _reports(ALARM_NAMES, self._rules, self._conditions, m)
+        return self._states.reports(m)
 
     def to_bytes(self, m: int) -> bytes:
         """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
-        arrays = {**self._conditions._asdict(), **self._senses._asdict()}
-        kept = {name: array[m].copy() for name, array in arrays.items()}
+        kept = {name: array[m].copy() for name, array in self._arrays().items()}
         kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
-        return _Kept(**kept).to_bytes(_KEY)
+        return _Kept(**kept, remarks=self._states.remarks_to_bytes(m)).to_bytes(_KEY)
 
     def from_bytes(self, m: int, data: bytes) -> None:
         """Unpack it.
@@ -334,18 +320,21 @@ class Alarms:
             if the bytes are damaged, or of other alarms than there are today.
         """
         kept = _Kept.from_bytes(data, _KEY)
-        arrays = {**self._conditions._asdict(), **self._senses._asdict()}
+        arrays = self._arrays()
         for name, array in arrays.items():
             new = getattr(kept, name)
             if new.shape != array[m].shape or new.dtype != array.dtype:
                 raise StateMismatchError(f"alarms are kept in another way today: {name}")
-        for f in fields(kept):
-            arrays[f.name][m] = getattr(kept, f.name)
+        self._states.remarks_from_bytes(m, kept.remarks)
+        for name, array in arrays.items():
+            array[m] = getattr(kept, name)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All that the alarms are and rest on, each (M, …): the arrays themselves."""
-        own = {**self._conditions._asdict(), **self._senses._asdict()}
-        return {**own, "patient": self._patient}
+        return {**self._arrays(), "patient": self._patient}
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {**self._states.arrays(), **self._senses._asdict()}
 
     def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
         t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)
@@ -360,12 +349,13 @@ class ServiceAlarms:
     """The alarms of the service itself."""
 
     def __init__(self, rules: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES) -> None:
-        self._rules = [rules[alarm] for alarm in ServiceAlarm]
-        self._limits = _limits(self._rules)
+        by_number = [rules[alarm] for alarm in ServiceAlarm]
+        self._limits = _limits(by_number)
         falls = self._limits[ServiceAlarm.CERTIFICATE]
         hysteresis = falls[0] - falls[1]
         falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # it comes when too few are left
-        self._conditions = _nothing_wrong(1, len(ServiceAlarm))
+        self._states = AlarmStates(1, SERVICE_ALARM_NAMES, by_number)
+        self._conditions = self._states.conditions
 
     @property
     def version(self) -> int:
@@ -384,23 +374,27 @@ class ServiceAlarms:
                 one, t, t, np.array([x], np.float64), int(alarm), self._limits, self._conditions
             )
 
-    def acknowledge(self, alarm: ServiceAlarm, now: int) -> bool:
+    def acknowledge(self, alarm: ServiceAlarm, remark: Remark) -> bool:
         """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
-        conditions = self._conditions
-        if conditions.acked[0, alarm]:
-            return False
-        conditions.acked[0, alarm], conditions.at[0, alarm] = True, now
-        conditions.version[0] += 1
-        return True
+        return self._states.acknowledge(0, alarm, remark)
+
+    def confirm(self, alarm: ServiceAlarm, remark: Remark) -> bool:
+        """Note that it was dealt with; False if there was nothing to confirm."""
+        return self._states.confirm(0, alarm, remark)
+
+    def remark(self, alarm: ServiceAlarm, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        self._states.remark(0, alarm, remark)
 
     def reports(self) -> tuple[AlarmReport, ...]:
         """How every alarm stands, in words."""
-        return _reports(SERVICE_ALARM_NAMES, self._rules, self._conditions, 0)
+        return self._states.reports(0)
 
     def to_bytes(self) -> bytes:
         """Pack them."""
-        kept = {name: array[0] for name, array in self._conditions._asdict().items()}
-        return _KeptOfService(**kept).to_bytes(_KEY_OF_SERVICE)
+        kept = {name: array[0] for name, array in self._states.arrays().items()}
+        remarks = self._states.remarks_to_bytes(0)
+        return _KeptOfService(**kept, remarks=remarks).to_bytes(_KEY_OF_SERVICE)
 
     def from_bytes(self, data: bytes) -> None:
         """Unpack them.
@@ -410,32 +404,18 @@ class ServiceAlarms:
         StateMismatchError
         """
         kept = _KeptOfService.from_bytes(data, _KEY_OF_SERVICE)
-        for name, array in self._conditions._asdict().items():
+        self._states.remarks_from_bytes(0, kept.remarks)
+        for name, array in self._states.arrays().items():
             array[0] = getattr(kept, name)
 
 
 _LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
-_KEY = f"alarms 1: {' '.join(ALARM_NAMES)}"
-_KEY_OF_SERVICE = f"alarms 1: {' '.join(SERVICE_ALARM_NAMES)}"
+_KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"
+_KEY_OF_SERVICE = f"alarms 2: {' '.join(SERVICE_ALARM_NAMES)}"
 
 
 def _limits(rules: list[AlarmRule]) -> Floats:
     return np.array([(r.limit, r.limit - r.hysteresis, 1e9 * r.delay_s) for r in rules])
-
-
-def _nothing_wrong(M: int, A: int) -> Conditions:
-    return Conditions(
-        over=np.zeros((M, A), np.int64),
-        since=np.zeros((M, A), np.int64),
-        at=np.zeros((M, A), np.int64),
-        active=np.zeros((M, A), np.bool_),
-        acked=np.ones((M, A), np.bool_),
-        value=np.zeros((M, A)),
-        detail=np.zeros((M, A, 2)),
-        causes=np.zeros((M, A, 3), np.uint8),
-        came=np.zeros((M, A), np.int64),
-        version=np.zeros(M, np.int64),
-    )
 
 
 def _nothing_seen(M: int) -> Senses:
@@ -456,31 +436,4 @@ def _nothing_seen(M: int) -> Senses:
         sums=np.zeros((M, sums, sums)),
         memory=memory,
         times=np.full((M, kernel.TIMES), kernel.NEVER),
-    )
-
-
-def _reports(
-    names: tuple[str, ...], rules: list[AlarmRule], conditions: Conditions, m: int
-) -> tuple[AlarmReport, ...]:
-    return tuple(
-        AlarmReport(
-            name=name,
-            active=bool(conditions.active[m, a]),
-            acked=bool(conditions.acked[m, a]),
-            severity=rule.severity,
-            since=int(conditions.since[m, a]),
-            at=int(conditions.at[m, a]),
-            count=int(conditions.came[m, a]),
-            text=text_of(
-                name,
-                Measured(
-                    value=float(conditions.value[m, a]),
-                    limit=rule.limit,
-                    detail=float(conditions.detail[m, a, 0]),
-                    causes=tuple(conditions.causes[m, a].tolist()),
-                    since=int(conditions.since[m, a]),
-                ),
-            ),
-        )
-        for a, (name, rule) in enumerate(zip(names, rules, strict=True))
     )

@@ -31,12 +31,12 @@ from service.identification.samples import (
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.identification.survey import Survey
 from service.streaming import pipeline
+from service.streaming.alarm_states import AlarmRule
 from service.streaming.alarms import (
     ALARM_NAMES,
     SERVICE_ALARM_NAMES,
     SERVICE_RULES,
     Alarm,
-    AlarmRule,
     ServiceAlarm,
     ServiceAlarms,
 )
@@ -65,6 +65,7 @@ from service.streaming.ports import (
     EstimatorDescription,
     EstimatorResults,
     InverseResults,
+    Remark,
     Results,
     SignalResults,
     ValveDescription,
@@ -131,6 +132,8 @@ class Identification:
             {name: key_of(estimator) for name, estimator in fleet.plan.estimators.items()}
             for fleet in self._fleets
         ]
+        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # a valve's fleet, T, numbers
+        self._timing_keys: dict[int, str] = {}  # both made when first asked for: 0.5 ms each
         self._alignment = alignment
         self._waiting = alignment.initial_state()
         self._finds_timing = timing is not None
@@ -578,17 +581,42 @@ class Identification:
             raise CommandRejected(f"{valve} has no baseline: Baseline.Approve makes one")
         return found
 
-    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
         """Note that somebody has seen an alarm, of a valve or (None) of the service."""
         if valve is None:
-            taken = self._service_alarms.acknowledge(
-                ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm)), now
-            )
+            taken = self._service_alarms.acknowledge(_of_service(alarm), remark)
         else:
             fleet, m = self._at(self._numbers[valve])
-            taken = fleet.alarms.acknowledge(m, Alarm(ALARM_NAMES.index(alarm)), now)
+            taken = fleet.alarms.acknowledge(m, _of_valve(alarm), remark)
         if not taken:
             raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
+
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that an alarm that was acknowledged was dealt with."""
+        if valve is None:
+            taken = self._service_alarms.confirm(_of_service(alarm), remark)
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            taken = fleet.alarms.confirm(m, _of_valve(alarm), remark)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to confirm")
+
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        if valve is None:
+            self._service_alarms.remark(_of_service(alarm), remark)
+        else:
+            fleet, m = self._at(self._numbers[valve])
+            fleet.alarms.remark(m, _of_valve(alarm), remark)
+
+    def alarmed(self) -> list[str]:
+        """The valves of which any alarm ever came."""
+        versions = [fleet.alarms.version for fleet in self._fleets]
+        return [
+            plan.name
+            for valve, plan in enumerate(self.plans)
+            if versions[self._fleet_of[valve]][self._member_of[valve]]
+        ]
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
         """How all alarms of a valve, or (None) of the service, stand."""
@@ -647,54 +675,67 @@ class Identification:
         """Publish from now on that a valve's feed-forward stands so."""
         self._feed_forward[valve] = status
 
+    def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that is kept of some valves, or of all: `checkpoints` and `memories`."""
+        estimators, beside = [], []
+        for valve in self._chosen(valves):
+            state = self._as_kept(valve)
+            estimators += self._checkpoints_of(valve, state)
+            beside += self._memories_of(valve, state)
+        return [*estimators, *beside, *self._kept_of_service()]
+
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
         """Every estimator's state as bytes, of some valves or of all."""
-        chosen = range(len(self.plans)) if valves is None else valves
+        chosen = self._chosen(valves)
+        return [c for valve in chosen for c in self._checkpoints_of(valve, self._as_kept(valve))]
+
+    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that some valves, or all, remember beside their estimators' states."""
+        chosen = self._chosen(valves)
+        found = [c for valve in chosen for c in self._memories_of(valve, self._as_kept(valve))]
+        return found + self._kept_of_service()
+
+    def _chosen(self, valves: Iterable[int] | None) -> Iterable[int]:
+        return range(len(self.plans)) if valves is None else valves
+
+    def _as_kept(self, valve: int) -> ValveState:
+        fleet, m = self._at(valve)
+        return fleet.state(m)  # what sensors may be off by is not kept
+
+    def _checkpoints_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
+        keys = self._keys[self._fleet_of[valve]]
         return [
             Checkpoint(
                 valve=self.plans[valve].name,
                 estimator=name,
-                key=self._keys[self._fleet_of[valve]][name],
+                key=keys[name],
                 t=lane.t,
-                state=pipeline.lane_to_bytes(lane, self._keys[self._fleet_of[valve]][name]),
+                state=pipeline.lane_to_bytes(lane, keys[name]),
                 lam=lane.lam,
                 frozen=lane.frozen,
             )
-            for valve in chosen
-            for name, lane in self.state(valve).lanes.items()
+            for name, lane in state.lanes.items()
         ]
 
-    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that some valves, or all, remember beside their estimators' states."""
-        chosen = range(len(self.plans)) if valves is None else valves
-        kept = []
-        for valve in chosen:
-            fleet, m = self._at(valve)
-            state = fleet.state(m)
-            memory = ValveMemory.of(
-                state, self._alignment.of(self._waiting, valve), dict(fleet.beyond(m))
-            )
-            key = self._memory_key(valve)
-            kept.append(
-                Checkpoint(
-                    valve=self.plans[valve].name,
-                    estimator=MEMORY,
-                    key=key,
-                    t=state.t,
-                    state=memory.to_bytes(key),
-                    lam=None,
-                    frozen=False,
-                )
-            )
-            kept.append(self._alarms_of(valve, state.t))
-            if self._finds_timing:
-                kept.append(self._timing_of(valve, state.t))
-            if self._approved[valve]:
-                kept.append(self._baseline_of(valve))
-        if self._service_alarms.version:
-            packed, name = self._service_alarms.to_bytes(), OF_SERVICE
-            kept.append(Checkpoint(name, ALARMS, "", 0, packed, lam=None, frozen=False))
-        return kept
+    def _memories_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
+        fleet, m = self._at(valve)
+        waiting = self._alignment.of(self._waiting, valve)
+        memory = ValveMemory.of(state, waiting, dict(fleet.beyond(m)))
+        key, name = self._memory_key(valve), self.plans[valve].name
+        packed = memory.to_bytes(key)
+        found = [Checkpoint(name, MEMORY, key, state.t, packed, lam=None, frozen=False)]
+        found.append(self._alarms_of(valve, state.t))
+        if self._finds_timing:
+            found.append(self._timing_of(valve, state.t))
+        if self._approved[valve]:
+            found.append(self._baseline_of(valve))
+        return found
+
+    def _kept_of_service(self) -> list[Checkpoint]:
+        if not self._service_alarms.version:
+            return []
+        packed = self._service_alarms.to_bytes()
+        return [Checkpoint(OF_SERVICE, ALARMS, "", 0, packed, lam=None, frozen=False)]
 
     def _alarms_of(self, valve: int, t: int) -> Checkpoint:
         fleet, m = self._at(valve)
@@ -730,9 +771,16 @@ class Identification:
         return Checkpoint(self.plans[valve].name, TIMING, key, t, packed, lam=None, frozen=False)
 
     def _timing_key(self, valve: int) -> str:
-        alignment, nodes = self._alignment, self.plans[valve].nodes
+        if valve not in self._timing_keys:
+            settings, nodes = self._timing.settings, self.plans[valve].nodes
+            self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
+        return self._timing_keys[valve]
+
+    def _has(self, valve: int) -> tuple[bool, bool]:
+        """Whether a valve has a temperature, and running numbers."""
+        alignment = self._alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return key_of(_Comes(self._timing.settings, nodes, alignment.has_T[valve], numbered))
+        return alignment.has_T[valve], numbered
 
     def _time_as_before(self, kept: Checkpoint) -> None:
         number = self._number(kept)
@@ -741,9 +789,11 @@ class Identification:
         self._timing.put(number, TimingState.from_bytes(kept.state, self._timing_key(number)))
 
     def _memory_key(self, valve: int) -> str:
-        alignment, plan = self._alignment, self.plans[valve]
-        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
-        return key_of(_Through(plan.gate, alignment.settings, alignment.has_T[valve], numbered))
+        kind = int(self._fleet_of[valve]), *self._has(valve)
+        if kind not in self._memory_keys:
+            gate, settings = self.plans[valve].gate, self._alignment.settings
+            self._memory_keys[kind] = key_of(_Through(gate, settings, *self._has(valve)))
+        return self._memory_keys[kind]
 
     def _remember(self, kept: Checkpoint) -> None:
         number = self._number(kept)
@@ -879,6 +929,14 @@ class Identification:
     def _put(self, valve: str, estimator: str, lane: Lane) -> None:
         fleet, m = self._at(self._numbers[valve])
         fleet.put(m, estimator, lane)
+
+
+def _of_valve(alarm: str) -> Alarm:
+    return Alarm(ALARM_NAMES.index(alarm))
+
+
+def _of_service(alarm: str) -> ServiceAlarm:
+    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))
 
 
 def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:

@@ -38,13 +38,19 @@ from service.streaming.ports import (
 VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
-PACKED_AT_ONCE = 16  # valves, at 3 ms each, before samples that have come are taken in
+PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
+LEARN_S = 0.05  # of learning at once: what has gathered for long is learnt in pieces
+FEWEST_AT_ONCE = 600  # changes, 100 samples, 0.1 s where Auto fits all: less costs more for each
+FIRST_AT_ONCE = 3_000  # changes, before it is known how long they take
+QUICKER = 0.05  # of a pace that is quicker is believed with each piece: fits come all at once
+LAST_S = 0.3  # an end may go on learning what has come
 KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
-KEPT_PER_S = 20  # valves whose states are packed in a second, at 2 ms each, unless more are due
+KEPT_PER_S = 20  # valves whose states are kept in a second, 3 MB, unless more are due
 MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 DAY_NS = 86_400_000_000_000
+FAREWELL_S = 4.2  # longest that an end takes from when it is asked for: some want it within 5
 NAMED = 8  # valves and estimators in one line, until the rest are counted
 FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
@@ -118,6 +124,8 @@ class LiveService:
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
         self._worked_s, self._worked_since = 0.0, now
+        self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # that are learnt
+        self._end_by = math.inf
         self._kept_at = math.nan
         self._failures = 0
         self._refused = 0
@@ -160,9 +168,11 @@ class LiveService:
         self._refused = len({*refused, *self._store.damaged})
         self._lost[:] = True  # nothing is known of the present
         if self._store.damaged:
-            log.warning("states damaged, those before them taken", estimators=self._store.damaged)
+            log.warning(
+                "states damaged, those before them taken", estimators=_named(self._store.damaged)
+            )
         if restored:
-            log.info("states restored", estimators=restored)
+            log.info("states restored", estimators=_named(restored))
         if refused:
             log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._unpublished = dict.fromkeys(range(len(self._lost)))
@@ -180,13 +190,41 @@ class LiveService:
             await self._use(self.identification.begin_source_anew(own), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
-        """Identify, publish, feed forward."""
+        """Identify, publish, feed forward; what is much, in pieces: others are served between."""
         own = self._own(valves)
         self._connected[own] = True
+        rest = changes
+        while len(rest):
+            began = self._clock.monotonic()
+            if began > self._end_by - FAREWELL_S + LAST_S:
+                return  # nor is it noted as taken: the source is asked for it again
+            some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
+            piece, rest = rest[:some], rest[some:]
+            samples = self.identification.take(piece)
+            took_s = self._clock.monotonic() - began
+            self._note_pace(len(piece), took_s)
+            if took_s > LEARN_S / 2.0:
+                await asyncio.sleep(0.0)
+            await self._use(samples, own)
+            self._worked_s += self._clock.monotonic() - began
+            if len(rest):
+                await self._show_health(self._clock.monotonic())
+                await asyncio.sleep(0.0)
         self._mark = self._source.mark
-        began = self._clock.monotonic()
-        await self._use(self.identification.take(changes), own)
-        self._worked_s += self._clock.monotonic() - began
+
+    def _note_pace(self, changes: int, took_s: float) -> None:
+        if changes >= FEWEST_AT_ONCE and took_s > 0.0:
+            quicker = changes / took_s - self._changes_per_s
+            self._changes_per_s += quicker * (QUICKER if quicker > 0.0 else 1.0)
+
+    def end_soon(self) -> None:
+        """Have `time_left_s` run: what comes now is not learnt any more but for the first of it."""
+        self._end_by = self._clock.monotonic() + FAREWELL_S
+
+    @property
+    def time_left_s(self) -> float:
+        """How long an end may still take to keep states."""
+        return min(FAREWELL_S, max(self._end_by - self._clock.monotonic(), 0.0))
 
     def _own(self, valves: Times | None) -> Times:
         return np.arange(len(self._lost)) if valves is None else valves
@@ -352,8 +390,7 @@ class LiveService:
             await self._keeping
 
     def _states(self, valves: Iterable[int]) -> list[Checkpoint]:
-        some = list(valves)
-        return [*self.identification.checkpoints(some), *self.identification.memories(some)]
+        return self.identification.kept(valves)
 
     def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
         if mark is None:
@@ -517,9 +554,14 @@ def _by_reason(refused: Mapping[str, str]) -> str:
     lines = []
     for reason in dict.fromkeys(refused.values()):
         names = [name for name, why in refused.items() if why == reason]
-        rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        lines.append(f"{', '.join(names[:NAMED])}{rest}: {reason}")
+        lines.append(f"{_named(names)}: {reason}")
     return "; ".join(lines)
+
+
+def _named(names: Sequence[str]) -> str:
+    """The first names, and how many there are besides."""
+    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{rest}"
 
 
 async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:

@@ -23,13 +23,16 @@ from service.identification.samples import Codes, Floats, Samples, Status
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from service.identification.support import Support
 from service.identification.survey import Survey, survey
-from service.streaming.alarms import RULES, Alarm, AlarmRule
+from service.streaming.alarm_states import AlarmRule
+from service.streaming.alarms import RULES, Alarm
 from service.streaming.feedforward import FeedForward
 from service.streaming.kernels import score as of_score
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
 
 AnyEstimator = Estimator[Any]
+
+WIDEST = 1e9  # times its root mean square that an interval can be: what is off moves both
 
 _OF_CELL = [of_spread.WEIGHT, of_spread.SQUARES, of_spread.NUMBER]  # never negative, nor are …
 _OF_SCORE = [
@@ -295,7 +298,7 @@ class _Kept(State):
         return {
             "score": score,
             "cells": cells,
-            "overall": overall.within(0.0, of_spread.LARGEST, multiples),
+            "overall": overall.within(0.0, WIDEST, multiples),
             "fit": Contents(self.fit).within(0.0, where=slice(lack_of_fit.SEEN, None)),
         }
 

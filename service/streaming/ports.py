@@ -4,7 +4,7 @@ No adapter retries and none logs what it raises: it raises one of the typed erro
 :mod:`service.errors`, and the supervisor decides.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -278,7 +278,9 @@ class AlarmReport:
 
     ``since`` is when it came last, ``at`` when it last came, went or was acknowledged, both UTC ns,
     0 if it never did; ``count`` is how often it came; ``text`` says what was measured, since when,
-    and what it may be.
+    and what it may be. ``confirmed`` is False from when it was acknowledged until somebody says
+    that it was dealt with; ``limit`` is what it is judged by; ``comment`` is what was said of it
+    last, by whom, and when (UTC ns; 0: never).
     """
 
     name: str
@@ -289,6 +291,20 @@ class AlarmReport:
     at: int
     count: int
     text: str
+    confirmed: bool = True
+    limit: float = 0.0
+    comment: str = ""
+    commented_by: str = ""
+    commented: int = 0
+
+
+@dataclass(frozen=True)
+class Remark:
+    """What somebody says of an alarm when he does something about it: text, who, when (UTC ns)."""
+
+    text: str
+    by: str
+    t: int
 
 
 @dataclass(frozen=True)
@@ -511,8 +527,17 @@ class Operator(Protocol):
     def disarm(self, valve: str) -> None:
         """Write nothing to the valve any more."""
 
-    def acknowledge(self, valve: str | None, alarm: str, now: int) -> None:
-        """Note that somebody has seen an alarm, of a valve or (None) of the service; UTC ns."""
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that an alarm that was acknowledged was dealt with."""
+
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+
+    def alarmed(self) -> Iterable[str]:
+        """The valves of which any alarm ever came."""
 
     def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
         """How all alarms of a valve, or (None) of the service, stand."""

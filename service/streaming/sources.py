@@ -57,6 +57,8 @@ class Sources:
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(parts)
         self.connected = [False] * len(parts)
+        self.taken: list[Any] = [None] * len(parts)  # marks of what the consumer was given
+        self.before: dict[str | None, bytes] = {}  # positions of those that gave nothing yet
         valves = sum(len(part.valves) for part in parts)
         self._part_of = np.zeros((valves, 2), np.int64)  # part, number there
         for k, part in enumerate(parts):
@@ -65,8 +67,11 @@ class Sources:
 
     @property
     def mark(self) -> tuple[Any, ...] | None:
-        """How far the changes of each have been handed out; None: none were."""
-        marks = tuple(part.source.mark for part in self.parts)
+        """How far the changes of each were given to the consumer; None: none were.
+
+        Not what another one has handed out meanwhile, and what waits for its turn.
+        """
+        marks = tuple(self.taken)
         return None if all(mark is None for mark in marks) else marks
 
     def hold_back(self) -> None:
@@ -82,7 +87,7 @@ class Sources:
 
     def position(self, mark: tuple[Any, ...]) -> bytes:
         """As `Source.position`; of several sources by their names."""
-        kept = {
+        kept = self.before | {
             part.name: part.source.position(own)
             for part, own in zip(self.parts, mark, strict=True)
             if own is not None
@@ -100,8 +105,11 @@ class Sources:
         except (ValueError, TypeError, AttributeError):
             return False
         by_name = {part.name: part.source for part in self.parts}
-        taken = [name in by_name and by_name[name].resume_at(p) for name, p in kept.items()]
-        return all(taken)
+        taken = {
+            name: p for name, p in kept.items() if name in by_name and by_name[name].resume_at(p)
+        }
+        self.before = taken
+        return len(taken) == len(kept)
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """As `Source.write_required_U`."""
@@ -154,10 +162,17 @@ class Sources:
 
     def succeed(self, before: "Sources") -> None:
         """Take over from those of the same name when they are closed."""
-        others = {part.name: part.source for part in before.parts}
+        others = {part.name: k for k, part in enumerate(before.parts)}
         for part in self.parts:
-            if part.name in others:
-                part.source.succeed(others[part.name])
+            if part.name not in others:
+                continue
+            k = others[part.name]
+            source, mark = before.parts[k].source, before.taken[k]
+            if mark is not None:
+                self.before[part.name] = source.position(mark)
+            elif part.name in before.before:
+                self.before[part.name] = before.before[part.name]
+            part.source.succeed(source)
 
     async def close(self) -> None:
         """Disconnect from all."""
@@ -220,7 +235,9 @@ class _OfPart:
             await self._consumer.connected(source_started, self._valves)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:  # noqa: ARG002
+        mark = self._part.source.mark
         async with self._turn:
+            self._sources.taken[self._k] = mark
             await self._consumer.take(self._part.renumbered(changes), self._valves)
 
     async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002

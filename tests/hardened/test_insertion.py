@@ -77,9 +77,12 @@ async def by_asyncua(made, item):
 
 async def property_by_asyncua(made, parent, name, value, data_type=None):
     nodeid = ua.NodeId(f"{parent.Identifier}.{name}", made.namespace_index)
-    await Node(made.session, parent).add_property(
+    added = await Node(made.session, parent).add_property(
         nodeid, ua.QualifiedName(name, 0), value, datatype=data_type
     )
+    if isinstance(value, list):  # asyncua leaves it open that they have one dimension
+        rank = ua.Variant(ua.ValueRank.OneDimension, ua.VariantType.Int32)
+        await added.write_attribute(ua.AttributeIds.ValueRank, ua.DataValue(rank))
 
 
 async def test_they_have_the_same_attributes_and_references(monkeypatch):

@@ -1,5 +1,6 @@
 """What every estimator keeps to, whatever its method: the table is in conftest.py."""
 
+import io
 from dataclasses import fields, replace
 
 import numpy as np
@@ -123,6 +124,13 @@ def test_resumed_from_bytes_it_goes_on_as_if_never_interrupted(estimator):
     np.testing.assert_array_equal(trace.residual, resumed_trace.residual)
     with pytest.raises(StateMismatchError):
         type(first).from_bytes(first.to_bytes(key), "another")
+
+
+def test_its_bytes_are_what_numpy_writes(estimator):
+    state = run(estimator, valve(100))[0]
+    ours, written = state.to_bytes("key"), io.BytesIO()
+    np.save(written, np.load(io.BytesIO(ours), allow_pickle=False), allow_pickle=False)
+    assert written.getvalue() == ours
 
 
 def test_its_state_is_of_constant_size(estimator):

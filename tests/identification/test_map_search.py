@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.identification.kernels import climb as criterion
-from service.identification.kernels import map_fit
+from service.identification.kernels import held, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.cells import NODES_T
 from service.identification.map_search import (
@@ -129,13 +129,14 @@ def test_play_and_trend_are_tried_only_where_the_samples_can_tell():
 
 
 def test_what_the_samples_can_tell_is_seen_in_the_memory():
-    cells, sides = np.zeros((20, 6)), np.zeros((20, 2))
+    cells, slots = np.zeros((20, 7), np.float32), np.zeros(40, np.uint16)
     cells[:, 0], cells[:, 3] = 5.0, 40.0
-    sides[:, 0] = 5.0
-    assert variety(sides, cells) == BLIND
-    sides[:, 1] = 5.0
+    slots[::2] = 1 + np.arange(20)  # U came from above alone
+    assert variety(held.shared(slots, cells), held.points(cells)) == BLIND
+    slots[1:21:2] = slots[20::2]  # ... and from below in half of the places
+    slots[20:] = 0
     cells[::4, 3] = 50.0
-    assert variety(sides, cells) == ALL
+    assert variety(held.shared(slots, cells), held.points(cells)) == ALL
 
 
 @pytest.mark.parametrize(

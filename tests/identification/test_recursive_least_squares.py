@@ -13,6 +13,7 @@ from service.identification.forgetting import (
     Subspace,
     Variable,
 )
+from service.identification.kernels import row_layout
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -243,3 +244,15 @@ def test_many_models_are_as_sure_as_the_covariance_of_each_says(rule):
     for state, own in zip(states, std, strict=True):
         np.testing.assert_array_equal(rls.parameters(state)[1], own)
         np.testing.assert_allclose(own, np.sqrt(np.diag(rls.covariance(state))), rtol=1e-6)
+
+
+@pytest.mark.soak
+def test_a_kernel_for_so_many_terms_alone_gives_the_bits_of_the_one_for_any_number(monkeypatch):
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(3_000, 9))
+    y = X @ np.arange(9.0) + rng.normal(size=3_000)
+    own = recursive_least_squares(X, y, Exponential(0.998))
+    monkeypatch.setattr(row_layout, "_KNOWN", ())
+    common = recursive_least_squares(X, y, Exponential(0.998))
+    for name in ("theta", "theta_history", "innovations", "covariance"):
+        assert np.array_equal(getattr(own, name), getattr(common, name))

@@ -92,6 +92,7 @@ async def server():
         required=Role.OBSERVER,
     )
     made.add_history([made.flow], Remembered())
+    made.keep_conditions(Nothing())
     async with made:
         yield made
 
@@ -115,6 +116,16 @@ async def peer(server):
     await peer.activate(ua.UserNameIdentityToken("username", "operator", password, algorithm))
     yield peer
     peer.close()
+
+
+class Nothing:
+    """Fulfils ConditionKeeper: there are no conditions."""
+
+    def find(self, condition):
+        return None
+
+    def retained(self):
+        return iter(())
 
 
 class Asker:

@@ -24,6 +24,7 @@ from service.streaming.ports import (
     EstimatorResult,
     Health,
     InverseResult,
+    Remark,
     SignalResults,
     SourceCounters,
     ValveDescription,
@@ -159,10 +160,13 @@ class Operator:
     def alarms(self, valve):
         return ALARMS_OF_A_VALVE if valve else ()
 
-    def acknowledge(self, valve, alarm, now):
+    def acknowledge(self, valve, alarm, remark):
         if alarm != "Changed":
             raise CommandRejected(f"{valve}.{alarm}: there is nothing to acknowledge")
-        self.told.append(("acknowledge", valve, alarm, now))
+        self.told.append(("acknowledge", valve, alarm, remark))
+
+    def confirm(self, valve, alarm, remark):
+        self.told.append(("confirm", valve, alarm, remark))
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -659,7 +663,8 @@ async def test_operators_acknowledge_and_observers_do_not(client, observer, oper
     with pytest.raises(ua.uaerrors.BadUserAccessDenied):
         await called(observer, "Valvistor.Alarms.Changed", "Acknowledge", comment)
     await called(client, "Valvistor.Alarms.Changed", "Acknowledge", comment)
-    assert operator.told == [("acknowledge", "Valvistor", "Changed", T)]
+    said = Remark("seen", "operator", T)
+    assert operator.told == [("acknowledge", "Valvistor", "Changed", said)]
     said = (await value(observer, "Valvistor.Diagnostics.LastAction"))[0]
     assert said == "operator: Alarms.Changed Acknowledge 'seen'"
     with pytest.raises(ua.uaerrors.BadInvalidState):

@@ -10,16 +10,17 @@ from support.plant import START, as_changes, plant
 from service.errors import CommandRejected
 from service.identification.estimator import StateMismatchError
 from service.identification.samples import Quality, Samples, Segments, Status, Trace
+from service.streaming.alarm_states import AlarmRule
 from service.streaming.alarm_words import Cause
 from service.streaming.alarms import (
     ALARM_NAMES,
     RULES,
     Alarm,
-    AlarmRule,
     Alarms,
     ServiceAlarm,
     ServiceAlarms,
 )
+from service.streaming.ports import Remark
 
 S = 1_000_000_000
 HZ = 100
@@ -58,6 +59,10 @@ def active(alarms, m=0):
 
 def of(alarms, name, m=0):
     return alarms.reports(m)[ALARM_NAMES.index(name)]
+
+
+def said_at(second, text=""):
+    return Remark(text, "operator", START + second * S)
 
 
 @pytest.fixture
@@ -211,10 +216,10 @@ def test_a_change_stays_until_it_is_acknowledged_and_the_next_one_comes_anew(kno
     assert report.text.startswith("The flow changed by -4 l/min, since 2027-01-15 08:05:00 UTC.")
     found(1, -4.0)
     assert of(known, "Changed").count == 1
-    assert known.acknowledge(0, Alarm.CHANGED, START + 301 * S)
+    assert known.acknowledge(0, Alarm.CHANGED, said_at(301))
     report = of(known, "Changed")
     assert (report.active, report.acked, report.at) == (False, True, START + 301 * S)
-    assert not known.acknowledge(0, Alarm.CHANGED, START + 302 * S)
+    assert not known.acknowledge(0, Alarm.CHANGED, said_at(302))
     found(1, -4.0)
     assert not of(known, "Changed").active
     found(2, 3.0)
@@ -330,7 +335,7 @@ def test_the_service_watches_its_checkpoints_its_certificate_and_its_load():
     assert "valid for 29 more days (limit 30)" in alarms.reports()[1].text
     alarms.note(START + 40 * S, 1.0, np.nan, 0.95)
     assert [r.name for r in alarms.reports() if r.active] == ["Certificate", "Load"]
-    assert alarms.acknowledge(ServiceAlarm.LOAD, START + 41 * S)
+    assert alarms.acknowledge(ServiceAlarm.LOAD, said_at(41, "busy"))
     again = ServiceAlarms()
     again.from_bytes(alarms.to_bytes())
     assert again.reports() == alarms.reports()
@@ -344,11 +349,35 @@ def test_alarms_are_resumed_after_a_restart_and_acknowledged_by_name(fresh):
     after = fresh()
     after.restore([*before.checkpoints(), *before.memories()])
     assert after.alarms("Valvistor") == before.alarms("Valvistor")
-    after.acknowledge("Valvistor", "SensorLost", START + 61 * S)
+    after.acknowledge("Valvistor", "SensorLost", said_at(61))
     assert after.result(0) is not None
     (results,) = after.results([0])
     assert [r.acked for r in results.alarms.reports(0) if r.active] == [True]
     with pytest.raises(CommandRejected, match="nothing to acknowledge"):
-        after.acknowledge("Valvistor", "SensorLost", START + 62 * S)
+        after.acknowledge("Valvistor", "SensorLost", said_at(62))
     with pytest.raises(CommandRejected, match=r"Service\.Load"):
-        after.acknowledge(None, "Load", START)
+        after.acknowledge(None, "Load", said_at(0))
+
+
+def test_what_was_acknowledged_is_to_be_confirmed_and_remarks_outlive_a_restart(fresh):
+    before = fresh()
+    before.take(as_changes(plant(500)))
+    assert before.alarmed() == []
+    before.say_overdue(np.array([0]), np.array([START + 60 * S]))
+    assert before.alarmed() == ["Valvistor"]
+    lost = "Valvistor", "SensorLost"
+    with pytest.raises(CommandRejected, match="nothing to confirm"):
+        before.confirm(*lost, said_at(61))
+    before.acknowledge(*lost, said_at(62, "on my way"))
+    before.remark(*lost, said_at(63, "the cable " + 500 * "x"))
+    after = fresh()
+    after.restore([*before.checkpoints(), *before.memories()])
+    (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
+    assert (report.active, report.acked, report.confirmed) == (True, True, False)
+    assert (report.comment[:10], len(report.comment)) == ("the cable ", 200)
+    assert (report.commented_by, report.commented) == ("operator", START + 63 * S)
+    after.confirm(*lost, said_at(64))
+    (report,) = (r for r in after.alarms("Valvistor") if r.name == "SensorLost")
+    assert (report.confirmed, report.at, report.comment[:9]) == (True, START + 64 * S, "the cable")
+    with pytest.raises(CommandRejected, match="nothing to confirm"):
+        after.confirm(*lost, said_at(65))

@@ -467,6 +467,51 @@ def full_disk(_):
     raise StorageError("state.sqlite: disk full")
 
 
+async def test_much_at_once_is_learnt_in_pieces_and_others_are_served_between(
+    live, fresh, source, clock
+):
+    learn, pieces, served, source.mark = live.identification.take, [], [], 1
+
+    def slowly(changes):
+        pieces.append(len(changes))
+        clock.advance(1e-4 * len(changes))
+        return learn(changes)
+
+    async def another():
+        while True:
+            served.append(len(pieces))
+            await asyncio.sleep(0)
+
+    live.identification.take = slowly
+    other = asyncio.create_task(another())
+    await live.take(as_changes(plant(3000)))
+    other.cancel()
+    assert max(pieces[1:]) == 600
+    assert sum(pieces) == 6 * 3000
+    assert len(set(served)) >= len(pieces)
+    once = fresh()
+    once.take(as_changes(plant(3000)))
+    assert live.identification.checkpoints() == once.checkpoints()
+
+
+async def test_an_end_does_not_learn_all_that_has_come_and_the_source_is_asked_again(
+    live, source, clock
+):
+    learn, source.mark = live.identification.take, "before"
+    await live.take(as_changes(plant(10)))
+
+    def slowly(changes):
+        clock.advance(0.2)
+        return learn(changes)
+
+    live.identification.take, source.mark = slowly, "behind"
+    live.end_soon()
+    await live.take(as_changes(plant(3000, first=10)))
+    assert 10 < count(live) < 1000
+    assert live._mark == "before"
+    assert live.time_left_s > 3.0
+
+
 async def test_a_slow_disk_holds_nothing_up(live, store, clock):
     may_go_on = threading.Event()
     store.save = lambda _: may_go_on.wait(10.0)

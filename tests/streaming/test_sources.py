@@ -176,6 +176,40 @@ def test_positions_are_kept_by_name_and_each_goes_on_from_its_own():
     assert (north.committed, south.committed) == ([7], [])
 
 
+def test_a_source_that_has_given_nothing_yet_keeps_its_place():
+    kept = parts(Scripted(), Scripted()).position((7, 9))
+    again = parts(Scripted(), Scripted())
+    assert again.resume_at(kept)
+    later = parts(Scripted(), Scripted())
+    assert later.resume_at(again.position((8, None)))
+    assert [part.source.resumed for part in later.parts] == [[b"8"], [b"9"]]
+    heir = parts(Scripted(), Scripted())
+    again.taken = [8, None]
+    for part in again.parts:
+        part.source.succeed = lambda before: None
+    for part in heir.parts:
+        part.source.succeed = lambda before: None
+    heir.succeed(again)
+    assert parts(Scripted(), Scripted()).resume_at(heir.position((None, None)))
+    assert heir.position((None, 10)) == parts(Scripted(), Scripted()).position((8, 10))
+
+
+async def test_what_waits_for_its_turn_is_not_taken(two, sink, store, clock):
+    north, south = Scripted([of_both(10)]), Scripted([as_changes(plant(10, seed=3))])
+    sources, seen = parts(north, south), []
+    live = LiveService(two, sources, sink, store, clock, LiveSettings())
+    take = live.take
+
+    async def slowly(changes, valves):
+        await asyncio.sleep(0.01)  # meanwhile the other has handed something out, too
+        seen.append((sources.mark, north.mark, south.mark))
+        await take(changes, valves)
+
+    live.take = slowly
+    await run_until(sources, live, clock, lambda: min(counts(two)) == 10)
+    assert seen == [((1, None), 1, 1), ((1, 1), 1, 1)]
+
+
 async def test_what_is_written_goes_to_the_valves_own_source():
     north, south = Scripted(), Scripted()
     sources = parts(north, south)

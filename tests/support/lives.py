@@ -13,8 +13,8 @@ from service.streaming.identification import Identification
 from service.streaming.live import LiveService, LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
-from service.streaming.sources import Part, Sources
-from service.streaming.supervisor import SupervisorSettings, supervise
+from service.streaming.sources import Part, Sources, supervise_all
+from service.streaming.supervisor import SupervisorSettings
 
 GATE = QualityGate(limits={s: SignalLimits(*PLAUSIBLE[s], spike=60.0) for s in SENSORS})
 
@@ -45,7 +45,7 @@ async def lived(served, store, seconds):
     live = LiveService(fresh(), sources, Sink(), store, clock, LiveSettings())
     await live.start()
     running = asyncio.create_task(
-        supervise(source, live, clock, asyncio.Event(), SupervisorSettings())
+        supervise_all(sources, live, clock, asyncio.Event(), SupervisorSettings())
     )
     await asyncio.sleep(seconds)
     await live.settle()

@@ -1,4 +1,4 @@
-"""A server that numbers its samples, and a consumer that tells what it lost."""
+"""A server that numbers its samples, and a consumer that knows what it lost."""
 
 import asyncio
 import time
@@ -19,6 +19,7 @@ from virtual_rig.history import Ring
 
 RATE_HZ = 100
 
+SIGNALS = ("U", "p1", "p2", "Q", "T", "Sequence")
 NODES = ValveNodes(
     valve="V1",
     **{name: f"nsu=urn:plant;s=V1.{name}" for name in ("U", "p1", "p2", "Q", "T")},
@@ -26,19 +27,28 @@ NODES = ValveNodes(
 )
 
 
-class NumberedServer:
-    """One valve whose samples are numbered; `play` publishes them as time goes on."""
+def saw(k, valve):
+    """Sample k of any valve: what tells it from others is enough."""
+    return [float(k % 97 + signal) for signal in range(5)]
 
-    def __init__(self, server, variables):
+
+class NumberedServer:
+    """Valves whose samples are numbered; `play` publishes them as time goes on.
+
+    Sample k of the valve that is the n-th has the five signals ``shows(k, n)``.
+    """
+
+    def __init__(self, server, variables, shows):
         self.server = server
         self.variables = variables
+        self.shows = shows
         self.written = 0
         self.sent = {}  # time and values of each sample, by number
         self.memory = None
         self.pace_ns = 0  # from sample to sample; 0: as time goes on
 
     @classmethod
-    async def create(cls, cache, *, remembers=0, **more):
+    async def create(cls, cache, *, remembers=0, valves=("V1",), shows=saw, **more):
         server = await HardenedServer.create(
             ServerSettings(
                 url="opc.tcp://127.0.0.1:0/plant/",
@@ -50,15 +60,16 @@ class NumberedServer:
                 **more,
             )
         )
-        valve = await add_object(server, None, "V1")
         kinds = {"Sequence": ua.VariantType.UInt32}
-        variables = [
-            await add_variable(
-                server, valve, f"V1.{name}", None, type=kinds.get(name, ua.VariantType.Double)
-            )
-            for name in ("U", "p1", "p2", "Q", "T", "Sequence")
-        ]
-        plant = cls(server, variables)
+        variables = []
+        for name in valves:
+            folder = await add_object(server, None, name)
+            for signal in SIGNALS:
+                kind = kinds.get(signal, ua.VariantType.Double)
+                variables.append(
+                    await add_variable(server, folder, f"{name}.{signal}", None, type=kind)
+                )
+        plant = cls(server, variables, shows)
         if remembers:
             plant.memory = Ring(variables, remembers, np.float64)
             server.add_history(variables, plant.memory)
@@ -75,9 +86,12 @@ class NumberedServer:
         """
         k = np.arange(self.written, self.written + n - 1)
         if signals is None:
-            signals = np.column_stack([(k % 97 + signal).astype(float) for signal in range(5)])
+            signals = np.array([self.shows(number, 0) for number in k.tolist()])
         values = np.column_stack([signals, k])
         times = (t + np.arange(n) * step_ns) // 100 * 100
+        self.sent.update(
+            zip(k.tolist(), zip(times[:-1].tolist(), values.tolist(), strict=True), strict=True)
+        )
         self.memory.keep(values, np.repeat(times[:-1, None], 6, axis=1), time.time_ns())
         self.written += n - 1
         self.publish(int(times[-1]))
@@ -92,25 +106,31 @@ class NumberedServer:
                 self.publish(paced if self.pace_ns else time.time_ns())
             await asyncio.sleep(0.01)
 
-    def sent_from(self, first):
-        """All samples from one on, as changes."""
-        chosen = [self.sent[k] for k in range(first, self.written)]
+    def sent_from(self, first, valve=0):
+        """All samples of one valve from one on, as changes of the only valve there is."""
+        return self.sent_between(first, self.written, valve)
+
+    def sent_between(self, first, stop, valve=0):
+        own = slice(SIGNALS_PER_VALVE * valve, SIGNALS_PER_VALVE * (valve + 1))
+        chosen = [self.sent[k] for k in range(first, stop)]
         n = len(chosen)
         return DataChanges(
             item=np.tile(np.arange(SIGNALS_PER_VALVE, dtype=np.int32), n),
-            value=np.array([values for _, values in chosen], float).ravel(),
+            value=np.array([values[own] for _, values in chosen], float).ravel(),
             status=np.zeros(SIGNALS_PER_VALVE * n, np.uint32),
             source_time=np.repeat([t // 100 * 100 for t, _ in chosen], SIGNALS_PER_VALVE),
         )
 
     def publish(self, t):
-        values = [float(self.written % 97 + k) for k in range(5)] + [self.written]
+        valves = range(len(self.variables) // SIGNALS_PER_VALVE)
+        values = [x for v in valves for x in (*self.shows(self.written, v), self.written)]
         self.sent[self.written] = t, values
         self.server.write(
             (variable, value, 0, t) for variable, value in zip(self.variables, values, strict=True)
         )
         if self.memory is not None:
-            self.memory.keep(np.array([values]), np.full((1, 6), t // 100 * 100), time.time_ns())
+            times = np.full((1, len(values)), t // 100 * 100)
+            self.memory.keep(np.array([values]), times, time.time_ns())
         self.written += 1
 
 

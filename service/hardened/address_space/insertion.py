@@ -33,6 +33,7 @@ _ATTRIBUTES = tuple(
         ("EventNotifier", _Types.Byte),
         ("Executable", _Types.Boolean),
         ("Historizing", _Types.Boolean),
+        ("IsAbstract", _Types.Boolean),
         ("MinimumSamplingInterval", _Types.Double),
         ("UserAccessLevel", _Types.Byte),
         ("UserExecutable", _Types.Boolean),
@@ -129,8 +130,8 @@ def property_item(
     attributes.Description = attributes.DisplayName = text
     attributes.DataType = _data_type(content)
     attributes.Value = content
-    if not content.is_array:
-        attributes.ValueRank = ua.ValueRank.Scalar
+    rank = ua.ValueRank.OneDimension if content.is_array else ua.ValueRank.Scalar
+    attributes.ValueRank = rank
     item.NodeAttributes = attributes
     return item
 

@@ -23,6 +23,20 @@ _PROFILES = [
     "http://opcfoundation.org/UA-Profile/Server/EmbeddedUA2017",
     "http://opcfoundation.org/UA-Profile/Server/Methods",
     "http://opcfoundation.org/UA-Profile/Server/DataAccess",
+    "http://opcfoundation.org/UA-Profile/Server/StandardEventSubscription",
+]
+_PROFILES_OF_HISTORY = [
+    "http://opcfoundation.org/UA-Profile/Server/HistoricalRawData",
+    "http://opcfoundation.org/UA-Profile/Server/HistoricalDataAtTime",
+    "http://opcfoundation.org/UA-Profile/Server/AggregateHistorical",
+]
+_PROFILES_OF_CONDITIONS = [
+    "http://opcfoundation.org/UA-Profile/Server/ACBaseCondition",
+    "http://opcfoundation.org/UA-Profile/Server/ACRefresh2",
+    "http://opcfoundation.org/UA-Profile/Server/ACAddressSpaceInstance",
+    "http://opcfoundation.org/UA-Profile/Server/ACAlarm",
+    "http://opcfoundation.org/UA-Profile/Server/ACAcknowledgeableAlarm",
+    "http://opcfoundation.org/UA-Profile/Server/ACExclusiveAlarming",
 ]
 _LIMIT_OF = {
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead: "operations",
@@ -129,10 +143,11 @@ class SelfDescription:
         self._started = 0
         self._task: asyncio.Task[None] | None = None
 
-    def announce(self, aggregates: Iterable[int] | None) -> None:
+    def announce(self, aggregates: Iterable[int] | None, *, conditions: bool) -> None:
         """Write what does not change while the server runs.
 
-        ``aggregates`` are those that are computed of histories, None where there are no histories.
+        ``aggregates`` are those that are computed of histories, None where there are no histories;
+        ``conditions`` says whether there are any.
         """
         settings, limits = self._settings, self._settings.limits
         for node, name in _LIMIT_OF.items():
@@ -163,7 +178,12 @@ class SelfDescription:
             limits.publishing_interval_ms,
             _Types.Double,
         )
-        self._set(_Ids.Server_ServerCapabilities_ServerProfileArray, _PROFILES, _Types.String)
+        profiles = [
+            *_PROFILES,
+            *(_PROFILES_OF_HISTORY if aggregates is not None else ()),
+            *(_PROFILES_OF_CONDITIONS if conditions else ()),
+        ]
+        self._set(_Ids.Server_ServerCapabilities_ServerProfileArray, profiles, _Types.String)
         self._set(_Ids.Server_ServerCapabilities_LocaleIdArray, ["en"], _Types.String)
         self._set(_Ids.Server_ServerArray, [settings.application_uri], _Types.String)
         self._set(_Ids.Server_ServiceLevel, 255, _Types.Byte)

@@ -20,7 +20,9 @@ from service.hardened.logs import bounded_logger
 from service.hardened.security.owner_only import write_owner_only
 
 _log = bounded_logger(__name__)
-_FORMAT = 2  # raise it when the preparation below changes
+_HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
+_HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
+_FORMAT = 3  # raise it when the preparation below changes
 
 
 async def load_standard_address_space(
@@ -39,6 +41,7 @@ async def load_standard_address_space(
         if packed is None:
             await asyncio.to_thread(standard_address_space.fill_address_space, management)
             _close_for_writing(aspace)
+            _drop_methods(aspace, ua.NodeId(ua.ObjectIds.Server_ServerCapabilities_RoleSet))
             packed = pack(aspace._nodes)  # noqa: SLF001 - as AddressSpace.dump does
             _write(file, packed)
         aspace._nodes = PackedNodes(packed)  # noqa: SLF001 - as AddressSpace.load does
@@ -113,3 +116,17 @@ def _close_for_writing(aspace: AddressSpace) -> None:
             level = held.value.Value.Value
             if isinstance(level, int) and level & writing:
                 held.value = ua.DataValue(ua.Variant(level & ~writing, ua.VariantType.Byte))
+
+
+def _drop_methods(aspace: AddressSpace, owner: ua.NodeId) -> None:
+    """Take away the methods of an object and of all below it: nobody would carry them out."""
+    node = aspace.get(owner)
+    for part in [ref for ref in node.references if ref.IsForward] if node is not None else ():
+        if part.NodeClass == ua.NodeClass.Method:
+            node.references.remove(part)
+            for argument in aspace[part.NodeId].references:
+                if argument.IsForward and argument.ReferenceTypeId == _HAS_PROPERTY:
+                    del aspace[argument.NodeId]
+            del aspace[part.NodeId]
+        elif part.ReferenceTypeId == _HAS_COMPONENT:
+            _drop_methods(aspace, part.NodeId)

@@ -12,7 +12,7 @@ from typing import Any
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
-from service.hardened.monitoring.like_operator import like
+from service.hardened.monitoring.like_operator import MAX_PATTERN, like
 from service.hardened.security.users import Role
 
 _Codes = ua.StatusCodes
@@ -20,10 +20,11 @@ _Operator = ua.FilterOperator
 _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 _BASE_EVENT = ua.NodeId(ua.ObjectIds.BaseEventType)
 _CONDITION = ua.NodeId(ua.ObjectIds.ConditionType)
-_MAX_SELECT_CLAUSES = 100
+_MAX_SELECT_CLAUSES = 200  # asyncua's client asks for all fields of a type, some 110
 _MAX_WHERE_ELEMENTS = 20
 _MAX_OPERANDS = 100
 _MAX_DEPTH = 50
+_CONDITION_ID = ""  # the path of what is no field of an event, but who it is of
 
 _COMPARISONS: dict[ua.FilterOperator, Callable[[Any, Any], Any]] = {
     _Operator.Equals: operator.eq,
@@ -57,8 +58,8 @@ class Event:
 
     Attributes
     ----------
-    emitter
-        The object whose subscribers hear of it.
+    emitters
+        The objects whose subscribers hear of it.
     kind
         Its event type.
     fields
@@ -69,7 +70,7 @@ class Event:
         ConditionId, if it is the event of a condition (Part 9, 5.5.2).
     """
 
-    emitter: ua.NodeId
+    emitters: tuple[ua.NodeId, ...]
     kind: ua.NodeId
     fields: Mapping[str, ua.Variant]
     audience: Role = Role.OBSERVER
@@ -83,7 +84,7 @@ def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event obj
         for name, kind in event.data_types.items()
         if getattr(event, name) is not None
     }
-    return Event(event.emitting_node, event.EventType, fields)
+    return Event((event.emitting_node,), event.EventType, fields)
 
 
 class EventFilter:
@@ -114,13 +115,29 @@ class EventFilter:
             raise EventFilterRefused
         self.results = [_select_result(aspace, clause) for clause in clauses]
         self._aspace = aspace
-        self._clauses = [
-            clause if code == _Codes.Good else None
+        self._kinds: dict[ua.NodeId, frozenset[ua.NodeId]] = {}
+        self._paths = [
+            _path(clause) if code == _Codes.Good else None
             for clause, code in zip(clauses, self.results, strict=True)
         ]
         elements = wish.WhereClause.Elements if wish.WhereClause is not None else None
         self._where: Sequence[ua.ContentFilterElement] = elements or ()
         _check_where(aspace, self._where)
+
+    @property
+    def result(self) -> ua.EventFilterResult:
+        """What the client is answered."""
+        codes = [ua.StatusCode(code) for code in self.results]
+        return ua.EventFilterResult(SelectClauseResults=codes)
+
+    def __len__(self) -> int:
+        """How many fields it selects."""
+        return len(self._paths)
+
+    @property
+    def judges(self) -> bool:
+        """Whether it leaves any events out."""
+        return bool(self._where)
 
     def passes(self, event: Event) -> bool:
         """Whether the client wants an event."""
@@ -128,7 +145,7 @@ class EventFilter:
 
     def select(self, event: Event) -> list[ua.Variant]:
         """Return the fields that the client wants; those that an event lacks are null."""
-        found = (clause and _field(clause, event) for clause in self._clauses)
+        found = (None if path is None else _field(path, event) for path in self._paths)
         return [ua.Variant() if field is None else field for field in found]
 
     def _judge(  # noqa: PLR0911 - one per operator
@@ -146,7 +163,7 @@ class EventFilter:
             case _Operator.IsNull:
                 return next(values) is None
             case _Operator.OfType:
-                return next(values) in types_above(self._aspace, event.kind)
+                return next(values) in self._types_above(event.kind)
             case _Operator.InList:
                 return _in_list(list(values))
             case _Operator.Between:
@@ -170,8 +187,13 @@ class EventFilter:
             variant = operand.Value
         else:
             assert isinstance(operand, ua.SimpleAttributeOperand)  # noqa: S101 - was checked
-            variant = _field(operand, event)
+            variant = _field(_path(operand), event)
         return None if variant is None else _plain(variant.Value)
+
+    def _types_above(self, kind: ua.NodeId) -> frozenset[ua.NodeId]:
+        if kind not in self._kinds:  # as many as the server has types of events
+            self._kinds[kind] = frozenset(types_above(self._aspace, kind))
+        return self._kinds[kind]
 
 
 def types_above(aspace: AddressSpace, kind: ua.NodeId) -> list[ua.NodeId]:
@@ -210,9 +232,13 @@ def _is_field(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> bool:
     return is_condition and bool(clause.AttributeId == ua.AttributeIds.NodeId)
 
 
-def _field(clause: ua.SimpleAttributeOperand, event: Event) -> ua.Variant | None:
-    if clause.BrowsePath:
-        return event.fields.get("/".join(part.Name or "" for part in clause.BrowsePath))
+def _path(clause: ua.SimpleAttributeOperand) -> str:
+    return "/".join(part.Name or "" for part in clause.BrowsePath or ()) or _CONDITION_ID
+
+
+def _field(path: str, event: Event) -> ua.Variant | None:
+    if path != _CONDITION_ID:
+        return event.fields.get(path)
     return None if event.condition is None else ua.Variant(event.condition, ua.VariantType.NodeId)
 
 
@@ -220,6 +246,9 @@ def _check_where(aspace: AddressSpace, elements: Sequence[ua.ContentFilterElemen
     if len(elements) > _MAX_WHERE_ELEMENTS:
         raise EventFilterRefused
     used: set[int] = set()
+    patterns = sum(_length_of_pattern(element) for element in elements)
+    if patterns > MAX_PATTERN:  # of all together: each costs its length times the text's
+        raise EventFilterRefused
     for number, element in enumerate(elements):
         fewest, most = _FEWEST_AND_MOST.get(element.FilterOperator, (1, 0))
         operands = element.FilterOperands or ()
@@ -231,12 +260,27 @@ def _check_where(aspace: AddressSpace, elements: Sequence[ua.ContentFilterElemen
                 if not number < operand.Index < len(elements) or operand.Index in used:
                     raise EventFilterRefused
                 used.add(operand.Index)
-            elif isinstance(operand, ua.SimpleAttributeOperand):
-                too_long = len(operand.BrowsePath or ()) > _MAX_DEPTH
-                if operand.IndexRange or too_long or not _is_field(aspace, operand):
-                    raise EventFilterRefused
-            elif not isinstance(operand, ua.LiteralOperand):
-                raise EventFilterRefused
+            else:
+                _check_operand(aspace, operand)
+
+
+def _check_operand(aspace: AddressSpace, operand: object) -> None:
+    if isinstance(operand, ua.SimpleAttributeOperand):
+        too_long = len(operand.BrowsePath or ()) > _MAX_DEPTH
+        if operand.IndexRange or too_long or not _is_field(aspace, operand):
+            raise EventFilterRefused
+    elif not isinstance(operand, ua.LiteralOperand):
+        raise EventFilterRefused
+
+
+def _length_of_pattern(element: ua.ContentFilterElement) -> int:
+    operands = element.FilterOperands or ()
+    if element.FilterOperator != _Operator.Like or not operands:
+        return 0
+    pattern = operands[-1]
+    if isinstance(pattern, ua.LiteralOperand):
+        return len(pattern.Value.Value) if isinstance(pattern.Value.Value, str) else 0
+    return MAX_PATTERN
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - any value

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Iterator
 
-_MAX_PATTERN, _MAX_TEXT = 100, 1_000
+MAX_PATTERN, _MAX_TEXT = 100, 1_000
 
 Test = Callable[[str], bool]
 
@@ -14,7 +14,7 @@ def like(text: str, pattern: str) -> bool:
     >>> like("valve 7", "valve [0-9]"), like("valve x", "valve [^0-9]"), like("100 %", r"%\%")
     (True, True, True)
     """
-    if len(pattern) > _MAX_PATTERN:
+    if len(pattern) > MAX_PATTERN:
         return False
     tests, text = list(_tests(pattern)), text[:_MAX_TEXT]
     at = number = 0

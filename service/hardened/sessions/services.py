@@ -22,6 +22,7 @@ from service.hardened.binary.encoding import (
 )
 from service.hardened.caller import acting_for
 from service.hardened.clock import Clock
+from service.hardened.conditions.calls import Conditions
 from service.hardened.history.reading import Histories
 from service.hardened.sessions.session import Session
 from service.hardened.settings import Limits
@@ -81,6 +82,7 @@ class Services:
         view: View,
         subscriptions: Subscriptions,
         histories: Histories,
+        conditions: Conditions,
         audit: Audit,
     ) -> None:
         self._limits = limits
@@ -89,6 +91,7 @@ class Services:
         self._view = view
         self._subscriptions = subscriptions
         self._histories = histories
+        self._conditions = conditions
         self._audit = audit
         self._handlers: dict[int, tuple[type, Handler]] = {
             _Ids.ReadRequest_Encoding_DefaultBinary: (ua.ReadParameters, self._read),
@@ -230,6 +233,8 @@ class Services:
         if wanted.MethodId in (_GET_MONITORED_ITEMS, _RESEND_DATA):
             return await self._call_for_session(request, wanted)
         with acting_for(_name(session)):
+            if self._conditions.is_call(wanted):
+                return self._conditions.call(session, wanted)
             return await self._attributes.call(wanted, session.role, request.turn.outside)
 
     async def _call_for_session(

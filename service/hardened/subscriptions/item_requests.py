@@ -13,7 +13,7 @@ from service.hardened.monitoring.block_items import BlockItem, serves
 from service.hardened.monitoring.data_change import DataChangeFilter, FilterRefused, change_rule
 from service.hardened.monitoring.data_item import DataItem
 from service.hardened.monitoring.event_filter import EventFilter, EventFilterRefused
-from service.hardened.monitoring.event_item import EventItem
+from service.hardened.monitoring.event_item import EventItem, Listening
 from service.hardened.monitoring.parameters import Monitoring
 from service.hardened.settings import Limits
 from service.hardened.subscriptions.subscription import Item, Subscription
@@ -78,7 +78,7 @@ def event_item(
     subscription: Subscription,
     number: int,
     request: ua.MonitoredItemCreateRequest,
-) -> tuple[EventItem, EventFilter, ua.MonitoredItemCreateResult]:
+) -> tuple[EventItem, ua.MonitoredItemCreateResult]:
     """Make an item that monitors events.
 
     Raises
@@ -91,30 +91,13 @@ def event_item(
         raise ItemRefused(held.StatusCode.value)
     if not held.Value.Value & (1 << ua.EventNotifier.SubscribeToEvents):
         raise ItemRefused(_Codes.BadNotSupported)
-    try:
-        filter_ = EventFilter(aspace, asked.Filter)
-    except EventFilterRefused as refused:
-        raise ItemRefused(_Codes.BadEventFilterInvalid) from refused
-    size = max(1, min(asked.QueueSize or limits.event_queue_size, limits.event_queue_size))
-    item = EventItem(
-        subscription,
-        number,
-        wanted,
-        request.MonitoringMode,
-        asked.ClientHandle,
-        size,
-        discard_oldest=bool(asked.DiscardOldest),
-    )
-    selected = [ua.StatusCode(code) for code in filter_.results]
-    return (
-        item,
-        filter_,
-        ua.MonitoredItemCreateResult(
-            MonitoredItemId=number,
-            RevisedSamplingInterval=0.0,
-            RevisedQueueSize=size,
-            FilterResult=ua.EventFilterResult(SelectClauseResults=selected),
-        ),
+    listening = _listening(aspace, limits, asked)
+    item = EventItem(subscription, number, wanted, request.MonitoringMode, listening)
+    return item, ua.MonitoredItemCreateResult(
+        MonitoredItemId=number,
+        RevisedSamplingInterval=0.0,
+        RevisedQueueSize=listening.queue_size,
+        FilterResult=listening.filter.result,
     )
 
 
@@ -133,7 +116,13 @@ def modified(
     ItemRefused
     """
     if isinstance(item, EventItem):
-        raise ItemRefused(_Codes.BadMonitoredItemFilterUnsupported)
+        listening = _listening(aspace, limits, asked)
+        item.modify(listening)
+        return ua.MonitoredItemModifyResult(
+            RevisedSamplingInterval=0.0,
+            RevisedQueueSize=listening.queue_size,
+            FilterResult=listening.filter.result,
+        )
     monitoring = _monitoring(aspace, limits, subscription, item.wanted, asked, stamps)
     if isinstance(item, BlockItem) and not serves(item.of.block, monitoring):
         item = one_by_one(aspace, subscription, item)
@@ -168,6 +157,16 @@ def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem
     if queued:
         subscription.has_report(single.number)
     return single
+
+
+def _listening(aspace: AddressSpace, limits: Limits, asked: ua.MonitoringParameters) -> Listening:
+    try:
+        wish = EventFilter(aspace, asked.Filter)
+    except EventFilterRefused as refused:
+        raise ItemRefused(_Codes.BadEventFilterInvalid) from refused
+    most = limits.event_queue_size
+    size = max(1, min(asked.QueueSize or most, most))
+    return Listening(asked.ClientHandle, wish, size, discard_oldest=bool(asked.DiscardOldest))
 
 
 def _monitoring(

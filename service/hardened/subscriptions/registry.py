@@ -15,10 +15,10 @@ from service.hardened.ledger import Ledger
 from service.hardened.logs import bounded_logger
 from service.hardened.monitoring.block_items import BlockItem
 from service.hardened.monitoring.data_item import DataItem
-from service.hardened.monitoring.event_filter import Event, EventFilter
 from service.hardened.monitoring.event_item import EventItem
 from service.hardened.security.users import Role
 from service.hardened.settings import Limits
+from service.hardened.subscriptions.events import EventDelivery
 from service.hardened.subscriptions.item_requests import (
     ItemRefused,
     Place,
@@ -40,7 +40,6 @@ _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
 
 Breathe = Callable[[], Awaitable[None]]
-EventWatch = tuple[Subscription, EventItem, EventFilter]
 
 
 class Subscriptions:
@@ -59,7 +58,7 @@ class Subscriptions:
         self._items = 0
         self._watchers: dict[tuple[ua.NodeId, int], dict[int, int]] = {}
         self.blocks: dict[ua.NodeId, Place] = {}
-        self._event_items: dict[ua.NodeId, dict[int, EventWatch]] = {}
+        self.events = EventDelivery(self.chores)
 
     def create(
         self, session: Owner, params: ua.CreateSubscriptionParameters
@@ -264,19 +263,17 @@ class Subscriptions:
         items = self._owned(session, number).items.values()
         return [(item.number, item.client_handle) for item in items]
 
-    def trigger_event(self, event: Event) -> None:
-        """Hand an event to the items that monitor its emitter, if their user may hear of it."""
-        watched = list(self._event_items.get(event.emitter, {}).values())
-        for subscription, item, wish in watched:
-            if subscription.owner.hears(event.audience) and wish.passes(event):
-                item.notify(wish.select(event))
-
-    def has_audience(self, emitter: ua.NodeId, role: Role) -> bool:
-        """Whether anybody of that role monitors the events of an object."""
-        watched = self._event_items.get(emitter)
-        return watched is not None and any(
-            subscription.owner.hears(role) for subscription, _, _ in watched.values()
-        )
+    def event_items(
+        self, session: Owner, number: int, item_number: int | None = None
+    ) -> list[EventItem]:
+        """List the items of a subscription that monitor events, or the one of that number."""
+        items = self._owned(session, number).items
+        if item_number is None:
+            return [item for item in items.values() if isinstance(item, EventItem)]
+        item = items.get(item_number)
+        if not isinstance(item, EventItem):
+            raise ServiceError(_Codes.BadMonitoredItemIdInvalid)
+        return [item]
 
     @property
     def item_count(self) -> int:
@@ -361,9 +358,11 @@ class Subscriptions:
     def _create_event_item(
         self, subscription: Subscription, number: int, request: ua.MonitoredItemCreateRequest
     ) -> ua.MonitoredItemCreateResult:
-        item, wish, result = event_item(self._aspace, self._limits, subscription, number, request)
-        watched = self._event_items.setdefault(request.ItemToMonitor.NodeId, {})
-        watched[number] = (subscription, item, wish)
+        most = self._limits.event_items
+        if len(self.events) >= most - self._reserved(subscription.owner, most):
+            return _refused(_Codes.BadTooManyMonitoredItems)
+        item, result = event_item(self._aspace, self._limits, subscription, number, request)
+        self.events.watch(subscription, item)
         self._keep(subscription, item)
         return result
 
@@ -394,7 +393,7 @@ class Subscriptions:
         if isinstance(item, DataItem):
             self._aspace.delete_datachange_callback(item.callback_handle)
         elif isinstance(item, EventItem):
-            self._event_items[item.wanted.NodeId].pop(item.number, None)
+            self.events.forget(item)
         subscription.forget(item)
         self._items -= 1
         self._watch(subscription.owner, item, -1)

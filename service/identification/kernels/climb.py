@@ -7,7 +7,8 @@ import numpy as np
 from service.identification.kernels import ladder
 from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.grid import MEAN_Q
-from service.identification.kernels.map_fit import fit, plan_of
+from service.identification.kernels.map_fit import fit_rows, plan_of
+from service.identification.kernels.map_rows import RowsInS, rows_in_s
 from service.identification.kernels.surface import BORDER
 from service.identification.samples import Floats
 
@@ -31,34 +32,33 @@ def climb(
     holds what the richest spline has left before, see `noise`, and is written.
     """
     around = np.empty((ladder.MOST_NEIGHBOURS, len(shape)))
-    sigma_2 = max(noise(points, shape, top, rich), least)
-    best = bic(points, shape, top, sigma_2)
+    in_s = _of_axes(points, top)
+    sigma_2 = max(_noise(points, in_s, shape, top, rich), least)
+    best = _bic(points, in_s, shape, top, sigma_2)
     if trends and shape[ladder.TREND] == 0.0:
         around[0] = shape
         around[0, ladder.TREND] = 1.0
-        warm = bic(points, around[0], top, sigma_2)
+        warm = _bic(points, in_s, around[0], top, sigma_2)
         if warm < best - LEAST_GAIN:
             shape[:], best, progress[IDLE] = around[0], warm, 0
     count = ladder.neighbours(shape, least_play, trends, around)
     for _ in range(steps):
         candidate = around[progress[MOVE] % count]
-        if bic(points, candidate, top, sigma_2) >= best - LEAST_GAIN:
+        if _bic(points, in_s, candidate, top, sigma_2) >= best - LEAST_GAIN:
             progress[MOVE] += 1
             progress[IDLE] += 1
         else:
             shape[:] = candidate
             progress[IDLE] = 0
             count = ladder.neighbours(shape, least_play, trends, around)
-            sigma_2 = max(noise(points, shape, top, rich), least)
-            best = bic(points, shape, top, sigma_2)
+            sigma_2 = max(_noise(points, in_s, shape, top, rich), least)
+            best = _bic(points, in_s, shape, top, sigma_2)
 
 
 @kernel
 def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
     """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
-    rss, penalty, fall, n_effective = _fit(points, shape, top)
-    criterion = (rss + penalty + fall) / sigma_2 + n_effective * math.log(len(points))
-    return criterion if math.isfinite(criterion) else math.inf
+    return float(_bic(points, _of_axes(points, top), shape, top, sigma_2))
 
 
 @kernel
@@ -68,9 +68,32 @@ def noise(points: Floats, shape: Floats, top: float, rich: Floats) -> float:
     Its fit costs as much as four others. ``rich`` (5,) is the last σ² with those kinks, play and
     trend, and is written; a σ² of 0 there says that nothing is known.
     """
+    return float(_noise(points, _of_axes(points, top), shape, top, rich))
+
+
+@inner
+def _of_axes(points: Floats, top: float) -> list[RowsInS]:
+    """What hangs on s alone, for the shapes of each axis."""
+    shape = np.array([1.0, 0.0, math.nan, math.nan, 0.0, 0.0])
+    found = []
+    for axis in range(len(ladder.AXES)):
+        shape[ladder.AXIS] = axis
+        found.append(rows_in_s(points, ladder.knots_s(shape, top)))
+    return found
+
+
+@spliced
+def _bic(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, sigma_2: float) -> float:
+    rss, penalty, fall, n_effective = _fit(points, in_s, shape, top)
+    criterion = (rss + penalty + fall) / sigma_2 + n_effective * math.log(len(points))
+    return criterion if math.isfinite(criterion) else math.inf
+
+
+@spliced
+def _noise(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, rich: Floats) -> float:
     own = shape[ladder.DEAD_BAND :]
     if rich[0] == 0.0 or not _are_same(own, rich[1:]):
-        rich[0], rich[1:] = _left_by_richest(points, shape, top), own
+        rich[0], rich[1:] = _left_by_richest(points, in_s, shape, top), own
     return float(rich[0])
 
 
@@ -83,10 +106,10 @@ def _are_same(a: Floats, b: Floats) -> bool:
 
 
 @spliced
-def _left_by_richest(points: Floats, shape: Floats, top: float) -> float:
+def _left_by_richest(points: Floats, in_s: list[RowsInS], shape: Floats, top: float) -> float:
     richest = shape.copy()
     richest[ladder.CELLS_OF], richest[ladder.AXIS] = RICH_CELLS, RICH_AXIS
-    rss, _, _, n_effective = _fit(points, richest, top)
+    rss, _, _, n_effective = _fit(points, in_s, richest, top)
     largest = 0.0
     for i in range(len(points)):
         largest = max(largest, abs(points[i, MEAN_Q]))
@@ -94,15 +117,18 @@ def _left_by_richest(points: Floats, shape: Floats, top: float) -> float:
     return max(rss / max(len(points) - n_effective, 1.0), floor, 1e-30)
 
 
-@inner
-def _fit(points: Floats, shape: Floats, top: float) -> tuple[float, float, float, float]:
-    n = ladder.size(shape)
-    theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))
-    return fit(
+@spliced
+def _fit(
+    points: Floats, in_s: list[RowsInS], shape: Floats, top: float
+) -> tuple[float, float, float, float]:
+    plan = plan_of(shape, top)
+    n, band = plan.n, 3 * len(plan.sites_s) + 4
+    return fit_rows(
         points,
-        plan_of(shape, top),
-        theta,
-        np.empty((n, ladder.BAND)),
+        in_s[int(shape[ladder.AXIS])],
+        plan,
+        np.empty(n + BORDER),
+        np.zeros(n * (2 * band - 1)),
         np.empty((n, BORDER)),
-        corner,
+        np.empty((BORDER, BORDER)),
     )

@@ -11,10 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from numba import njit
 from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., object])
+
+Index = np.uint64  # place in an array: a signed one may count from the end, and no loop of such
+# becomes a vector
 
 _ROOMS = Path(__file__).parents[2].glob("*/kernels/*.py")
 _SOURCES = [path.read_bytes() for path in sorted(_ROOMS)]

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import Index, inner, kernel
 from service.identification.kernels.spline import basis
 from service.identification.samples import Floats
 
@@ -134,8 +134,8 @@ def misfit(rows: Floats, lag_U: float, lag_Q: float, rho: float) -> tuple[float,
         for k in range(TERMS):
             value = white[k]
             rhs[k] += value * Q
-            for j in range(TERMS):
-                information[k * TERMS + j] += value * white[j]
+            for j in range(k + 1):  # `_explained` reads no more
+                information[Index(k * TERMS + j)] += value * white[Index(j)]
         total += Q * Q
         counted += 2.0
     A = information.reshape((TERMS, TERMS))

@@ -3,8 +3,7 @@
 The normal equations of a spline have the bandwidth 3·n_s + 3 (the parameters of one U stand
 together), so a fit costs n·bandwidth², and of the inverse only the same band is needed
 (Takahashi's equations). A few dense columns ("border") stand beside the band: eq. (7), and the
-trend with temperature. Every inner loop runs along a row, so that it becomes a vector without a
-sum being taken in another order.
+trend with temperature.
 """
 
 import math
@@ -13,16 +12,24 @@ from typing import NamedTuple
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.compiled import inner, kernel
-from service.identification.kernels.spline import basis
-from service.identification.kernels.surface import BORDER, FIVE_TERMS, T_REFERENCE, T_UNIT
+from service.identification.kernels.banded import factorise, invert, invert_band, substitute
+from service.identification.kernels.compiled import Index, inner, kernel
+from service.identification.kernels.grid import MEAN_Q, WEIGHT
+from service.identification.kernels.map_rows import (
+    ORDER,
+    Rows,
+    RowsInS,
+    gather,
+    gather_border,
+    rows,
+    rows_in_s,
+)
+from service.identification.kernels.surface import BORDER, FIVE_TERMS
 from service.identification.samples import Floats
 
 RIDGE = 1e-6  # samples' worth of information on each spline parameter: keeps the factor positive
 BORDER_RIDGE = 1e-9  # the same on eq. (7)'s terms, which few samples determine
 TREND_RIDGE = 1e-3  # the same on the trend with T, which samples of one T do not determine
-BESIDE = 8  # place of the border in a row, behind four values of a spline in U and four in s
-
 FALLING = 0.2  # weight in the choice of a fall of the map where U rises, 1/(l/min)²
 
 
@@ -116,48 +123,73 @@ def fit(
         Weighted squares of the residuals, of the prior's, of the map's falls where U rises;
         parameters that the points determine (NaN: the information is not positive).
     """
+    n, band = plan.n, 3 * len(plan.sites_s) + 4
+    Z = np.zeros(n * (2 * band - 1))
+    found = fit_rows(points, rows_in_s(points, plan.knots_s), plan, theta, Z, mixed, corner)
+    inverse[:] = 0.0
+    for i in range(n):
+        for k in range(min(band, i + 1)):
+            inverse[i, k] = Z[i * (2 * band - 1) + band - 1 - k]
+    return found
+
+
+@kernel
+def fit_rows(
+    points: Floats,
+    in_s: RowsInS,
+    plan: Plan,
+    theta: Floats,
+    Z: Floats,
+    mixed: Floats,
+    corner: Floats,
+) -> tuple[float, float, float, float]:
+    """`fit` where the regressors in s are known; the band of B⁻¹ as `banded.invert_band` has it."""
     n, first, last = plan.n, plan.first, plan.last
     n_s, m = len(plan.sites_s), last - first
     band = 3 * n_s + 4
     theta[:] = 0.0
-    inverse[:] = 0.0
     mixed[:] = 0.0
     corner[:] = 0.0
     A, C, D = np.zeros(n * band), np.zeros((n, m)), np.zeros((m, m))
     rhs, rhs_border = np.zeros(n), np.zeros(m)
-    z, at = _rows(points, plan)
+    z = rows(points, in_s, plan.knots_U, n_s, plan.play, first, last)
     if n:
-        _gather(points, z, at, n_s, band, A, C, rhs)
+        gather(points, z, n_s, band, A, C, rhs)
         _add_prior(A, band, plan.rough_U, plan.rough_s)
-    _gather_border(points, z, first, D, rhs_border)
+    gather_border(points, z.border, D, rhs_border)
     for k in range(m):
         D[k, k] += _border_ridge(first + k)
-    Z = np.zeros(n * (2 * band - 1))
     if not _solve(A, band, C, D, rhs, rhs_border, first, theta, Z, mixed, corner):
         return math.nan, math.nan, math.nan, math.nan
-    for i in range(n):
-        for k in range(min(band, i + 1)):
-            inverse[i, k] = Z[i * (2 * band - 1) + band - 1 - k]
-    rss = 0.0
-    for i in range(len(points)):
-        error = points[i, 5]
-        if n:
-            for u in range(4):
-                for v in range(4):
-                    error -= z[i, u] * z[i, 4 + v] * theta[at[i] + u * n_s + v]
-        for k in range(first, last):
-            error -= z[i, BESIDE + k] * theta[n + k]
-        rss += points[i, 0] * error * error
     penalty, prior_trace = 0.0, 0.0
     if n:
-        penalty, prior_trace = _prior_terms(
-            plan.rough_U, plan.rough_s, theta, Z, band, mixed, corner
-        )
+        penalty, prior_trace = _prior_terms(plan, theta, Z, band, mixed, corner)
     for k in range(first, last):
         prior_trace += _border_ridge(k) * corner[k, k]
     table = np.empty((len(plan.sites_U), n_s, 2))
     coefficients(plan, theta, table)
-    return rss, penalty, FALLING * _fall(table), n + m - prior_trace
+    left = _residual_squares(points, z, n, n_s, theta, first)
+    return left, penalty, FALLING * _fall(table), n + m - prior_trace
+
+
+@inner
+def _residual_squares(
+    points: Floats, z: Rows, n: int, n_s: int, theta: Floats, first: int
+) -> float:
+    """Weighted squares of what the map leaves."""
+    left = 0.0
+    for i in range(len(points)):
+        error = points[i, MEAN_Q]
+        if n:
+            for u in range(ORDER):
+                here, along = z.at[i] + u * n_s, 0.0
+                for v in range(ORDER):
+                    along += z.in_s.values[i, v] * theta[Index(here + v)]
+                error -= z.in_U[i, u] * along
+        for k in range(z.border.shape[1]):
+            error -= z.border[i, k] * theta[n + first + k]
+        left += points[i, WEIGHT] * error * error
+    return left
 
 
 @kernel
@@ -192,86 +224,6 @@ def _fall(table: Floats) -> float:
 
 
 @inner
-def _rows(points: Floats, plan: Plan) -> tuple[Floats, np.ndarray]:
-    """Regressors of each point, (N, 8 + BORDER), and the place of the first spline parameter.
-
-    The product of value u in U and v in s belongs to the parameter u·n_s + v behind that place.
-    """
-    N, n_s = len(points), len(plan.sites_s)
-    z, at = np.zeros((N, BESIDE + BORDER)), np.zeros(N, np.int64)
-    scratch = np.empty((3, 4))
-    in_U, in_s, slope = scratch[0], scratch[1], scratch[2]
-    for i in range(N):
-        U, s = points[i, 1] - plan.play * points[i, 4], points[i, 2]
-        opening, root, warmth = U / 100.0, s / 10.0, (points[i, 3] - T_REFERENCE) / T_UNIT
-        z[i, BESIDE] = 1.0
-        z[i, BESIDE + 1] = opening
-        z[i, BESIDE + 2] = root
-        z[i, BESIDE + 3] = opening * root
-        z[i, BESIDE + 4] = root * abs(root)
-        z[i, BESIDE + 5] = warmth * root
-        z[i, BESIDE + 6] = warmth * opening * root
-        z[i, BESIDE + 7] = warmth * root * abs(root)
-        if plan.n:
-            first_U = basis(plan.knots_U, U, in_U, slope)
-            at[i] = first_U * n_s + basis(plan.knots_s, s, in_s, slope)
-            for k in range(4):
-                z[i, k], z[i, 4 + k] = in_U[k], in_s[k]
-    return z, at
-
-
-@inner
-def _gather(
-    points: Floats,
-    z: Floats,
-    at: np.ndarray,
-    n_s: int,
-    band: int,
-    A: Floats,
-    C: Floats,
-    rhs: Floats,
-) -> None:
-    """Sum the points up: the band, the border's columns and the right-hand side.
-
-    ``A[k * band + d]`` is element (k + d, k).
-    """
-    m = C.shape[1]
-    for i in range(len(points)):
-        weight, Q, place = points[i, 0], points[i, 5], at[i]
-        s_0, s_1, s_2, s_3 = z[i, 4], z[i, 5], z[i, 6], z[i, 7]
-        for u in range(4):
-            weighted = weight * z[i, u]
-            for v in range(4):
-                here, value = place + u * n_s + v, weighted * z[i, 4 + v]
-                for k in range(m):
-                    C[here, k] += value * z[i, BESIDE + FIVE_TERMS + k]
-                rhs[here] += value * Q
-                to = here * band
-                for q in range(v, 4):
-                    A[to + q - v] += value * z[i, u] * z[i, 4 + q]
-                for r in range(u + 1, 4):
-                    product = value * z[i, r]
-                    ahead = to + (r - u) * n_s - v
-                    A[ahead] += product * s_0
-                    A[ahead + 1] += product * s_1
-                    A[ahead + 2] += product * s_2
-                    A[ahead + 3] += product * s_3
-
-
-@inner
-def _gather_border(points: Floats, z: Floats, first: int, D: Floats, rhs: Floats) -> None:
-    m = len(rhs)
-    if m == 0:
-        return
-    for i in range(len(points)):
-        for k in range(m):
-            weighted = points[i, 0] * z[i, BESIDE + first + k]
-            rhs[k] += weighted * points[i, 5]
-            for j in range(m):
-                D[k, j] += weighted * z[i, BESIDE + first + j]
-
-
-@inner
 def _border_ridge(column: int) -> float:
     return BORDER_RIDGE if column < FIVE_TERMS else TREND_RIDGE
 
@@ -291,44 +243,49 @@ def _add_prior(A: Floats, band: int, rough_U: Floats, rough_s: Floats) -> None:
 
 @inner
 def _prior_terms(
-    rough_U: Floats,
-    rough_s: Floats,
-    theta: Floats,
-    Z: Floats,
-    band: int,
-    mixed: Floats,
-    corner: Floats,
+    plan: Plan, theta: Floats, Z: Floats, band: int, mixed: Floats, corner: Floats
 ) -> tuple[float, float]:
     """The prior's squares at theta, and the trace of prior times inverse information."""
+    rough_U, rough_s = plan.rough_U, plan.rough_s
     n_U, n_s = len(rough_U), len(rough_s)
+    first, last = plan.first, plan.last
     spread_out = np.zeros(mixed.shape)
     for i in range(len(mixed)):
-        for b in range(BORDER):
-            for a in range(BORDER):
+        for b in range(first, last):
+            for a in range(first, last):
                 spread_out[i, a] += mixed[i, b] * corner[b, a]
     penalty, trace = 0.0, 0.0
     for i in range(n_U):
         for j in range(n_s):
             here = i * n_s + j
-            trace += RIDGE * _inverse_at(Z, band, mixed, spread_out, here, here)
+            trace += RIDGE * _inverse_at(Z, band, mixed, spread_out, here, here, first, last)
             for k in range(max(0, i - 2), i + 1):
                 share = rough_U[i, k] * (1.0 if k == i else 2.0)
                 there = k * n_s + j
                 penalty += share * theta[here] * theta[there]
-                trace += share * _inverse_at(Z, band, mixed, spread_out, here, there)
+                trace += share * _inverse_at(Z, band, mixed, spread_out, here, there, first, last)
             for k in range(max(0, j - 2), j + 1):
                 share = rough_s[j, k] * (1.0 if k == j else 2.0)
                 there = i * n_s + k
                 penalty += share * theta[here] * theta[there]
-                trace += share * _inverse_at(Z, band, mixed, spread_out, here, there)
+                trace += share * _inverse_at(Z, band, mixed, spread_out, here, there, first, last)
     return penalty, trace
 
 
 @inner
-def _inverse_at(Z: Floats, band: int, mixed: Floats, spread_out: Floats, i: int, k: int) -> float:
+def _inverse_at(
+    Z: Floats,
+    band: int,
+    mixed: Floats,
+    spread_out: Floats,
+    i: int,
+    k: int,
+    first: int,
+    last: int,
+) -> float:
     """Element (i, k), i - k within the band, of the whole inverse's spline block."""
-    total: float = Z[i * (2 * band - 1) + band - 1 + k - i]
-    for a in range(BORDER):
+    total: float = Z[Index(i * (2 * band - 1) + band - 1 + k - i)]
+    for a in range(first, last):
         total += spread_out[i, a] * mixed[k, a]
     return total
 
@@ -348,112 +305,29 @@ def _solve(
     corner: Floats,
 ) -> bool:
     n, m = C.shape
-    if not _factorise(A, n, band):
+    if not factorise(A, n, band):
         return False
-    Y = np.empty((n, m + 1))
+    Y = np.empty((m + 1, n))
     for i in range(n):
-        Y[i, m] = rhs[i]
+        Y[m, i] = rhs[i]
         for k in range(m):
-            Y[i, k] = C[i, k]
-    _substitute(A, band, Y)
+            Y[k, i] = C[i, k]
+    substitute(A, band, Y)
     for i in range(n):
         for k in range(m):
-            rhs_border[k] -= C[i, k] * Y[i, m]
+            rhs_border[k] -= C[i, k] * Y[m, i]
             for j in range(m):
-                D[k, j] -= C[i, k] * Y[i, j]
-    if not _invert(D):
+                D[k, j] -= C[i, k] * Y[j, i]
+    if not invert(D):
         return False
     for k in range(m):
         for j in range(m):
             theta[n + first + k] += D[k, j] * rhs_border[j]
             corner[first + k, first + j] = D[k, j]
     for i in range(n):
-        theta[i] = Y[i, m]
+        theta[i] = Y[m, i]
         for k in range(m):
-            theta[i] -= Y[i, k] * theta[n + first + k]
-            mixed[i, first + k] = Y[i, k]
-    _invert_band(A, n, band, Z)
-    return True
-
-
-@inner
-def _factorise(A: Floats, n: int, band: int) -> bool:
-    """Cholesky in place; A[k * band + d] is element (k + d, k) of the matrix, then the factor."""
-    column = np.empty(band)
-    for j in range(n):
-        at = j * band
-        if not A[at] > 0.0:
-            return False
-        high = min(band, n - j)
-        pivot = math.sqrt(A[at])
-        A[at] = pivot
-        for d in range(1, high):
-            A[at + d] /= pivot
-            column[d] = A[at + d]
-        for a in range(1, high):
-            factor, below = column[a], at + a * band
-            for d in range(high - a):
-                A[below + d] -= factor * column[a + d]
-    return True
-
-
-@inner
-def _substitute(L: Floats, band: int, Y: Floats) -> None:
-    """Solve L·Lᵀ·X = Y in place."""
-    n, m = Y.shape
-    for j in range(n):
-        for k in range(m):
-            Y[j, k] /= L[j * band]
-        for d in range(1, min(band, n - j)):
-            for k in range(m):
-                Y[j + d, k] -= L[j * band + d] * Y[j, k]
-    for j in range(n - 1, -1, -1):
-        for d in range(1, min(band, n - j)):
-            for k in range(m):
-                Y[j, k] -= L[j * band + d] * Y[j + d, k]
-        for k in range(m):
-            Y[j, k] /= L[j * band]
-
-
-@inner
-def _invert_band(L: Floats, n: int, band: int, Z: Floats) -> None:
-    """Elements of (L·Lᵀ)⁻¹ within the band: Takahashi's equations.
-
-    Z[k * (2·band - 1) + band - 1 + i - k] is element (k, i), on either side of the diagonal.
-    """
-    middle, width = band - 1, 2 * band - 1
-    found = np.empty(band)
-    for j in range(n - 1, -1, -1):
-        high, pivot = min(band, n - j), L[j * band]
-        found[:] = 0.0
-        for a in range(1, high):
-            factor, known = L[j * band + a], (j + a) * width + middle - a
-            for d in range(1, high):
-                found[d] -= factor * Z[known + d]
-        corner = 1.0 / pivot
-        for d in range(1, high):
-            found[d] /= pivot
-            corner -= L[j * band + d] * found[d]
-            Z[j * width + middle + d] = found[d]
-            Z[(j + d) * width + middle - d] = found[d]
-        Z[j * width + middle] = corner / pivot
-
-
-@inner
-def _invert(A: Floats) -> bool:
-    """Invert a small symmetric positive matrix in place, Gauss and Jordan on its diagonal."""
-    n = len(A)
-    for p in range(n):
-        pivot = A[p, p]
-        if not pivot > 0.0:
-            return False
-        A[p, p] = 1.0
-        for j in range(n):
-            A[p, j] /= pivot
-        for i in range(n):
-            if i != p:
-                factor = A[i, p]
-                A[i, p] = 0.0
-                for j in range(n):
-                    A[i, j] -= factor * A[p, j]
+            theta[i] -= Y[k, i] * theta[n + first + k]
+            mixed[i, first + k] = Y[k, i]
+    invert_band(A, n, band, Z)
     return True

@@ -47,7 +47,9 @@ PLACES_OF_DETECTOR = REACTION + reaction.PLACES
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 
-_KNOWN = 5  # the number of terms of eq. (7): for them alone there is a kernel of its own
+# Numbers of terms with a kernel of their own, compiled when first needed: the five of eq. (7), and
+# the nine of degree two in each of two variables. With more, loops are long enough as they are.
+_KNOWN = 5, 9
 
 
 class Places(NamedTuple):
@@ -102,11 +104,11 @@ places_of = inlined(places)
 
 
 def size_of(n: int) -> Size:
-    """Tell a kernel n; for five terms in a way that its compiler understands.
+    """Tell a kernel n; for few terms in a way that its compiler understands.
 
     Examples
     --------
     >>> len(size_of(5)), len(size_of(7))
     (5, 7)
     """
-    return (0,) * n if n == _KNOWN else np.empty(n)
+    return (0,) * n if n in _KNOWN else np.empty(n)

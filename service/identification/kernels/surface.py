@@ -56,17 +56,17 @@ def value(
 
 
 @inner
-def _border(U: float, s: float, T: float, row: Floats) -> None:
-    """Fill the border, behind the spline: eq. (7), then its trend with temperature; all ~1."""
+def border(U: float, s: float, T: float, row: Floats) -> None:
+    """Fill the border: eq. (7), then its trend with temperature; all ~1."""
     opening, root, warmth = U / 100.0, s / 10.0, (T - T_REFERENCE) / T_UNIT
-    row[SPLINE_ROW] = 1.0
-    row[SPLINE_ROW + 1] = opening
-    row[SPLINE_ROW + 2] = root
-    row[SPLINE_ROW + 3] = opening * root
-    row[SPLINE_ROW + 4] = root * abs(root)
-    row[SPLINE_ROW + 5] = warmth * root
-    row[SPLINE_ROW + 6] = warmth * opening * root
-    row[SPLINE_ROW + 7] = warmth * root * abs(root)
+    row[0] = 1.0
+    row[1] = opening
+    row[2] = root
+    row[3] = opening * root
+    row[4] = root * abs(root)
+    row[5] = warmth * root
+    row[6] = warmth * opening * root
+    row[7] = warmth * root * abs(root)
 
 
 @kernel
@@ -157,7 +157,7 @@ def _row(
     Value a of the spline belongs to the parameter a // 4 · n_s + a % 4 behind the place.
     """
     U = point[1] - play * point[4]
-    _border(U, point[2], point[3], row)
+    border(U, point[2], point[3], row[SPLINE_ROW:])
     if n == 0:
         return 0
     in_U, in_s, slope = scratch[0], scratch[1], scratch[2]

@@ -36,7 +36,7 @@ def of_maximum_likelihood() -> Iterator[Erratum]:
 
 def _armax(seed: int) -> tuple[Floats, Floats]:
     rng = np.random.default_rng(seed)
-    u, v = rng.choice([-1.0, 1.0], N), rng.normal(size=N)
+    u, v = rng.choice(np.array([-1.0, 1.0]), N), rng.normal(size=N)
     return lfilter(B, A, u) + lfilter(D, A, v), u
 
 

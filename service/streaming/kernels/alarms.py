@@ -1,15 +1,14 @@
 """The loop that watches many valves sample by sample, and moves their alarms on.
 
-Times are source times, UTC ns; nothing depends on how the samples were cut into batches. All is
-compiled in this one file, as numba's cache watches no other.
+Times are source times, UTC ns; nothing depends on how the samples were cut into batches.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.kernels.compiled import inlined, kernel
 from service.identification.samples import Floats, Segments, Times
 
 Flags = NDArray[np.bool_]
@@ -119,7 +118,7 @@ class Watched(NamedTuple):
     status: NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def watch(
     seen: Watched,
     patient: Flags,
@@ -150,7 +149,7 @@ def watch(
             _look_at_residual(m, i, seen, rules, conditions, senses)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_on(
     valves: Times,
     t: Times,
@@ -167,7 +166,7 @@ def move_on(
     return came
 
 
-@njit(cache=True)
+@inlined
 def _step(
     m: int, a: int, t: int, began: int, x: float, rules: Floats, conditions: Conditions
 ) -> bool:
@@ -201,7 +200,7 @@ def _step(
     return True
 
 
-@njit(cache=True)
+@inlined
 def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses) -> None:
     """Begin waiting anew where the clock went back, or nobody looked; follow the oil slowly."""
     times, newest, memory = senses.times[m], senses.times[m, NEWEST], senses.memory[m]
@@ -223,7 +222,7 @@ def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses)
     times[NEWEST] = t
 
 
-@njit(cache=True)
+@inlined
 def _look_for_losses(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -235,7 +234,7 @@ def _look_for_losses(
         _step(m, SENSOR_LOST, t, t, 0.0, rules, conditions)
 
 
-@njit(cache=True)
+@inlined
 def _look_for_standstills(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -274,7 +273,7 @@ def _look_for_standstills(
         conditions.detail[m, SENSOR_FROZEN, 0] = dead
 
 
-@njit(cache=True)
+@inlined
 def _look_at_excitation(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -286,7 +285,7 @@ def _look_at_excitation(
     _step(m, UNEXCITED, t, times[EXCITED], held, rules, conditions)
 
 
-@njit(cache=True)
+@inlined
 def _look_at_residual(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -339,7 +338,7 @@ def _look_at_residual(
     memory[Q_BEFORE] = predicted
 
 
-@njit(cache=True)
+@inlined
 def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
     """End a block: what residuals are now, and usually are; whether this one is as usual."""
     mean = memory[BLOCK_SUM] / memory[BLOCK_N]
@@ -356,7 +355,7 @@ def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numb
     return bool(new < AS_USUAL * memory[USUAL])
 
 
-@njit(cache=True)
+@inlined
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
     """Sum up how the residual goes with what each cause would do to it."""
     memory, sums = senses.memory[m], senses.sums[m]
@@ -368,7 +367,7 @@ def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
             sums[j, k] = CAUSE_MEMORY * sums[j, k] + row[j] * row[k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def name_causes(valves: Times, alarm: int, conditions: Conditions, senses: Senses) -> None:
     """Say of K valves what could be the cause: the up to three that explain most of the residual.
 
@@ -378,7 +377,7 @@ def name_causes(valves: Times, alarm: int, conditions: Conditions, senses: Sense
         _name_causes(valves[k], alarm, conditions, senses)
 
 
-@njit(cache=True)
+@inlined
 def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> None:
     sums, causes = senses.sums[m], conditions.causes[m, alarm]
     shares = np.zeros(CAUSES)
@@ -408,7 +407,7 @@ def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> 
         shares[chosen] = 0.0
 
 
-@njit(cache=True)
+@inlined
 def _explained(sums: Floats, j: int, k: int) -> float:
     """Share of the residual's squares that two directions together explain."""
     e, squares = DIRECTIONS, sums[DIRECTIONS, DIRECTIONS]

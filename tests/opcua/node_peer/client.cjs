@@ -18,7 +18,9 @@ const {
   TimestampsToReturn,
   UserTokenType,
   Variant,
+  callMethodCondition,
   constructEventFilter,
+  installAlarmMonitoring,
   ofType,
 } = require("node-opcua-client");
 
@@ -249,6 +251,38 @@ const operations = {
       connection.events.push(Object.fromEntries(fields.map((name, at) => [name, told[at]])));
     });
     return { code: item.result.statusCode.value };
+  },
+
+  // Its own list of alarms: subscribes to conditions and asks for a refresh.
+  async watchAlarms(connection) {
+    connection.alarms = await installAlarmMonitoring(connection.session);
+    return {};
+  },
+
+  async alarms({ alarms }) {
+    return alarms.alarms().map((alarm) => ({
+      name: alarm.fields.conditionName.value,
+      source: alarm.fields.sourceName.value,
+      text: alarm.fields.message.value.text,
+      active: alarm.fields.activeState.id.value,
+      acked: alarm.fields.ackedState.id.value,
+      confirmed: alarm.fields.confirmedState.id.value,
+      retain: alarm.getRetain(),
+      comment: alarm.fields.comment.value?.text ?? null,
+      condition: alarm.conditionId.toString(),
+    }));
+  },
+
+  async act({ session, alarms }, { name, method, comment }) {
+    const found = alarms.alarms().find(({ fields }) => fields.conditionName.value === name);
+    const code = await callMethodCondition(
+      session,
+      method,
+      found.conditionId,
+      found.eventId,
+      comment,
+    );
+    return { code: code.value };
   },
 
   async events({ events }) {

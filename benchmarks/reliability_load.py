@@ -1,0 +1,238 @@
+"""Whole services under load: a disk that is slow, a thousand valves for long, half a processor."""
+
+import asyncio
+import io
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from datetime import UTC
+from pathlib import Path
+
+import numpy as np
+from asyncua import Client, ua
+from support.processes import wait_for
+from support.slow_disk import environment
+
+from benchmarks.live_speed import free_url, names_of, rig
+from service.opcua.results_server import NAMESPACE
+from service.streaming.identification import MEMORY
+from service.streaming.kernels import waiting
+
+START_S = 600.0  # on a busy machine
+PATIENCE_S = 60.0  # for an end
+PAUSE_S = 0.02  # between two looks
+WATCHED = 50  # valves, whose ages are asked for
+AGES_EVERY_S = 1.0
+STALE_S, LOOK_S = 2.0, 0.5  # as configured; how long after that it must have been seen
+STOPPED_S = 0.05
+COUNTED = [waiting.GAPS, waiting.MISSING, waiting.LOST_BY_TIME]
+
+
+@dataclass
+class Seen:
+    """What a client saw: answers and gaps in s, ages in s, how often something old was Good."""
+
+    answers: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+    old_and_good: int = 0
+    own_s: float = 0.0  # longest that the client's own loop stood
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service that runs in its own process, and what it watches."""
+
+    process: subprocess.Popen[bytes]
+    url: str
+    names: tuple[str, ...]
+    state: Path
+    log: Path
+
+    def held(self) -> list[float]:
+        """Processor times in s for which something held the loop, until now."""
+        lines = self.log.read_text(errors="replace").splitlines()
+        return [float(line.split()[2]) for line in lines if line.startswith("held for ")]
+
+    def end(self) -> float:
+        """Seconds from the signal until it is gone."""
+        began = time.monotonic()
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(PATIENCE_S)
+        return time.monotonic() - began
+
+    def resident_mb(self) -> float:
+        pages = Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    def kept(self) -> dict[str, tuple[int, np.ndarray]]:
+        """Time of the newest sample and counters of each valve, as they are on the disk."""
+        query = "SELECT valve, state FROM checkpoint WHERE estimator = ? ORDER BY saved"
+        with closing(sqlite3.connect(f"file:{self.state}?mode=ro", uri=True)) as file:
+            rows = dict(file.execute(query, (MEMORY,)).fetchall())
+        records = {valve: np.load(io.BytesIO(state)) for valve, state in rows.items()}
+        return {v: (int(one["moment"]), one["counters"][0].copy()) for v, one in records.items()}
+
+
+@contextmanager
+def service_of(valves: int, hz: float, sync_s: float = 0.0) -> Iterator[Service]:
+    """A rig of so many valves and ``serve`` in its default configuration, once it shows results."""
+    with tempfile.TemporaryDirectory() as name:
+        folder, source, url = Path(name), free_url("rig"), free_url("service")
+        names = names_of(valves)
+        file, log = folder / "service.toml", folder / "log"
+        file.write_text(
+            f'[source]\nurl = "{source}"\nsecurity = "None"\nstartup_timeout_s = 600.0\n'
+            f'timeout_s = 60.0\n[server]\nurl = "{url}"\n[state]\nfile = "{folder}/state.sqlite"\n'
+            + "".join(f'[[valves]]\nname = "{name}"\n' for name in names)
+        )
+        command = [sys.executable, "-u", "-m", "benchmarks.open_service", str(file)]
+        env = environment(folder, sync_s) if sync_s else None
+        with rig(valves, hz, source, {}), log.open("wb") as out:
+            process = subprocess.Popen(command, stdout=out, stderr=out, env=env)
+            try:
+                wait_for(log, "first results published", process, START_S)
+                try:
+                    yield Service(process, url, names, folder / "state.sqlite", log)
+                except BaseException:
+                    print(log.read_text()[-9000:], file=sys.stderr)
+                    raise
+            finally:
+                if process.poll() is None:
+                    process.kill()
+                process.wait()
+
+
+@asynccontextmanager
+async def watched(service: Service) -> AsyncIterator[Seen]:
+    """A client that looks at one result all the time, and now and then at the ages of many."""
+    seen = Seen()
+    async with Client(service.url, timeout=60, watchdog_intervall=60) as client:
+        index = await client.get_namespace_index(NAMESPACE)
+        chosen = service.names[:: max(1, len(service.names) // WATCHED)]
+
+        async def read(name: str, valves: tuple[str, ...]) -> list[ua.DataValue]:
+            ids = [ua.NodeId(f"{valve}.{name}", index) for valve in valves]
+            found: list[ua.DataValue] = await client.uaclient.read_attributes(
+                ids, ua.AttributeIds.Value
+            )
+            return found
+
+        await read("RLS.SampleCount", chosen[:1])
+        await read("Diagnostics.SampleAge", chosen)  # makes their nodes
+        looking = [
+            asyncio.create_task(_look(read, chosen[:1], seen)),
+            asyncio.create_task(_ask_ages(read, chosen, seen)),
+        ]
+        try:
+            yield seen
+        finally:
+            for task in looking:
+                task.cancel()
+            for task in looking:
+                with suppress(asyncio.CancelledError):
+                    await task
+
+
+async def _look(read, valve, seen):
+    count, since = 0, time.monotonic()
+    while True:
+        began = time.monotonic()
+        (found,) = await read("RLS.SampleCount", valve)
+        now = time.monotonic()
+        seen.answers.append(now - began)
+        if found.Value.Value != count:
+            seen.gaps.append(now - since)
+            count, since = found.Value.Value, now
+        await asyncio.sleep(PAUSE_S)
+        seen.own_s = max(seen.own_s, time.monotonic() - now - PAUSE_S)
+
+
+async def _ask_ages(read, valves, seen):
+    while True:
+        ages = await read("Diagnostics.SampleAge", valves)
+        seen.ages += [v.Value.Value for v in ages if v.Value.Value is not None]
+        for value in await read("RLS.SampleCount", valves):
+            age = time.time() - value.SourceTimestamp.replace(tzinfo=UTC).timestamp()
+            seen.old_and_good += value.StatusCode.is_good() and age > STALE_S + LOOK_S
+        await asyncio.sleep(AGES_EVERY_S)
+
+
+async def slow_disk(valves: int, hz: float, seconds: float, sync_s: float = 2.0) -> str:
+    """What a client saw of a service whose disk takes so long to sync; how long its end took."""
+    with service_of(valves, hz, sync_s) as service:
+        async with watched(service) as seen:
+            before = len(service.held())
+            await asyncio.sleep(seconds)
+            held = service.held()[before:]
+        took = await asyncio.to_thread(service.end)
+    return (
+        f"loop held for {max(held, default=0.0):.2f} s of processor time; longest answer "
+        f"{max(seen.answers):.2f} s, longest without results {max(seen.gaps):.2f} s (the client's "
+        f"own loop stood {seen.own_s:.2f} s); SIGTERM {took:.1f} s"
+    )
+
+
+def account(
+    before: Mapping[str, tuple[int, np.ndarray]],
+    after: Mapping[str, tuple[int, np.ndarray]],
+    step_ns: int,
+) -> tuple[int, int, int]:
+    """Samples learnt, samples counted as lost, and valves whose counts do not come to the span."""
+    learnt = lost = wrong = 0
+    for valve, (t, counters) in before.items():
+        until, later = after[valve]
+        grown = later - counters
+        own, missed = int(grown[waiting.EMITTED]), int(grown[COUNTED].sum())
+        learnt, lost = learnt + own, lost + missed
+        wrong += (until - t) != (own + missed) * step_ns
+    return learnt, lost, wrong
+
+
+async def soak(valves: int, hz: float, seconds: float, *, half: bool = False) -> str:
+    """Figures of a service that runs for long; with ``half`` it is stopped and continued."""
+    with service_of(valves, hz) as service:
+        await _until_all_kept(service)
+        before, memory = service.kept(), []
+        async with watched(service) as seen:
+            stopping = asyncio.create_task(_stop_and_continue(service.process)) if half else None
+            began = time.monotonic()
+            while (passed := time.monotonic() - began) < seconds:
+                await asyncio.sleep(1.0)
+                if passed > min(600.0, seconds / 6):
+                    memory.append((passed, service.resident_mb()))
+            if stopping is not None:
+                stopping.cancel()
+                await asyncio.gather(stopping, return_exceptions=True)
+                service.process.send_signal(signal.SIGCONT)
+        await asyncio.to_thread(service.end)
+        learnt, lost, wrong = account(before, service.kept(), round(1e9 / hz))
+    slope = np.polyfit(*np.array(memory).T, 1)[0] * 3600.0
+    p99 = np.percentile(seen.ages, 99)
+    return (
+        f"{lost:,} of {learnt + lost:,} lost, counted wrongly at {wrong} of {valves:,} valves; "
+        f"age p99 {p99:.2f} s, largest {max(seen.ages):.2f} s; something older than {STALE_S:g} s "
+        f"called Good {seen.old_and_good} times; memory {memory[-1][1]:.0f} MB, "
+        f"{slope:+.1f} MB/h"
+    )
+
+
+async def _until_all_kept(service: Service) -> None:
+    async with asyncio.timeout(START_S):
+        while len(service.kept()) < len(service.names):  # noqa: ASYNC110 - it is on the disk
+            await asyncio.sleep(1.0)
+
+
+async def _stop_and_continue(process: subprocess.Popen[bytes]) -> None:
+    while True:
+        process.send_signal(signal.SIGSTOP)
+        await asyncio.sleep(STOPPED_S)
+        process.send_signal(signal.SIGCONT)
+        await asyncio.sleep(STOPPED_S)

@@ -1,0 +1,291 @@
+"""The alarms of valves and service on the results server: one logic, shown twice.
+
+As plain tags, since many clients know no others, and as conditions (Part 9): each is made of the
+same report, and what is done by way of the one shows at the other.
+"""
+
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+
+from service.errors import CommandRejected
+from service.hardened import (
+    Argument,
+    Clock,
+    Condition,
+    ConditionClass,
+    ConditionKey,
+    ConditionKind,
+    Declarations,
+    HardenedServer,
+    Role,
+    add_method,
+    add_object,
+    caller,
+)
+from service.hardened import CommandRejected as Refused
+from service.opcua.information_model import ALARMS, ROOT, SERVICE, VariableNode, alarm_variables
+from service.opcua.result_types import ALARM, type_of
+from service.opcua.result_values import Shown, alarm_values
+from service.streaming.alarm_words import ALARM_DESCRIPTIONS
+from service.streaming.ports import AlarmReport, Operator, Remark, Results, ValveDescription
+
+CONDITION = "Condition"
+MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
+_KIND = {
+    "Changed": ConditionKind.OFF_NORMAL,
+    "Extrapolated": ConditionKind.OFF_NORMAL,
+    "Certificate": ConditionKind.BELOW_LIMIT,
+}
+_CATEGORY = {
+    **dict.fromkeys(
+        ("Changed", "Residual", "SensorLost", "SensorFrozen", "LagFound"),
+        ConditionClass.MAINTENANCE,
+    ),
+    **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated"), ConditionClass.PROCESS),
+}
+_COMMENT = Argument("Comment", "What was done about it", type=ua.VariantType.String)
+
+Show = Callable[[str, Shown], None]
+AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
+Act = Callable[[str | None, str, Remark], None]
+
+
+class ResultAlarms:
+    """Shows alarms, reports their changes once; fulfils :class:`service.hardened.ConditionKeeper`.
+
+    Parameters
+    ----------
+    server
+        Where.
+    valves
+        Whose; the service has alarms, too.
+    operator
+        Knows how they stand and carries out what people do.
+    clock
+        Stamps what no sample is behind.
+    show
+        Writes a variable of a valve, or of the service.
+    note
+        Shows what was done to a valve.
+    """
+
+    def __init__(
+        self,
+        server: HardenedServer,
+        valves: Sequence[ValveDescription],
+        operator: Operator,
+        clock: Clock,
+        show: Show,
+        note: Callable[[str, str], None],
+    ) -> None:
+        self._server = server
+        self._names = [valve.name for valve in valves]
+        self._valves = frozenset(self._names)
+        self._operator = operator
+        self._clock = clock
+        self._show = show
+        self._note = note
+        self._versions = np.zeros(len(self._names), np.int64)
+        self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
+        server.keep_conditions(self)
+
+    def publish(self, results: Results, now: int) -> None:
+        """Show what changed of valves' alarms."""
+        if results.alarms is None:
+            return
+        valves, versions = results.valves, results.alarms.version
+        changed = np.flatnonzero(versions != self._versions[valves])
+        self._versions[valves] = versions
+        for m in changed.tolist():
+            self.take(self._names[valves[m]], results.alarms.reports(m), now)
+
+    def take(self, owner: str, reports: Iterable[AlarmReport], now: int) -> None:
+        """Show how alarms stand that ever came, and report each that changed."""
+        came = [report for report in reports if report.at or report.commented]
+        for new in alarm_values(came, now):
+            self._show(owner, new)
+        for report in came:
+            digest = hash(_facts(report))
+            before = self._reported.get((owner, report.name))
+            self._reported[owner, report.name] = digest
+            condition = _condition(self._key(owner, report.name), report)
+            is_news = before is not None or condition.retain  # else it was over before we began
+            if before != digest and is_news:
+                self._server.report(condition)
+
+    async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
+        """Add the nodes of a valve's alarms, or of the service's."""
+        owner = SERVICE if valve is None else valve
+        reports = self._operator.alarms(valve)
+        now = {new.name: new for new in alarm_values(reports, self._clock.now())}
+        for alarm in reports:
+            prefix = f"{owner}.{ALARMS}.{alarm.name}"
+            description = ALARM_DESCRIPTIONS[alarm.name]
+            each = await add_object(
+                self._server,
+                parent,
+                prefix,
+                description=description,
+                type_definition=type_of(self._server, ALARM),
+            )
+            for node in alarm_variables(prefix):
+                await add_variable(each, node, now[node.id.partition(".")[2]])
+            await self._add_methods(self._server, each, valve, alarm.name)
+            kind = self._key(owner, alarm.name).type_definition
+            folder = await _add_condition(self._server, each, kind)
+            self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
+
+    async def declare(self, place: HardenedServer | Declarations, kind: ua.NodeId) -> None:
+        """Declare what an alarm has beside its variables, for its type."""
+        await self._add_methods(place, kind, None, "")
+        await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
+
+    async def _add_methods(
+        self,
+        place: HardenedServer | Declarations,
+        parent: ua.NodeId,
+        valve: str | None,
+        alarm: str,
+    ) -> None:
+        for name, act, words in (
+            (
+                "Acknowledge",
+                self._operator.acknowledge,
+                "Say that the alarm was seen. A change of the valve goes with it.",
+            ),
+            ("Confirm", self._operator.confirm, "Say that what was seen was dealt with."),
+        ):
+            await add_method(
+                place,
+                parent,
+                f"{parent.Identifier}.{name}",
+                partial(self._act, name, act, valve, alarm),
+                inputs=(_COMMENT,),
+                required=Role.OPERATOR,
+                description=words,
+            )
+
+    def keys(self, valve: str | None) -> list[ConditionKey]:
+        """The conditions of a valve, or of the service."""
+        owner = SERVICE if valve is None else valve
+        return [self._key(owner, report.name) for report in self._operator.alarms(valve)]
+
+    def find(self, condition: ua.NodeId) -> Condition | None:
+        """How a condition stands; None: there is no such one."""
+        found = self._owner_of(condition)
+        return None if found is None else self._standing(*found)
+
+    def retained(self) -> Iterator[Sequence[Condition]]:
+        """Those that are to be shown, valve by valve."""
+        for valve in (None, *self._operator.alarmed()):
+            owner = SERVICE if valve is None else valve
+            every = (
+                _condition(self._key(owner, report.name), report)
+                for report in self._operator.alarms(valve)
+            )
+            yield [condition for condition in every if condition.retain]
+
+    def acknowledge(self, condition: ua.NodeId, comment: str) -> None:
+        """Note that it was seen."""
+        self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
+
+    def confirm(self, condition: ua.NodeId, comment: str) -> None:
+        """Note that it was dealt with."""
+        self._act_on(condition, "Confirm", self._operator.confirm, comment)
+
+    def remark(self, condition: ua.NodeId, comment: str) -> None:
+        """Note what somebody said of it."""
+        self._act_on(condition, "AddComment", self._operator.remark, comment)
+
+    def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> None:
+        found = self._owner_of(condition)
+        if found is None:
+            raise Refused(f"{condition.to_string()}: there is no such condition")
+        self._act(name, act, *found, comment)
+
+    def _act(self, name: str, act: Act, valve: str | None, alarm: str, comment: str) -> None:
+        now = self._clock.now()
+        try:
+            act(valve, alarm, Remark(comment, caller(), now))
+        except CommandRejected as rejected:
+            raise Refused(str(rejected)) from rejected
+        reports = [report for report in self._operator.alarms(valve) if report.name == alarm]
+        self.take(SERVICE if valve is None else valve, reports, now)
+        if valve is not None:
+            self._note(valve, f"{ALARMS}.{alarm} {name} {comment[:MOST_OF_A_COMMENT]!r}")
+
+    def _owner_of(self, condition: ua.NodeId) -> tuple[str | None, str] | None:
+        """The valve (None: the service) and the alarm that a condition is of."""
+        names = str(condition.Identifier).split(".")
+        if (
+            condition.NamespaceIndex != self._server.namespace_index
+            or len(names) != 4
+            or (names[1], names[3]) != (ALARMS, CONDITION)
+            or (names[0] != SERVICE and names[0] not in self._valves)
+        ):
+            return None
+        valve = None if names[0] == SERVICE else names[0]
+        known = any(report.name == names[2] for report in self._operator.alarms(valve))
+        return (valve, names[2]) if known else None
+
+    def _standing(self, valve: str | None, alarm: str) -> Condition:
+        (report,) = (r for r in self._operator.alarms(valve) if r.name == alarm)
+        return _condition(self._key(SERVICE if valve is None else valve, alarm), report)
+
+    def _key(self, owner: str, alarm: str) -> ConditionKey:
+        index = self._server.namespace_index
+        source = ua.NodeId(owner, index)
+        return ConditionKey(
+            id=ua.NodeId(f"{owner}.{ALARMS}.{alarm}.{CONDITION}", index),
+            name=alarm,
+            kind=_KIND.get(alarm, ConditionKind.ABOVE_LIMIT),
+            category=_CATEGORY.get(alarm, ConditionClass.SYSTEM),
+            source=source,
+            source_name=owner,
+            emitters=(_SERVER, ua.NodeId(ROOT, index), source),
+        )
+
+
+async def _add_condition(
+    place: HardenedServer | Declarations, parent: ua.NodeId, kind: ua.NodeId
+) -> ua.NodeId:
+    return await add_object(
+        place,
+        parent,
+        f"{parent.Identifier}.{CONDITION}",
+        description="The same alarm as a condition of Part 9.",
+        type_definition=kind,
+    )
+
+
+def _facts(report: AlarmReport) -> tuple[object, ...]:
+    return (
+        report.at,
+        report.count,
+        report.active,
+        report.acked,
+        report.confirmed,
+        report.commented,
+    )
+
+
+def _condition(key: ConditionKey, report: AlarmReport) -> Condition:
+    return Condition(
+        key=key,
+        active=report.active,
+        acked=report.acked,
+        confirmed=report.confirmed,
+        severity=report.severity,
+        message=report.text,
+        coming=report.count,
+        changed=report.at,
+        limit=report.limit,
+        comment=report.comment,
+        commented_by=report.commented_by,
+        commented=report.commented,
+    )
