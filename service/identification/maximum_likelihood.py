@@ -16,10 +16,8 @@ from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels import reaction
 from service.identification.kernels.factors import covariance
 from service.identification.kernels.filtered_scores import (
-    BLOCK,
     BLOCK_SQUARE,
     BLOCKS,
-    FEWEST,
     GATHERED,
     LATELY,
     PLACES_OF_COLOUR,
@@ -28,6 +26,7 @@ from service.identification.kernels.filtered_scores import (
     SCORE,
     SQUARE,
 )
+from service.identification.kernels.scores import BLOCK, FEWEST
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
