@@ -271,7 +271,9 @@ def _text(data: bytes) -> str:
 
 def _open(path: Path, timeout: float) -> sqlite3.Connection:
     """Open and check the file, furnish it if it is new."""
-    connection = sqlite3.connect(path, timeout, isolation_level=None, check_same_thread=False)
+    connection = sqlite3.connect(
+        path, timeout=timeout, isolation_level=None, check_same_thread=False
+    )
     try:
         connection.text_factory = _text
         _check(connection, path)

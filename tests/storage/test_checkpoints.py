@@ -4,6 +4,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ def test_a_second_damaged_file_does_not_replace_the_first(path):
 
 
 def test_the_database_of_another_program_is_not_touched(path):
-    with sqlite3.connect(path) as other:
+    with closing(sqlite3.connect(path)) as other, other:
         other.execute("CREATE TABLE bookkeeping (x)")
     other.close()
     before = path.read_bytes()
@@ -169,7 +170,7 @@ def test_the_database_of_another_program_is_not_touched(path):
 
 def test_a_file_of_a_newer_version_is_not_touched(path):
     CheckpointFile(path).close()
-    with sqlite3.connect(path) as newer:
+    with closing(sqlite3.connect(path)) as newer, newer:
         newer.execute("PRAGMA user_version = 99")
     newer.close()
     with pytest.raises(StorageError, match=r"newer valvemap: its schema is 99"):

@@ -3,6 +3,7 @@
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_any_span_in_any_order_a_page_at_a_time(tmp_path_factory, sizes, span, b
 
 
 def blocks(path):
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         return [n for (n,) in connection.execute("SELECT rows FROM block ORDER BY first")]
 
 
@@ -141,7 +142,7 @@ def test_a_flipped_bit_costs_its_block_and_nothing_wrong_is_read(path):
     with HistoryFile(path) as store:
         for k in range(3):
             store.save([piece(5_000 * k, 5_000)])
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         (found,) = connection.execute("SELECT id FROM name WHERE name = 'Q'").fetchone()
         connection.execute(
             "UPDATE part SET data = zeroblob(40000) WHERE name = ? AND block = "
@@ -154,7 +155,7 @@ def test_a_flipped_bit_costs_its_block_and_nothing_wrong_is_read(path):
 
 def test_a_file_of_others_is_left_alone(path):
     path.parent.mkdir()
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("CREATE TABLE theirs (x)")
     with pytest.raises(StorageError, match=r"history\.sqlite belongs to another program"):
         HistoryFile(path)
