@@ -22,7 +22,6 @@ from service.identification.kernels.filtered_scores import (
     ROWS_OF_BLOCKS,
     SQUARE,
 )
-from service.identification.kernels.scores import BLOCK, FEWEST
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import structlog
 
 pytest.importorskip("pyarrow")
 
@@ -169,6 +170,7 @@ def iter_all(spool):
 async def test_a_disk_that_takes_nothing_is_waited_for_and_nothing_is_lost(
     tmp_path, truth, messages, capsys
 ):
+    structlog.reset_defaults()  # another test may have had errors logged alone
     source, clock = Source(), ManualClock(START)
     one, spool = collector(tmp_path / "north.sqlite", source, clock)
     spool._connection.execute("PRAGMA max_page_count = 12")
@@ -199,6 +201,7 @@ async def test_no_block_is_larger_than_a_message_may_be(tmp_path, messages):
 
 
 async def test_what_is_under_way_of_other_valves_is_left_aside(tmp_path, messages, capsys):
+    structlog.reset_defaults()  # another test may have had errors logged alone
     source = Source()
     one, spool = collector(tmp_path / "north.sqlite", source, ManualClock(START))
     await hear(one, 7, messages)
