@@ -2,7 +2,7 @@
 
 import time
 
-from confluent_kafka import Consumer, TopicPartition
+from confluent_kafka import Consumer, KafkaError, KafkaException, TopicPartition
 from confluent_kafka.admin import AdminClient
 
 
@@ -37,5 +37,10 @@ def until(condition, seconds=240.0):
 def members(broker, group):
     """How many consumers of a group have partitions."""
     admin = AdminClient({"bootstrap.servers": broker})
-    found = admin.describe_consumer_groups([group])[group].result().members
+    try:
+        found = admin.describe_consumer_groups([group])[group].result().members
+    except KafkaException as error:
+        if error.args[0].code() == KafkaError.COORDINATOR_LOAD_IN_PROGRESS:
+            return 0  # the group's broker has only just begun
+        raise
     return sum(bool(one.assignment.topic_partitions) for one in found)
