@@ -7,7 +7,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or milo or languages or broker or image or chromium or tutorial
+PEERS := node or compiler or milo or languages or broker or image or chromium or tutorial
 
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE

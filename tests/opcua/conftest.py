@@ -3,7 +3,9 @@
 import pytest
 import pytest_asyncio
 
-pytest.register_assert_rewrite("support.interoperation", "support.source_interoperation")
+pytest.register_assert_rewrite(
+    "support.interoperation", "support.scada_interoperation", "support.source_interoperation"
+)
 
 from support.interoperation import Asking, raised  # noqa: E402 - after what it says above
 from support.peer import Peer  # noqa: E402

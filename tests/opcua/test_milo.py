@@ -3,6 +3,7 @@
 import pytest
 from support import milo_peer
 from support.interoperation import ClientInteroperation
+from support.scada_interoperation import ScadaInteroperation
 
 pytestmark = [pytest.mark.milo, pytest.mark.asyncio(loop_scope="module")]
 
@@ -14,3 +15,7 @@ def program(request):
 
 class TestMilo(ClientInteroperation):
     """The list that every stack goes through."""
+
+
+class TestMiloAsScada(ScadaInteroperation):
+    """Types, alarms and trends."""

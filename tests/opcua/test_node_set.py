@@ -1,8 +1,10 @@
 """The types of the results server: valid and importable as XML, and the instances' own."""
 
 import json
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -151,6 +153,43 @@ def test_node_opcua_imports_it_and_finds_the_same(packages, declared):
     assert found["ns=1;s=Types.Signals.Q"]["unit"] == "l/min"
     assert found["ns=1;s=Types.Inverse.Invert"]["inputs"] == ["Q", "dp", "T"]
     assert found["ns=1;s=Types.Estimator.ChangeCount"]["rule"] == "Optional"
+
+
+@pytest.fixture(scope="module")
+def compiler(request):
+    """Where open62541's NodeSet compiler is installed."""
+    wanted = HERE / "ncc_peer" / "requirements.txt"
+    target = request.config.cache.mkdir("ncc_peer")
+    if not (target / "o6_nodeset_compiler").exists():
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
+        command += ["--require-hashes", "--target", target, "-r", wanted]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+        if done.returncode:
+            pytest.skip(f"o6-ncc cannot be had: {done.stderr.strip()[-300:]}")
+    return target
+
+
+@pytest.mark.compiler
+def test_open62541_imports_it_and_finds_the_same(compiler, declared, tmp_path):
+    pytest.importorskip("o6")
+    command = [sys.executable, HERE / "ncc_peer" / "imported.py", NODE_SET, NAMESPACE, tmp_path]
+    environment = {**os.environ, "PYTHONPATH": str(compiler)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=240, check=False, env=environment
+    )
+    assert done.returncode == 0, done.stderr[-2_000:]
+    said = json.loads(done.stdout.splitlines()[-1])
+    found = {f"ns=1;s={node['id']}": node for node in said["nodes"]}
+    assert found.keys() == declared.keys()
+    for id_, node in found.items():
+        element = declared[id_]
+        assert node["name"] == element.get("BrowseName").rpartition(":")[2]
+        assert element.tag == f"{NODES}UA{node['class']}"
+        if element.get("ParentNodeId"):
+            assert node["parent"] == element.get("ParentNodeId").removeprefix("ns=1;s=")
+        if id_.count(".") < 3:  # the compiler passes over those of properties
+            assert (node["class"] == "ObjectType") == (node["rule"] is None)
+    assert said["unit"] == "l/min"
 
 
 @pytest.mark.node

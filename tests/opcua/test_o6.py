@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.interoperation import ClientInteroperation
+from support.scada_interoperation import ScadaInteroperation
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
@@ -23,3 +24,7 @@ class TestO6(ClientInteroperation):
     """The list that every stack goes through."""
 
     asks_again = False  # open62541's client does not know Republish
+
+
+class TestO6AsScada(ScadaInteroperation):
+    """Types, alarms and trends."""

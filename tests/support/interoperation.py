@@ -30,9 +30,12 @@ from service.hardened import (
 )
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
+from service.identification.samples import Segments
 from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.alignment import Alignment, AlignmentSettings
+from service.storage.history import HistoryFile
+from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.identification import Identification
+from service.streaming.past import PastKeeper
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import QualityGate
 
@@ -79,14 +82,23 @@ def identification():
     return Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
 
 
-async def identify(live, server):
-    """Take samples in and show what they say, 20 times a second."""
+def taken(first):
+    """The samples that come at once, from number ``first``."""
+    return plant(SAMPLES, seed=first + 1, first=first)
+
+
+async def identify(live, server, past):
+    """Take samples in and show what they say, 20 times a second; the history keeps both."""
     first = 0
     while True:
-        live.take_samples(0, plant(SAMPLES, seed=first + 1, first=first))
+        samples = taken(first)
+        past.take(ByValve(samples, Segments.one(SAMPLES)))
+        live.take_samples(0, samples)
         live.refresh_maps()
         for results in live.results([0]):
             await server.publish(results)
+            past.note(results)
+        past.tick(asyncio.get_running_loop().time(), int(samples.t[-1]))
         first += SAMPLES
         await asyncio.sleep(PERIOD_S)
 
@@ -119,13 +131,16 @@ async def raised(folder, **more):
     users.add("observer", Role.OBSERVER, PASSWORD)
     settings = results_settings(users=users, pki=pki, **more)
     live = identification()
-    async with ResultsServer(settings, live.descriptions(), live) as server:
-        task = asyncio.create_task(identify(live, server))
-        async with Proxy(urlsplit(server.url).port) as proxy:
-            yield Stage(server, live, proxy, pki, own, folder)
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+    with HistoryFile(folder / "history.sqlite") as store:
+        past = PastKeeper(store, ["Valvistor"])
+        async with ResultsServer(settings, live.descriptions(), live, past=store) as server:
+            task = asyncio.create_task(identify(live, server, past))
+            async with Proxy(urlsplit(server.url).port) as proxy:
+                yield Stage(server, live, proxy, pki, own, folder)
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+            await past.settle()
 
 
 def missing(counts):

@@ -20,6 +20,19 @@ _TYPES = {
     "float32": "Float",
     "float64": "Double",
 }
+_EPOCH_TICKS = 116_444_736_000_000_000  # 1970 in units of 100 ns since 1601
+_METHODS = {"AddComment": "i=9029", "Acknowledge": "i=9111", "Confirm": "i=9113"}
+_ALARM = {
+    "event": "EventId",
+    "name": "ConditionName",
+    "source": "SourceName",
+    "text": "Message",
+    "active": "ActiveState/Id",
+    "acked": "AckedState/Id",
+    "confirmed": "ConfirmedState/Id",
+    "retain": "Retain",
+    "comment": "Comment",
+}
 
 
 class Connection:
@@ -28,6 +41,7 @@ class Connection:
         self.client = client
         self.subscription = None
         self.changes = []
+        self.alarms = {}
 
 
 class Operations:
@@ -79,7 +93,7 @@ class Operations:
     async def browse(self, name, step):
         wanted = self.types.BrowseDescription()
         wanted.nodeId = self._id(name, step["node"])
-        wanted.referenceTypeId = self.o6.NodeId("i=33")
+        wanted.referenceTypeId = self.o6.NodeId(step.get("reference", "i=33"))
         wanted.includeSubtypes = True
         wanted.resultMask = 63
         request = self.types.BrowseRequest()
@@ -143,6 +157,86 @@ class Operations:
     async def unsubscribe(self, name, _):
         await self.connections[name].subscription.delete()
         return {}
+
+    async def watchAlarms(self, name, _):
+        connection = self.connections[name]
+        client = connection.client
+        subscription = await client.createSubscription(50.0, 600, 20, 0)
+        filter_ = self.types.EventFilter()
+        filter_.selectClauses = [
+            self._clause("i=2782", None),
+            *(self._clause("i=2041", path) for path in _ALARM.values()),
+        ]
+        of_type = self.types.ContentFilterElement()
+        of_type.filterOperator = self.types.FilterOperator.OF_TYPE
+        literal = self.types.LiteralOperand()
+        literal.value = self.o6.NodeId("i=2915")  # AlarmConditionType
+        of_type.filterOperands = [self.o6.ExtensionObject(literal)]
+        filter_.whereClause.elements = [of_type]
+
+        def take(fields):
+            condition, *values = fields.values()
+            if condition is not None:  # a refresh begins or ends
+                connection.alarms[str(condition)] = dict(zip(_ALARM, values, strict=True))
+
+        await client.monitorEvent("i=2253", take, filter_, subscription=subscription)
+        number = self.o6.UInt32(subscription.id)
+        code, *_ = await client.call("i=2782", "i=3875", [number])  # ConditionRefresh
+        code.check()
+        return {}
+
+    async def alarms(self, name, _):
+        found = self.connections[name].alarms
+        return [
+            {"condition": id_, **{key: _plain(value) for key, value in alarm.items()}}
+            for id_, alarm in found.items()
+        ]
+
+    async def act(self, name, step):
+        found = self.connections[name].alarms
+        ((id_, alarm),) = [
+            each for each in found.items() if _plain(each[1]["name"]) == step["name"]
+        ]
+        given = [alarm["event"], self.o6.LocalizedText(step["comment"], "en")]
+        method = _METHODS[step["method"]]
+        code, *_ = await self._client(name).call(self.o6.NodeId(id_), method, given)
+        return {"code": int(code)}
+
+    async def history(self, name, step):
+        start, end = (self.o6.DateTime(step[at] * 10_000 + _EPOCH_TICKS) for at in ("start", "end"))
+        if "aggregate" in step:
+            details = self.types.ReadProcessedDetails()
+            details.processingInterval = step["interval"]
+            details.aggregateType = [self.o6.NodeId(step["aggregate"])]
+            details.aggregateConfiguration.useServerCapabilitiesDefaults = True
+        else:
+            details = self.types.ReadRawModifiedDetails()
+            details.numValuesPerNode = step.get("page", 0)
+        details.startTime, details.endTime = start, end
+        wanted = self.types.HistoryReadValueId()
+        wanted.nodeId = self._id(name, step["node"])
+        request = self.types.HistoryReadRequest()
+        request.historyReadDetails = details
+        request.timestampsToReturn = self.types.TimestampsToReturn.BOTH
+        values, pages = [], 0
+        while True:
+            request.nodesToRead = [wanted]
+            answer = await self._client(name).serviceHistoryRead(request)
+            (found,) = answer.results  # these live no longer than the answer
+            values += [_shown(value) for value in getattr(found.historyData.body, "dataValues", ())]
+            pages += 1
+            if not bytes(found.continuationPoint or b""):
+                return {"code": int(found.statusCode), "pages": pages, "values": values}
+            wanted.continuationPoint = found.continuationPoint
+
+    def _clause(self, kind, path):
+        clause = self.types.SimpleAttributeOperand()
+        clause.typeDefinitionId = self.o6.NodeId(kind)
+        clause.attributeId = 1 if path is None else 13  # NodeId, or Value
+        clause.browsePath = [
+            self.o6.QualifiedName(0, part) for part in (path or "").split("/") if part
+        ]
+        return clause
 
     async def _monitor(self, name, number, wanted):
         connection = self.connections[name]

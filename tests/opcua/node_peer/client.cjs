@@ -23,6 +23,11 @@ const {
   installAlarmMonitoring,
   ofType,
 } = require("node-opcua-client");
+const {
+  HistoryReadRequest,
+  ReadProcessedDetails,
+  ReadRawModifiedDetails,
+} = require("node-opcua-service-history");
 
 const connections = new Map();
 
@@ -154,11 +159,11 @@ const operations = {
     return { code: found.statusCode.value, targets };
   },
 
-  async browse({ session }, { node, page = 0 }) {
+  async browse({ session }, { node, reference = "i=33", page = 0 }) {
     session.requestedMaxReferencesPerNode = page;
     let result = await session.browse({
       nodeId: id(session, node),
-      referenceTypeId: "i=33",
+      referenceTypeId: reference,
       includeSubtypes: true,
       browseDirection: BrowseDirection.Forward,
       resultMask: 63,
@@ -283,6 +288,32 @@ const operations = {
       comment,
     );
     return { code: code.value };
+  },
+
+  // What a variable was from start to end, in ms; aggregates where one is named.
+  async history({ session }, { node, start, end, page = 0, aggregate, interval }) {
+    const span = { startTime: new Date(start), endTime: new Date(end) };
+    const historyReadDetails = aggregate
+      ? new ReadProcessedDetails({
+          ...span,
+          processingInterval: interval,
+          aggregateType: [aggregate],
+          aggregateConfiguration: { useServerCapabilitiesDefaults: true },
+        })
+      : new ReadRawModifiedDetails({ ...span, numValuesPerNode: page });
+    const values = [];
+    let continuationPoint = null;
+    for (let pages = 1; ; pages += 1) {
+      const request = new HistoryReadRequest({
+        historyReadDetails,
+        timestampsToReturn: TimestampsToReturn.Both,
+        nodesToRead: [{ nodeId: id(session, node), continuationPoint }],
+      });
+      const [found] = (await session.historyRead(request)).results;
+      values.push(...(found.historyData?.dataValues ?? []).map(shown));
+      continuationPoint = found.continuationPoint;
+      if (!continuationPoint?.length) return { code: found.statusCode.value, pages, values };
+    }
   },
 
   async events({ events }) {

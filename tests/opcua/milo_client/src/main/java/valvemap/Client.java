@@ -53,6 +53,7 @@ public final class Client {
     final OpcUaClient client;
     OpcUaSubscription subscription;
     List<JsonArray> changes = List.of();
+    final Alarms alarms;
 
     /**
      * Keeps an idle subscription: without any, Milo is told Bad_NoSubscription, and where it hears
@@ -60,6 +61,7 @@ public final class Client {
      */
     Connection(OpcUaClient client) throws UaException {
       this.client = client;
+      alarms = new Alarms(client);
       new OpcUaSubscription(client, 1_000.0).create();
     }
   }
@@ -115,6 +117,14 @@ public final class Client {
         return subscribe(connection, step);
       case "changes":
         return changes(connection);
+      case "watchAlarms":
+        return connection.alarms.watch();
+      case "alarms":
+        return connection.alarms.shown();
+      case "act":
+        return connection.alarms.act(step);
+      case "history":
+        return History.read(connection.client, id(connection.client, step, "node"), step);
       case "unsubscribe":
         connection.subscription.delete();
         return new JsonObject();
@@ -153,7 +163,7 @@ public final class Client {
         new BrowseDescription(
             id(client, step, "node"),
             BrowseDirection.Forward,
-            NodeIds.HierarchicalReferences,
+            NodeId.parse(Json.text(step, "reference", "i=33")),
             true,
             uint(0),
             uint(63));
@@ -298,7 +308,7 @@ public final class Client {
         "ns=" + client.getNamespaceTable().getIndex(text.substring(4, end)) + text.substring(end));
   }
 
-  private static JsonObject coded(StatusCode code) {
+  static JsonObject coded(StatusCode code) {
     JsonObject result = new JsonObject();
     result.addProperty("code", code.getValue());
     return result;
