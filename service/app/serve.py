@@ -149,6 +149,7 @@ async def _live(
 ) -> tuple[_Plan | None, list[Checkpoint]]:
     """Run one configuration until the end; return what is to run then, and all that is known."""
     config, clock = plan.config, SystemClock()
+    keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
     server = ResultsServer(
         plan.settings,
         plan.identification.descriptions(),
@@ -156,6 +157,7 @@ async def _live(
         scalars_interval_s=config.server.results_interval_ms * 1e-3,
         on_reload=reload.call,
         past=past,
+        on_alarm=None if keeper is None else keeper.note_alarm,
     )
     live = LiveService(
         plan.identification,
@@ -165,7 +167,7 @@ async def _live(
         clock,
         build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
         on_samples,
-        None if past is None else PastKeeper(past, [valve.name for valve in config.valves]),
+        keeper,
     )
     ended = asyncio.Event()
     async with server:

@@ -33,7 +33,7 @@ from service.streaming.alignment import ByValve
 from service.streaming.backoff import backoff
 from service.streaming.live import DAY_NS, HEALTH_EVERY_S
 from service.streaming.past import PastKeeper
-from service.streaming.ports import Health, PastCounters, PastStore, Results
+from service.streaming.ports import AlarmChange, Health, PastCounters, PastStore, Results
 
 _VALVES_AT_ONCE: Final = 32  # published before others have their turn
 _COMMIT_EVERY_S: Final = 5.0  # how far was read, once the history has it
@@ -80,6 +80,7 @@ async def serve(
             show.operator,
             scalars_interval_s=given.server.results_interval_ms * 1e-3,
             past=past,
+            on_alarm=show.keep,
         )
         certificate = own_certificate(given) if settings.pki else None
         show.certificate_until_ns = build_live_settings(given, certificate).certificate_until_ns
@@ -173,6 +174,11 @@ class Show:
         self._heard_at = np.full(len(names), now)
         self._standing = np.full(len(names), int(Quality.BAD))  # nothing is known of the present
         self._health_due = self._commit_due = now
+
+    def keep(self, change: AlarmChange) -> None:
+        """Have the history keep a change of an alarm."""
+        if self._past is not None:
+            self._past.note_alarm(change)
 
     async def first(self, server: ResultsServer, blocks: Sequence[ResultsBlock]) -> None:
         """Show what was known before: nothing is known of the present yet."""

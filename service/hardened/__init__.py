@@ -34,8 +34,10 @@ from service.hardened.errors import (
     ServerError,
     StorageError,
 )
+from service.hardened.history.events import EventHistorian, PastEvent
 from service.hardened.history.historian import Historian, Records, Span
 from service.hardened.lifecycle import Startable
+from service.hardened.monitoring.event_filter import Event
 from service.hardened.security.certificates import (
     OwnCertificate,
     Pki,
@@ -64,6 +66,8 @@ __all__ = [
     "ConditionKind",
     "ConfigurationError",
     "Declarations",
+    "Event",
+    "EventHistorian",
     "HardenedError",
     "HardenedServer",
     "Historian",
@@ -73,6 +77,7 @@ __all__ = [
     "Method",
     "OutOfRange",
     "OwnCertificate",
+    "PastEvent",
     "Pki",
     "Product",
     "Records",

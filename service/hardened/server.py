@@ -36,6 +36,7 @@ from service.hardened.conditions.keeper import ConditionKeeper
 from service.hardened.conditions.nodes import ConditionNodes, references_to
 from service.hardened.errors import CertificateError, ConfigurationError, ServerError
 from service.hardened.history.aggregates import Aggregate
+from service.hardened.history.events import MOST_EVENTS, EventHistorian
 from service.hardened.history.historian import Historian
 from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
@@ -63,6 +64,7 @@ from service.hardened.transport.shared import Own, Shared, Traffic
 _log = bounded_logger(__name__)
 
 _EMITS = 1 << ua.EventNotifier.SubscribeToEvents
+_REMEMBERS = 1 << ua.EventNotifier.HistoryRead
 
 Update = tuple[Variable, Value, int, int]
 
@@ -133,7 +135,7 @@ class HardenedServer(Startable):
         self._conditions = Conditions(
             self._subscriptions, ConditionNodes(aspace, self._write_data_value), self._clock
         )
-        self._has_history = False
+        self._has_history = self._has_past_events = False
         self._services = Services(
             limits,
             self._clock,
@@ -363,6 +365,15 @@ class HardenedServer(Startable):
             historizing = ua.DataValue(ua.Variant(True, ua.VariantType.Boolean))  # noqa: FBT003
             attributes[ua.AttributeIds.Historizing].value = historizing
 
+    def add_event_history(self, sources: Iterable[ua.NodeId], historian: EventHistorian) -> None:
+        """Let clients read what objects have reported; called before the start."""
+        self._has_past_events = True
+        for source in sources:
+            self._histories.add_events(source, historian)
+            attributes = self._inside.aspace[source].attributes
+            notifier = ua.DataValue(ua.Variant(_EMITS | _REMEMBERS, ua.VariantType.Byte))
+            attributes[ua.AttributeIds.EventNotifier].value = notifier
+
     def keep_conditions(self, keeper: ConditionKeeper) -> None:
         """Let clients acknowledge, confirm, comment on and refresh the conditions of a keeper."""
         self._conditions.keeper = keeper
@@ -471,6 +482,7 @@ class HardenedServer(Startable):
         self._announcements.announce(
             tuple(Aggregate) if self._has_history else None,
             conditions=self._conditions.keeper is not None,
+            past_events=MOST_EVENTS if self._has_past_events else 0,
         )
         self._announcements.start()
         if settings.none_on_loopback:

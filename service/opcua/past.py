@@ -1,15 +1,17 @@
-"""The history of signals and results, as the guarded server asks for it."""
+"""The history of signals, results and alarms, as the guarded server asks for it."""
 
 import asyncio
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 from asyncua import ua
 
-from service.hardened import Records, Span
+from service.hardened import Event, PastEvent, Records, Span
+from service.opcua.information_model import ROOT
 from service.streaming.past import ESTIMATED, REQUIRED_U
-from service.streaming.ports import SIGNALS, PastStore
+from service.streaming.ports import SIGNALS, AlarmReport, PastStore
 
 _NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
 _BAD: Final = 0x8000_0000
@@ -48,3 +50,31 @@ class ResultsPast:
         missing = np.isnan(past.values) & (past.codes < _BAD)
         codes = np.where(missing, _NO_DATA, past.codes)
         return Records(past.values, codes, past.t, past.t)
+
+
+class AlarmsPast:
+    """Fulfils :class:`service.hardened.EventHistorian`: what alarms have been, as their events.
+
+    ``event_of`` makes the event of an owner's alarm as it stood.
+    """
+
+    def __init__(self, store: PastStore, event_of: Callable[[str, AlarmReport], Event]) -> None:
+        self._store = store
+        self._event_of = event_of
+
+    def events(
+        self, emitter: ua.NodeId, span: Span, skip: int, most: int
+    ) -> Awaitable[Sequence[PastEvent]]:
+        """Past events, see :class:`service.hardened.EventHistorian`."""
+        of_all = emitter.NamespaceIndex == 0 or emitter.Identifier == ROOT
+        owner = None if of_all else str(emitter.Identifier)
+        return asyncio.to_thread(self._read, owner, span, skip, most)
+
+    def _read(self, owner: str | None, span: Span, skip: int, most: int) -> list[PastEvent]:
+        found = self._store.changes(
+            owner, span.low, span.high, backwards=span.backwards, skip=skip, most=most
+        )
+        return [
+            PastEvent(change.t, partial(self._event_of, change.owner, change.report))
+            for change in found
+        ]

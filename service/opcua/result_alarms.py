@@ -19,6 +19,7 @@ from service.hardened import (
     ConditionKey,
     ConditionKind,
     Declarations,
+    Event,
     HardenedServer,
     Role,
     add_method,
@@ -31,7 +32,15 @@ from service.opcua.information_model import ALARMS, ROOT, SERVICE, VariableNode,
 from service.opcua.result_types import ALARM, type_of
 from service.opcua.result_values import Shown, alarm_values
 from service.streaming.alarm_words import ALARM_DESCRIPTIONS
-from service.streaming.ports import AlarmReport, Answer, Operator, Remark, Results, ValveDescription
+from service.streaming.ports import (
+    AlarmChange,
+    AlarmReport,
+    Answer,
+    Operator,
+    Remark,
+    Results,
+    ValveDescription,
+)
 
 CONDITION = "Condition"
 MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
@@ -72,6 +81,8 @@ class ResultAlarms:
         Writes a variable of a valve, or of the service.
     note
         Shows what was done to a valve.
+    keep
+        Takes what changed, for the history; None: there is none.
     """
 
     def __init__(
@@ -82,6 +93,7 @@ class ResultAlarms:
         clock: Clock,
         show: Show,
         note: Callable[[str, str], None],
+        keep: Callable[[AlarmChange], None] | None = None,
     ) -> None:
         self._server = server
         self._names = [valve.name for valve in valves]
@@ -90,6 +102,7 @@ class ResultAlarms:
         self._clock = clock
         self._show = show
         self._note = note
+        self._keep = keep
         self._versions = np.zeros(len(self._names), np.int64)
         self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
         server.keep_conditions(self)
@@ -117,6 +130,12 @@ class ResultAlarms:
             is_news = before is not None or condition.retain  # else it was over before we began
             if before != digest and is_news:
                 self._server.report(condition)
+                if self._keep is not None:
+                    self._keep(AlarmChange(owner, max(report.at, report.commented), report))
+
+    def event_of(self, owner: str, report: AlarmReport) -> Event:
+        """The event of a change, from how the alarm stood then: the same for ever."""
+        return _condition(self._key(owner, report.name), report).event()
 
     async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
         """Add the nodes of a valve's alarms, or of the service's."""

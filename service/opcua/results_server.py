@@ -72,7 +72,7 @@ from service.opcua.information_model import (
     timing_variable,
     waiting_variable,
 )
-from service.opcua.past import ResultsPast, has_past
+from service.opcua.past import AlarmsPast, ResultsPast, has_past
 from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
@@ -86,6 +86,7 @@ from service.opcua.result_values import (
 )
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
+    AlarmChange,
     AlarmReport,
     Answer,
     EstimatorDescription,
@@ -138,7 +139,9 @@ class ResultsServer(Startable):
     on_reload
         Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
     past
-        What signals and results have been; None: that cannot be asked.
+        What signals, results and alarms have been; None: that cannot be asked.
+    on_alarm
+        Takes each change of an alarm, to be kept.
     """
 
     def __init__(
@@ -150,6 +153,7 @@ class ResultsServer(Startable):
         scalars_interval_s: float = 0.0,
         on_reload: Callable[[], Awaitable[None]] | None = None,
         past: PastStore | None = None,
+        on_alarm: Callable[[AlarmChange], None] | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -164,7 +168,9 @@ class ResultsServer(Startable):
         self._sequences = np.zeros(len(self._valves), np.int64)
         self._scalars_interval_s = scalars_interval_s
         self._on_reload = on_reload
+        self._store = past
         self._past = None if past is None else ResultsPast(past)
+        self._on_alarm = on_alarm
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
@@ -201,6 +207,7 @@ class ResultsServer(Startable):
             self._clock,
             partial(self._show, server),
             self._note,
+            self._on_alarm,
         )
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
@@ -222,6 +229,11 @@ class ResultsServer(Startable):
                 server.let_emit(folder)
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
+        if self._store is not None:
+            owners = [*(valve.name for valve in self._valves), SERVICE, ROOT]
+            emitters = [ua.NodeId(owner, server.namespace_index) for owner in owners]
+            past = AlarmsPast(self._store, self._alarms.event_of)
+            server.add_event_history([ua.NodeId(ua.ObjectIds.Server), *emitters], past)
         await server.start()
         self._server = server
 

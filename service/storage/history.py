@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.samples import Floats, Times
+from service.storage import alarm_changes
 from service.storage.closing import Closing
 from service.storage.sqlite_files import check_owner, naming, pragma, transaction
-from service.streaming.ports import Past, Piece
+from service.streaming.ports import AlarmChange, Past, Piece
 
 APPLICATION_ID = 0x76_6D_61_68  # "vmah"
 SCHEMA_VERSION = 1
@@ -156,10 +157,33 @@ class HistoryFile(Closing):
                     break
         return _joined(found)[skip : skip + most]
 
+    def note(self, changes: Sequence[AlarmChange]) -> None:
+        """Keep changes of alarms; those that are kept already are not kept twice."""
+        with self._writing, naming(self.path), transaction(self._writer):
+            alarm_changes.insert(self._writer, changes)
+
+    def changes(
+        self,
+        owner: str | None,
+        low: int,
+        high: int,
+        *,
+        backwards: bool = False,
+        skip: int = 0,
+        most: int,
+    ) -> list[AlarmChange]:
+        """Changes of an owner's alarms (None: of all) from ``low`` to ``high``, as :meth:`read`."""
+        with self._reading, naming(self.path):
+            span = low, high
+            return alarm_changes.select(
+                self._reader, owner, span, backwards=backwards, skip=skip, most=most
+            )
+
     def forget(self, now: int) -> int:
         """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
         with self._writing, naming(self.path):
             with transaction(self._writer):
+                alarm_changes.forget(self._writer, now - self._keep_ns)
                 dropped = self._drop("last < ?", (now - self._keep_ns,))
                 excess = self._bytes() - self._most_bytes
                 if excess > 0:
@@ -353,6 +377,7 @@ def _open(path: Path) -> sqlite3.Connection:
                 connection.execute(statement)
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
+        alarm_changes.prepare(connection)
     except BaseException:
         connection.close()
         raise

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from service.errors import StorageError
 from service.identification.samples import Codes, Floats, Quality, Times
 from service.streaming.alignment import ByValve
-from service.streaming.ports import SIGNALS, PastCounters, PastStore, Piece, Results
+from service.streaming.ports import (
+    SIGNALS,
+    AlarmChange,
+    PastCounters,
+    PastStore,
+    Piece,
+    Results,
+)
 
 ESTIMATED: Final = {
     "PredictedFlow": "predicted",
@@ -68,6 +75,7 @@ class PastKeeper:
         self._valves = tuple(valves)
         self._samples: list[ByValve] = []
         self._results: list[Results] = []
+        self._changes: list[AlarmChange] = []
         self._rows = 0
         self._due = self._forget_due = 0.0
         self._keeping: asyncio.Task[None] | None = None
@@ -82,6 +90,11 @@ class PastKeeper:
         """Gather results."""
         if self._has_room(len(results.valves) * (len(results.estimators) + 1)):
             self._results.append(results)
+
+    def note_alarm(self, change: AlarmChange) -> None:
+        """Gather a change of an alarm."""
+        if self._has_room(1):
+            self._changes.append(change)
 
     def tick(self, now: float, utc: int) -> None:
         """Have kept what was gathered, if it is time; ``now`` in s, ``utc`` in ns."""
@@ -114,12 +127,15 @@ class PastKeeper:
 
     async def _keep(self, forget_at: int | None) -> None:
         samples, results, rows = self._samples, self._results, self._rows
-        self._samples, self._results, self._rows = [], [], 0
+        changes = self._changes
+        self._samples, self._results, self._changes, self._rows = [], [], [], 0
 
         def keep() -> None:
             pieces = [*_of_samples(self._valves, samples), *_of_results(self._valves, results)]
             if pieces:
                 self._store.save(pieces)
+            if changes:
+                self._store.note(changes)
             if forget_at is not None:
                 self._store.forget(forget_at)
 

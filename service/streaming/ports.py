@@ -308,6 +308,18 @@ class Remark:
 
 
 @dataclass(frozen=True)
+class AlarmChange:
+    """One change of an alarm, to be kept.
+
+    Whose it is (a valve's name, or the service's), when it changed (UTC ns), how it stood then.
+    """
+
+    owner: str
+    t: int
+    report: AlarmReport
+
+
+@dataclass(frozen=True)
 class AlarmResults:
     """The alarms of M valves.
 
@@ -636,6 +648,27 @@ class PastStore(Protocol):
         most: int,
     ) -> Past:
         """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+
+    def note(self, changes: Sequence[AlarmChange]) -> None:
+        """Keep changes of alarms; those that are kept already are not kept twice.
+
+        Raises
+        ------
+        StorageError
+            naming the file.
+        """
+
+    def changes(
+        self,
+        owner: str | None,
+        low: int,
+        high: int,
+        *,
+        backwards: bool = False,
+        skip: int = 0,
+        most: int,
+    ) -> Sequence[AlarmChange]:
+        """Changes of an owner's alarms (None: of all), see :meth:`read`."""
 
     @property
     def size(self) -> int:

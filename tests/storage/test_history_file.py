@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import StorageError
+from service.storage import alarm_changes
 from service.storage.history import BLOCK, HistoryFile
-from service.streaming.ports import Piece
+from service.streaming.ports import AlarmChange, AlarmReport, Piece
 
 EVER = -(2**63), 2**63 - 1
 S = 1_000_000_000
@@ -53,6 +54,43 @@ def test_what_is_not_newer_is_left_out_and_counted(path):
     with HistoryFile(path) as store:
         assert store.save([piece(12, 5)]) == 2 * 3
         np.testing.assert_array_equal(whole(store).t, np.arange(17))
+
+
+def changed(t, owner="V1", name="LagFound", count=1):
+    report = AlarmReport(name, True, False, 300, t, t, count, f"came at {t}")  # noqa: FBT003
+    return AlarmChange(owner, t, report)
+
+
+def test_changes_of_alarms_are_kept_once_and_read_by_owner(path):
+    mine = [changed(t) for t in (3, 1, 2)]
+    with HistoryFile(path) as store:
+        store.note([*mine, changed(2, "V2")])
+        store.note(mine)
+    with HistoryFile(path) as store:
+        assert store.changes("V1", 0, 9, most=9) == [changed(t) for t in (1, 2, 3)]
+        assert store.changes("V1", 2, 9, backwards=True, most=9) == [changed(3), changed(2)]
+        assert len(store.changes(None, *EVER, most=9)) == 4
+        assert store.changes(None, *EVER, skip=1, most=2) == [changed(2), changed(2, "V2")]
+
+
+def test_old_and_excessive_changes_of_alarms_are_forgotten(path, monkeypatch):
+    with HistoryFile(path, keep_s=10.0) as store:
+        store.note([changed(k * S) for k in range(20)])
+        store.forget(20 * S)
+        assert store.changes("V1", *EVER, most=1) == [changed(10 * S)]
+        monkeypatch.setattr(alarm_changes, "MOST_CHANGES", 3)
+        store.forget(20 * S)
+        assert [change.t // S for change in store.changes("V1", *EVER, most=99)] == [17, 18, 19]
+
+
+def test_a_damaged_change_of_an_alarm_is_left_out(path):
+    with HistoryFile(path) as store:
+        store.note([changed(t) for t in range(5)])
+    with closing(sqlite3.connect(path)) as damaging, damaging:
+        spoil = "UPDATE alarm_change SET report = replace(report, 'came', 'cane') WHERE t = 2"
+        damaging.execute(spoil)
+    with HistoryFile(path) as store:
+        assert [change.t for change in store.changes("V1", *EVER, most=3)] == [0, 1, 3]
 
 
 SPANS = st.tuples(st.integers(-5, 60), st.integers(-5, 60), st.integers(0, 12), st.integers(1, 40))

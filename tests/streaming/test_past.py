@@ -10,7 +10,14 @@ from service.identification.samples import Quality, Samples, Segments
 from service.streaming import past
 from service.streaming.alignment import ByValve
 from service.streaming.past import PastKeeper
-from service.streaming.ports import EstimatorResults, InverseResults, Results, SignalResults
+from service.streaming.ports import (
+    AlarmChange,
+    AlarmReport,
+    EstimatorResults,
+    InverseResults,
+    Results,
+    SignalResults,
+)
 
 VALVES = ("V1", "V2", "V3")
 GOOD, BAD = int(Quality.GOOD), int(Quality.BAD)
@@ -20,13 +27,18 @@ class Store:
     """Fulfils PastStore."""
 
     def __init__(self):
-        self.pieces, self.forgotten, self.broken = [], [], False
+        self.pieces, self.forgotten, self.broken, self.noted = [], [], False, []
 
     def save(self, pieces):
         if self.broken:
             raise StorageError("disk full")
         self.pieces += pieces
         return 0
+
+    def note(self, changes):
+        if self.broken:
+            raise StorageError("disk full")
+        self.noted += changes
 
     def forget(self, now):
         self.forgotten.append(now)
@@ -121,6 +133,19 @@ async def test_of_a_valve_without_a_sample_nothing_is_noted(keeper, store):
     keeper.note(results_of([1], t=0, quality=BAD))
     await keeper.settle()
     assert store.pieces == []
+
+
+async def test_changes_of_alarms_are_kept_and_no_room_for_them_is_counted(keeper, store):
+    report = AlarmReport("LagFound", True, False, 300, 1, 1, 1, "it lags")  # noqa: FBT003
+    changes = [AlarmChange("V1", t, report) for t in (1, 2)]
+    for change in changes:
+        keeper.note_alarm(change)
+        await keeper.settle()
+    assert store.noted == changes
+    store.broken = True
+    keeper.note_alarm(changes[0])
+    await keeper.settle()
+    assert keeper.lost == 1
 
 
 async def test_it_keeps_once_a_second_and_forgets_once_a_minute(keeper, store):

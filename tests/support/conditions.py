@@ -12,6 +12,7 @@ from support.results import results_settings
 
 from service.hardened import Role, UserStore
 from service.opcua.results_server import NAMESPACE, ResultsServer
+from service.streaming.past import PastKeeper
 from service.streaming.ports import Remark
 
 S = 1_000_000_000
@@ -40,7 +41,9 @@ async def until(condition, patience=30.0):
 class Plant:
     """One valve's service, of which a lag can be found and lost again, as often as one likes."""
 
-    def __init__(self, users, clock, **settings):
+    def __init__(self, users, clock, store=None, **settings):
+        self._store = store
+        self.past = None if store is None else PastKeeper(store, ["Valvistor"])
         self._users, self.clock, self._settings = users, clock, settings
         self.live = identification()
         self.live.take(as_changes(plant(500)))
@@ -49,7 +52,10 @@ class Plant:
 
     async def start(self):
         settings = results_settings(users=self._users, none_on_loopback=True, **self._settings)
-        server = ResultsServer(settings, self.live.descriptions(), self.live, self.clock)
+        history = {}
+        if self._store is not None:
+            history = {"past": self._store, "on_alarm": self.past.note_alarm}
+        server = ResultsServer(settings, self.live.descriptions(), self.live, self.clock, **history)
         await server.start()
         self.server = server
         await self.publish()

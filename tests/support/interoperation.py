@@ -133,7 +133,8 @@ async def raised(folder, **more):
     live = identification()
     with HistoryFile(folder / "history.sqlite") as store:
         past = PastKeeper(store, ["Valvistor"])
-        async with ResultsServer(settings, live.descriptions(), live, past=store) as server:
+        history = {"past": store, "on_alarm": past.note_alarm}
+        async with ResultsServer(settings, live.descriptions(), live, **history) as server:
             task = asyncio.create_task(identify(live, server, past))
             async with Proxy(urlsplit(server.url).port) as proxy:
                 yield Stage(server, live, proxy, pki, own, folder)

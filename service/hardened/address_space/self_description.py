@@ -49,6 +49,7 @@ _LIMIT_OF = {
     ),
     _Ids.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall: "operations",
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryReadData: "history_reads",
+    _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryReadEvents: "history_reads",
     _Ids.Server_ServerCapabilities_MaxArrayLength: "array_length",
     _Ids.Server_ServerCapabilities_MaxStringLength: "string_bytes",
     _Ids.Server_ServerCapabilities_MaxByteStringLength: "string_bytes",
@@ -63,13 +64,11 @@ _LIMIT_OF = {
 }
 # not offered at all: 0 would mean "without limit"
 _NOT_OFFERED = (
-    _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryReadEvents,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateData,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateEvents,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerNodeManagement,
 )
 _NO_HISTORY_SERVICES = (
-    _Ids.HistoryServerCapabilities_AccessHistoryEventsCapability,
     _Ids.HistoryServerCapabilities_DeleteAtTimeCapability,
     _Ids.HistoryServerCapabilities_DeleteEventCapability,
     _Ids.HistoryServerCapabilities_DeleteRawCapability,
@@ -143,11 +142,14 @@ class SelfDescription:
         self._started = 0
         self._task: asyncio.Task[None] | None = None
 
-    def announce(self, aggregates: Iterable[int] | None, *, conditions: bool) -> None:
+    def announce(
+        self, aggregates: Iterable[int] | None, *, conditions: bool, past_events: int
+    ) -> None:
         """Write what does not change while the server runs.
 
         ``aggregates`` are those that are computed of histories, None where there are no histories;
-        ``conditions`` says whether there are any.
+        ``conditions`` says whether there are any, ``past_events`` how many past ones are
+        in one answer at most, 0 where none are remembered.
         """
         settings, limits = self._settings, self._settings.limits
         for node, name in _LIMIT_OF.items():
@@ -164,11 +166,12 @@ class SelfDescription:
         self._set(
             _Ids.HistoryServerCapabilities_MaxReturnDataValues, limits.history_values, _UINT32
         )
-        self._set(_Ids.HistoryServerCapabilities_MaxReturnEventValues, 1, _UINT32)
+        self._set(_Ids.HistoryServerCapabilities_MaxReturnEventValues, past_events or 1, _UINT32)
         for node in _NO_HISTORY_SERVICES:
             self._set(node, False, _Types.Boolean)  # noqa: FBT003 - a value
         for node, there in (
             (_Ids.HistoryServerCapabilities_AccessHistoryDataCapability, aggregates is not None),
+            (_Ids.HistoryServerCapabilities_AccessHistoryEventsCapability, past_events > 0),
             (_Ids.HistoryServerCapabilities_ServerTimestampSupported, True),
         ):
             self._set(node, there, _Types.Boolean)

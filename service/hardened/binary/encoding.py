@@ -35,7 +35,7 @@ DTYPES = {kind: f"<{letter}" for kind, letter in _FORMATS.items()}
 _PLAIN = {kind: struct.Struct(f"<BB{letter}qq") for kind, letter in _FORMATS.items()}
 _PLAIN_MASK = VALUE | SOURCE | SERVER
 
-HISTORY_DATA = 658
+HISTORY_DATA, HISTORY_EVENT = 658, 661
 DATA_CHANGE = 811
 EVENTS = 916
 STATUS_CHANGE = 820
@@ -86,6 +86,12 @@ def ticks(moment: dt.datetime) -> int:
 def nanoseconds(moment: dt.datetime) -> int:
     """UTC ns since 1970."""
     return (ticks(moment) - TICKS_1970) * 100
+
+
+def nanoseconds_given(moment: dt.datetime | None) -> int | None:
+    """UTC ns of a time that is given; DateTime 0 stands for none."""
+    found = None if moment is None else nanoseconds(moment)
+    return None if found is None or found <= -TICKS_1970 * 100 else found
 
 
 def encoding_cost(value: ua.DataValue) -> float:
@@ -219,15 +225,19 @@ def encode_history_response(request_handle: int, now: int, results: Sequence[byt
 
 
 def encode_history_result(
-    code: int, continuation: bytes | None = None, values: bytes | None = None, count: int = 0
+    code: int,
+    continuation: bytes | None = None,
+    values: bytes | None = None,
+    count: int = 0,
+    of: int = HISTORY_DATA,
 ) -> bytes:
-    """Encode a HistoryReadResult around ``count`` encoded DataValues; None: without data."""
+    """Encode a HistoryReadResult around ``count`` encoded values or events; None: without data."""
     point = b"\xff\xff\xff\xff"
     if continuation is not None:
         point = len(continuation).to_bytes(4, "little") + continuation
     data = b"\x00\x00\x00"
     if values is not None:
-        data = _extension_object(HISTORY_DATA, count.to_bytes(4, "little") + values)
+        data = _extension_object(of, count.to_bytes(4, "little") + values)
     return b"".join((code.to_bytes(4, "little"), point, data))
 
 

@@ -28,13 +28,13 @@ class Span:
         """Where it begins."""
         return self.high if self.backwards else self.low
 
-    def behind(self, skip: int, read: "Records") -> tuple["Span", int]:
+    def behind(self, skip: int, read: NDArray[np.int64]) -> tuple["Span", int]:
         """Where it goes on once some of it is read, and how many records to leave out there.
 
-        ``skip`` were left out before these.
+        ``read`` are their times; ``skip`` were left out before these.
         """
-        last = int(read.source[-1])
-        seen = int(np.count_nonzero(read.source == last))
+        last = int(read[-1])
+        seen = int(np.count_nonzero(read == last))
         skip = seen + (skip if last == self.first else 0)
         rest = replace(self, high=last) if self.backwards else replace(self, low=last)
         return rest, skip

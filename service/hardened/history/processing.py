@@ -136,7 +136,7 @@ async def _pieces(raw: Raw, span: Span, most: int, reverse: bool) -> AsyncIterat
         yield found
         if len(found) < _PIECE:
             return
-        span, skip = span.behind(skip, found)
+        span, skip = span.behind(skip, found.source)
 
 
 def _rules(given: ua.AggregateConfiguration) -> Rules:

@@ -1,22 +1,32 @@
-"""HistoryRead (Part 11, 6.4), a page at a time: raw values, aggregates, values at given times."""
+"""HistoryRead (Part 11, 6.4), a page at a time: raw values, aggregates, at given times, events."""
 
 import secrets
 from collections import OrderedDict
-from collections.abc import Awaitable, Container
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from asyncua import ua
+from asyncua.server.address_space import AddressSpace
 
 from service.hardened.address_space.declarations import Variable
 from service.hardened.binary.encoding import (
     DTYPES,
+    HISTORY_DATA,
+    HISTORY_EVENT,
     TICKS_1970,
     encode_history_result,
-    nanoseconds,
 )
+from service.hardened.binary.encoding import nanoseconds_given as _time
 from service.hardened.binary.records import Form, encode_records
+from service.hardened.history.events import (
+    EventHistorian,
+    PastEvents,
+    Turn,
+    page_of_events,
+    past_events,
+)
 from service.hardened.history.historian import EVER, Historian, Records, Span, joined
 from service.hardened.history.processing import (
     AtTimes,
@@ -27,22 +37,12 @@ from service.hardened.history.processing import (
     processed,
     type_of,
 )
+from service.hardened.monitoring.event_filter import EventFilter, EventFilterRefused
 from service.hardened.settings import Limits
 
 _Codes = ua.StatusCodes
 MOST_TIMES = 1_000  # of one variable in one request, each is looked up
-_NO_TIME = -TICKS_1970 * 100  # DateTime 0, which stands for none
 _BAD = 0x8000_0000
-
-
-class Turn(Protocol):
-    """The running request's turn at the server."""
-
-    async def breathe(self) -> None:
-        """Let others go first if this request has lasted for long."""
-
-    async def outside(self, slow: Awaitable[Records]) -> Records:
-        """Wait for something slow without keeping the turn."""
 
 
 @dataclass(frozen=True)
@@ -72,20 +72,25 @@ class Rest:
     tail: int | None = None
 
 
-Rests = OrderedDict[bytes, Rest | Processed]
+Rests = OrderedDict[bytes, Rest | Processed | PastEvents]
 
 
 class Histories:
-    """The histories of a server's variables."""
+    """The histories of a server's variables, and of its objects' events."""
 
-    def __init__(self, limits: Limits, nodes: Container[ua.NodeId]) -> None:
+    def __init__(self, limits: Limits, nodes: AddressSpace) -> None:
         self._limits = limits
         self._nodes = nodes
         self._kept: dict[ua.NodeId, tuple[Variable, Historian]] = {}
+        self._events: dict[ua.NodeId, EventHistorian] = {}
 
     def add(self, variable: Variable, historian: Historian) -> None:
         """Have a variable's past answered for by somebody."""
         self._kept[variable.id] = variable, historian
+
+    def add_events(self, emitter: ua.NodeId, historian: EventHistorian) -> None:
+        """Have an object's past events answered for by somebody."""
+        self._events[emitter] = historian
 
     async def read(
         self, params: ua.HistoryReadParameters, number: int, rests: Rests, turn: Turn
@@ -98,6 +103,9 @@ class Histories:
         rest = self._wanted(params, number, rests, most)
         if isinstance(rest, int):
             return encode_history_result(rest)
+        if isinstance(rest, PastEvents):
+            encoded, following = await page_of_events(rest, self._events[rest.node], turn, most)
+            return self._answered(HISTORY_EVENT, encoded, len(encoded), following, rests)
         variable, historian = self._kept[rest.node]
         kind = variable.type
 
@@ -116,14 +124,25 @@ class Histories:
         else:
             most = min(most, rest.page or most, most if rest.left is None else rest.left)
             found, more = await _page(rest, most, raw, kind)
-        code, point = _Codes.Good if len(found) else _Codes.GoodNoData, None
+        data, _ = _encoded(kind, found, params.TimestampsToReturn)
+        return self._answered(HISTORY_DATA, [data], len(found), more, rests)
+
+    def _answered(
+        self,
+        of: int,
+        data: Sequence[bytes],
+        count: int,
+        more: Rest | Processed | PastEvents | None,
+        rests: Rests,
+    ) -> bytes:
+        point = None
         if more is not None:
             if len(rests) >= self._limits.history_continuation_points:
                 return encode_history_result(_Codes.BadNoContinuationPoints)
             point = secrets.token_bytes(16)
             rests[point] = more
-        data, _ = _encoded(kind, found, params.TimestampsToReturn)
-        return encode_history_result(code, point, data, len(found))
+        code = _Codes.Good if count or more is not None else _Codes.GoodNoData
+        return encode_history_result(code, point, b"".join(data), count, of)
 
     def release(self, wanted: ua.HistoryReadValueId, rests: Rests) -> bytes:
         """Forget a continuation point."""
@@ -132,7 +151,7 @@ class Histories:
 
     def _wanted(  # noqa: C901, PLR0911 - one per reason
         self, params: ua.HistoryReadParameters, number: int, rests: Rests, most: int
-    ) -> Rest | Processed | AtTimes | int:
+    ) -> Rest | Processed | PastEvents | AtTimes | int:
         """What is to be read, or why it cannot be."""
         wanted = params.NodesToRead[number]
         if wanted.ContinuationPoint:
@@ -143,6 +162,8 @@ class Histories:
         details = params.HistoryReadDetails
         if wanted.NodeId not in self._nodes:  # some are made by the look
             return _Codes.BadNodeIdUnknown
+        if isinstance(details, ua.ReadEventDetails):
+            return self._wanted_events(wanted.NodeId, details)
         if wanted.NodeId not in self._kept:
             return _Codes.BadHistoryOperationUnsupported
         if wanted.IndexRange:
@@ -163,6 +184,15 @@ class Histories:
         if not isinstance(details, ua.ReadRawModifiedDetails) or details.IsReadModified:
             return _Codes.BadHistoryOperationUnsupported
         return _beginning(wanted.NodeId, details) or _Codes.BadHistoryOperationInvalid
+
+    def _wanted_events(self, node: ua.NodeId, details: ua.ReadEventDetails) -> PastEvents | int:
+        if node not in self._events:
+            return _Codes.BadHistoryOperationUnsupported
+        try:
+            filter_ = EventFilter(self._nodes, details.Filter)
+        except EventFilterRefused:
+            return _Codes.BadEventFilterInvalid
+        return past_events(node, details, filter_) or _Codes.BadHistoryOperationInvalid
 
 
 async def _page(
@@ -217,7 +247,7 @@ def _behind(rest: Rest, read: Records) -> Rest | None:
     left = None if rest.left is None else rest.left - len(read)
     if left == 0:
         return None
-    span, skip = rest.span.behind(rest.skip, read)
+    span, skip = rest.span.behind(rest.skip, read.source)
     return replace(rest, span=span, skip=skip, left=left, lead=None)
 
 
@@ -235,11 +265,3 @@ def _encoded(
             "server": found.server // 100 + TICKS_1970,
         },
     )
-
-
-def _time(moment: Any) -> int | None:  # noqa: ANN401 - a datetime, or nothing
-    """UTC ns of a time that is given."""
-    if moment is None:
-        return None
-    found = nanoseconds(moment)
-    return None if found <= _NO_TIME else found
