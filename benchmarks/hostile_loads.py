@@ -12,10 +12,9 @@ import sys
 import time
 
 from asyncua import ua
-from asyncua.crypto import uacrypto
-from asyncua.crypto.security_policies import encrypt_asymmetric
 from asyncua.ua import ua_binary
 
+from benchmarks.worst_alarms import WORST_OF_ALARMS, operator
 from benchmarks.worst_loads import WORST
 from tests.support.mutations import mutated, requests
 from tests.support.raw_peer import RawPeer
@@ -23,7 +22,6 @@ from tests.support.raw_peer import RawPeer
 COUNTER, BIG = ua.NodeId("Plant.Counter", 2), ua.NodeId("Plant.Big", 2)
 FUZZED_PACKETS = 10_000
 VALUE = ua.AttributeIds.Value
-BASIC256SHA256 = "http://opcfoundation.org/UA/SecurityPolicy#Basic256Sha256"
 
 
 async def connections(url, until):
@@ -73,16 +71,8 @@ async def passwords(url, until):
         for number in range(10):
             if time.monotonic() >= until:
                 break
-            guess = f"guess {number}".encode()
-            token = ua.UserNameIdentityToken("username", "operator", guess, None)
-            if made.ServerCertificate:
-                key = uacrypto.x509_from_der(made.ServerCertificate).public_key()
-                secret = ua_binary.Primitives.Bytes.pack(guess + made.ServerNonce)
-                token.Password, token.EncryptionAlgorithm = encrypt_asymmetric(
-                    key, secret, BASIC256SHA256
-                )
             with contextlib.suppress(ua.UaError):
-                await peer.activate(token)
+                await peer.activate(operator(made, f"guess {number}".encode()))
         peer.close()
 
 
@@ -220,24 +210,28 @@ async def drained(peer):
                 raise ConnectionError
 
 
-LOADS = {
-    load.__name__: load
-    for load in (
-        connections,
-        garbage,
-        sessions,
-        logins,
-        passwords,
-        subscriptions,
-        monitored_items,
-        publish_requests,
-        chunks,
-        reads,
-        large_requests,
-        slow_readers,
-        broken_packets,
-    )
-} | WORST
+LOADS = (
+    {
+        load.__name__: load
+        for load in (
+            connections,
+            garbage,
+            sessions,
+            logins,
+            passwords,
+            subscriptions,
+            monitored_items,
+            publish_requests,
+            chunks,
+            reads,
+            large_requests,
+            slow_readers,
+            broken_packets,
+        )
+    }
+    | WORST
+    | WORST_OF_ALARMS
+)
 PEERS = {"connections": 4, "sessions": 4, "logins": 4, "passwords": 4, "garbage": 2}
 
 
@@ -253,7 +247,7 @@ async def attack(load, url, until):
 
 async def main(name, url, seconds):
     until = time.monotonic() + seconds
-    single = name == "broken_packets" or name in WORST
+    single = name == "broken_packets" or name in WORST | WORST_OF_ALARMS
     count = 1 if single else PEERS.get(name, 2)
     await asyncio.gather(*(attack(LOADS[name], url, until) for _ in range(count)))
 

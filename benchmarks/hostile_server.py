@@ -1,7 +1,8 @@
 """A server to be attacked, ours or a plain one: ``python -m benchmarks.hostile_server ours PORT``.
 
 Both have the same nodes and the default settings of their makers; both write to stderr what they
-log. A counter goes up 10 times a second, and ours writes 200 other values each time.
+log. A counter goes up 10 times a second, and ours writes 200 other values each time and has ten of
+its hundred alarms change.
 """
 
 import asyncio
@@ -12,6 +13,7 @@ import time
 
 from asyncua import Server, ua
 
+from benchmarks.hostile_past import Alarms, Past
 from service.hardened import (
     HardenedServer,
     Role,
@@ -45,8 +47,16 @@ async def ours(port):
     counter = await add_variable(server, plant, "Plant.Counter", 0, type=kind)
     singles = [await add_variable(server, plant, f"Plant.Single{i}", 0.0) for i in range(SINGLES)]
 
+    past = Past()
+    server.add_history([await add_variable(server, plant, "Plant.Past", 0.0)], past)
+    server.let_emit(plant, ua.NodeId(ua.ObjectIds.Server))
+    server.add_event_history([ua.NodeId(ua.ObjectIds.Server), plant], past)
+    alarms = Alarms(server)
+    server.keep_conditions(alarms)
+
     def write(number):
         now = time.time_ns()
+        alarms.change()
         server.write([(counter, number, 0, now)])
         server.write([(single, number + 0.5, 0, now) for single in singles])
 
