@@ -1,7 +1,7 @@
-"""Write the reference pages, and the types as a UANodeSet: ``python -m documentation``."""
+"""Write the reference pages, and the types as UANodeSets: ``python -m documentation``."""
 
-from documentation.node_set import node_set
-from documentation.pages import NODE_SET, REFERENCE, pages
+from documentation.node_set import node_set, rig_node_set
+from documentation.pages import NODE_SET, REFERENCE, RIG_NODE_SET, pages
 
 
 def main() -> None:
@@ -9,6 +9,7 @@ def main() -> None:
     for name, text in pages().items():
         (REFERENCE / name).write_text(text, encoding="utf-8")
     NODE_SET.write_text(node_set(), encoding="utf-8")
+    RIG_NODE_SET.write_text(rig_node_set(), encoding="utf-8")
 
 
 if __name__ == "__main__":

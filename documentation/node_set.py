@@ -1,4 +1,4 @@
-"""The types of the results server as a UANodeSet (Part 6, annex F), from a server that has them."""
+"""The types of service and rig as UANodeSets (Part 6, annex F), from servers that have them."""
 
 import asyncio
 from collections.abc import Iterator
@@ -13,7 +13,10 @@ from service.app.build import APPLICATION_URI, build_identification
 from service.config.models import Config
 from service.hardened import ServerSettings
 from service.opcua.information_model import TYPES
+from service.opcua.namespaces import RIG_NAMESPACE
 from service.opcua.results_server import NAMESPACE, ResultsServer
+from virtual_rig.scenario import BUILTIN
+from virtual_rig.server import RigServer
 
 _NODES = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 _VALUES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
@@ -36,33 +39,48 @@ _WANTED = (  # references that a node states itself: those to its parts are thei
 
 
 def node_set() -> str:
-    """All types, as XML."""
+    """All types of the results server, as XML."""
     return asyncio.run(_made())
+
+
+def rig_node_set() -> str:
+    """All types of the rig, as XML."""
+    return asyncio.run(_made_of_rig())
+
+
+def _settings(namespace: str) -> ServerSettings:
+    return ServerSettings(
+        url="opc.tcp://127.0.0.1:0/",
+        application_uri=APPLICATION_URI,
+        application_name="node set",
+        namespace_uri=namespace,
+        none_on_loopback=True,
+    )
+
+
+async def _made_of_rig() -> str:
+    rig = await RigServer.create(_settings(RIG_NAMESPACE), BUILTIN["demo"])
+    inside = rig._server  # noqa: SLF001 - what clients see says less
+    return written(inside.address_space, inside.namespace_index, RIG_NAMESPACE)
 
 
 async def _made() -> str:
     identification = build_identification(Config())
-    settings = ServerSettings(
-        url="opc.tcp://127.0.0.1:0/valvemap/service/",
-        application_uri=APPLICATION_URI,
-        application_name="node set",
-        namespace_uri=NAMESPACE,
-        none_on_loopback=True,
-    )
+    settings = _settings(NAMESPACE)
     async with ResultsServer(settings, identification.descriptions(), identification) as server:
         inside = server._server  # noqa: SLF001 - what clients see says less
         assert inside is not None  # noqa: S101 - it was started
-        return written(inside.address_space, inside.namespace_index)
+        return written(inside.address_space, inside.namespace_index, NAMESPACE)
 
 
-def written(aspace: AddressSpace, index: int) -> str:
+def written(aspace: AddressSpace, index: int, uri: str) -> str:
     """The types below BaseObjectType of one namespace, with all that they declare."""
     ET.register_namespace("", _NODES)
     ET.register_namespace("uax", _VALUES)
     root = ET.Element(f"{{{_NODES}}}UANodeSet", LastModified=_PUBLISHED)
-    _add(_add(root, "NamespaceUris"), "Uri", NAMESPACE)
+    _add(_add(root, "NamespaceUris"), "Uri", uri)
     about = {
-        "ModelUri": NAMESPACE,
+        "ModelUri": uri,
         "Version": ServerSettings.namespace_version,
         "PublicationDate": _PUBLISHED,
     }

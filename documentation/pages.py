@@ -8,6 +8,7 @@ from documentation.configuration import configuration_page
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 NODE_SET = Path(__file__).parents[1] / "service" / "opcua" / "valvemap.NodeSet2.xml"
+RIG_NODE_SET = Path(__file__).parents[1] / "virtual_rig" / "rig.NodeSet2.xml"
 MADE_BY = "<!-- Made by `make reference`; do not edit. -->\n\n"
 
 

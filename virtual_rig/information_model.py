@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from service.hardened import (
     Argument,
     Block,
+    Declarations,
     HardenedServer,
     Role,
     Unit,
     Variable,
     add_method,
     add_object,
+    add_type,
     add_variable,
 )
 from virtual_rig.circuit import largest_drop
@@ -27,6 +29,8 @@ from virtual_rig.scenario import BUILTIN, Scenario, ValveBench
 from virtual_rig.simulation import RigBlock, ValveBlock
 
 GOOD = 0
+VALVE_TYPE = "Types.RigValve"
+_NOT_OF_ALL = ("ReachableU", "ReachableDp", "InjectFault", "UCommand", "Heartbeat")  # of a fleet's
 _REACHABLE_U = np.linspace(0.0, 100.0, 21)
 
 StartScenario = Callable[[str], None]
@@ -34,6 +38,7 @@ StopScenario = Callable[[], None]
 InjectFault = Callable[[str, str, float, float], None]
 CommandU = Callable[[str, float], None]
 Heartbeat = Callable[[str, int], None]
+_Place = HardenedServer | Declarations
 Signals = tuple[list[Variable], Variable]  # U, p1, p2, Q, T; sequence
 Updates = list[tuple[Variable, object, int, int]]
 
@@ -97,6 +102,7 @@ NOTHING = RigBlock(np.empty(0, np.uint32), np.empty(0, np.int64), {})
 
 async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) -> RigNodes:
     """Add all nodes of the rig below Objects/TestRig."""
+    kind = _add_valve_type(server, scenario)
     rig = await add_object(server, None, "TestRig", description="Test rig with proportional valves")
     await _add_methods(server, rig, scenario, actions)
     text = ua.VariantType.String
@@ -114,18 +120,24 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
     running = await add_variable(
         server, rig, "Rig.Scenario", "", type=text, description="Running scenario, or empty"
     )
-    valves = [await _add_valve(server, rig, bench, actions) for bench in scenario.valves]
+    valves = []
+    for bench in scenario.valves:
+        words = "Proportional valve on its bench"
+        valve = await add_object(server, rig, bench.name, description=words, type_definition=kind)
+        valves.append(await _add_valves_own(server, valve, bench, actions))
     return RigNodes(status, *_blocks(server, valves), scenario=running, of_valves=valves)
 
 
 async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[str]) -> FleetNodes:
     """Add the nodes of many valves that nobody operates, below Objects/TestRig, too."""
+    kind = _add_valve_type(server, scenario)
     rig = await add_object(server, None, "TestRig", description="Many valves, from a recording")
     status = await _add_status(server, rig, scenario)
     valves = []
     for name in names:
-        valve = await add_object(server, rig, name, description="Valve from a recording")
-        valves.append(await _add_signals(server, valve, name, scenario.valves[0]))
+        words = "Valve from a recording"
+        valve = await add_object(server, rig, name, description=words, type_definition=kind)
+        valves.append(await _add_signals(server, valve, scenario.valves[0]))
     return FleetNodes(status, *_blocks(server, valves))
 
 
@@ -289,12 +301,31 @@ async def _add_methods(
     )
 
 
-async def _add_valve(
-    server: HardenedServer, rig: ua.NodeId, bench: ValveBench, actions: Actions
-) -> Signals:
-    name, circuit = bench.name, bench.circuit
-    valve = await add_object(server, rig, name, description="Proportional valve on its bench")
+def _add_valve_type(server: HardenedServer, scenario: Scenario) -> ua.NodeId:
+    """Add the type of all valves, of the code that makes them."""
 
+    def nothing(*_: object) -> None:
+        """Nobody calls what is only declared."""
+
+    async def declare(place: Declarations, own: ua.NodeId) -> None:
+        nobody = Actions(nothing, nothing, nothing, nothing, nothing)
+        await _add_valves_own(place, own, scenario.valves[0], nobody)
+
+    return add_type(
+        server,
+        VALVE_TYPE,
+        "RigValveType",
+        declare,
+        description="A proportional valve on its bench, or of a recording.",
+        optional=_NOT_OF_ALL,
+    )
+
+
+async def _add_valves_own(
+    server: _Place, valve: ua.NodeId, bench: ValveBench, actions: Actions
+) -> Signals:
+    """Add what a valve has, or what its type declares."""
+    prefix, name, circuit = valve.Identifier, bench.name, bench.circuit
     reach = largest_drop(bench, _REACHABLE_U)
     for last, values, unit, high, description in (
         ("ReachableU", _REACHABLE_U, Unit.PERCENT, 100.0, "Control signals of ReachableDp"),
@@ -309,7 +340,7 @@ async def _add_valve(
         await add_variable(
             server,
             valve,
-            f"{name}.{last}",
+            f"{prefix}.{last}",
             values,
             unit=unit,
             value_range=(0.0, high),
@@ -319,7 +350,7 @@ async def _add_valve(
     await add_method(
         server,
         valve,
-        f"{name}.InjectFault",
+        f"{prefix}.InjectFault",
         lambda kind, size, duration: actions.inject_fault(name, kind, size, duration),
         inputs=[
             Argument(
@@ -347,7 +378,7 @@ async def _add_valve(
     await add_variable(
         server,
         valve,
-        f"{name}.UCommand",
+        f"{prefix}.UCommand",
         0.0,
         unit=Unit.PERCENT,
         value_range=(0.0, 100.0),
@@ -358,7 +389,7 @@ async def _add_valve(
     await add_variable(
         server,
         valve,
-        f"{name}.Heartbeat",
+        f"{prefix}.Heartbeat",
         0,
         type=ua.VariantType.UInt32,
         writable_by=Role.OPERATOR,
@@ -366,18 +397,16 @@ async def _add_valve(
         description="Counts while somebody stands behind UCommand; when it stands still for "
         f"{STANDSTILL_S:g} s or goes back to 0, U is the rig's own again; 0 = UCommand by hand",
     )
-    return await _add_signals(server, valve, name, bench)
+    return await _add_signals(server, valve, bench)
 
 
-async def _add_signals(
-    server: HardenedServer, valve: ua.NodeId, name: str, bench: ValveBench
-) -> Signals:
+async def _add_signals(server: _Place, valve: ua.NodeId, bench: ValveBench) -> Signals:
     p0, Q = bench.circuit.p0_bar, bench.circuit.Q_pump_l_min
     signals = [
         await add_variable(
             server,
             valve,
-            f"{name}.{last}",
+            f"{valve.Identifier}.{last}",
             None,
             unit=unit,
             value_range=(-0.05 * high, 1.05 * high),  # noise around zero is no error
@@ -395,7 +424,7 @@ async def _add_signals(
     sequence = await add_variable(
         server,
         valve,
-        f"{name}.Sequence",
+        f"{valve.Identifier}.Sequence",
         None,
         type=ua.VariantType.UInt32,
         description="Number of the sample, modulo 2^32; a jump is a loss",

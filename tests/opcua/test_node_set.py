@@ -14,8 +14,9 @@ from asyncua import Client, ua
 from support import node_peer
 from support.conditions import raised
 
-from documentation.node_set import written
-from documentation.pages import NODE_SET
+from documentation.node_set import rig_node_set, written
+from documentation.pages import NODE_SET, RIG_NODE_SET
+from service.opcua.namespaces import RIG_NAMESPACE
 from service.opcua.results_server import NAMESPACE
 
 HERE = Path(__file__).parent
@@ -36,19 +37,35 @@ async def client(plant):
         yield client
 
 
+def declared_in(file):
+    """Every node of a file: its element by its id."""
+    root = ET.fromstring(file.read_text(encoding="utf-8"))  # noqa: S314 - our own file
+    return {node.get("NodeId"): node for node in root if node.get("NodeId")}
+
+
 @pytest.fixture(scope="module")
 def declared():
-    """Every node of the file: its element by its id."""
-    root = ET.fromstring(NODE_SET.read_text(encoding="utf-8"))  # noqa: S314 - our own file
-    return {node.get("NodeId"): node for node in root if node.get("NodeId")}
+    return declared_in(NODE_SET)
+
+
+both_files = pytest.mark.parametrize(
+    ("file", "uri"),
+    [(NODE_SET, NAMESPACE), (RIG_NODE_SET, RIG_NAMESPACE)],
+    ids=["service", "rig"],
+)
 
 
 @a_loop
 async def test_the_file_is_what_a_running_server_has(plant):
     inside = plant.server._server
-    made = written(inside.address_space, inside.namespace_index)
+    made = written(inside.address_space, inside.namespace_index, NAMESPACE)
     kept = NODE_SET.read_text(encoding="utf-8")
     assert made == kept, "run `make reference`, and look at what has changed"
+
+
+def test_the_rigs_file_is_what_a_rig_has():
+    kept = RIG_NODE_SET.read_text(encoding="utf-8")
+    assert rig_node_set() == kept, "run `make reference`, and look at what has changed"
 
 
 @a_loop
@@ -135,9 +152,11 @@ def packages(request):
 
 
 @pytest.mark.node
-def test_node_opcua_imports_it_and_finds_the_same(packages, declared):
+@both_files
+def test_node_opcua_imports_it_and_finds_the_same(packages, file, uri):
     _, cache = packages
-    command = [*node_peer.program(cache, "nodeset.cjs"), NODE_SET, NAMESPACE]
+    declared = declared_in(file)
+    command = [*node_peer.program(cache, "nodeset.cjs"), file, uri]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr[-2_000:]
     found = {f"ns=1;s={node['id']}": node for node in json.loads(done.stdout.splitlines()[-1])}
@@ -149,6 +168,9 @@ def test_node_opcua_imports_it_and_finds_the_same(packages, declared):
         if element.get("ParentNodeId"):
             assert node["parent"] == element.get("ParentNodeId").removeprefix("ns=1;s=")
         assert (node["class"] == "ObjectType") == (node["rule"] is None)
+    if file == RIG_NODE_SET:
+        assert found["ns=1;s=Types.RigValve.Q"]["unit"] == "l/min"
+        return
     assert found["ns=1;s=Types.Valve.Inverse"]["type"] == "InverseMapType"
     assert found["ns=1;s=Types.Signals.Q"]["unit"] == "l/min"
     assert found["ns=1;s=Types.Inverse.Invert"]["inputs"] == ["Q", "dp", "T"]
@@ -170,12 +192,16 @@ def compiler(request):
 
 
 @pytest.mark.compiler
-def test_open62541_imports_it_and_finds_the_same(compiler, declared, tmp_path):
+@pytest.mark.timeout(900)  # half a minute, on a machine that is not busy
+@both_files
+def test_open62541_imports_it_and_finds_the_same(compiler, file, uri, tmp_path):
     pytest.importorskip("o6")
-    command = [sys.executable, HERE / "ncc_peer" / "imported.py", NODE_SET, NAMESPACE, tmp_path]
+    declared = declared_in(file)
+    flow = "Types.Signals.Q" if file == NODE_SET else "Types.RigValve.Q"
+    command = [sys.executable, HERE / "ncc_peer" / "imported.py", file, uri, flow, tmp_path]
     environment = {**os.environ, "PYTHONPATH": str(compiler)}
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=240, check=False, env=environment
+        command, capture_output=True, text=True, timeout=800, check=False, env=environment
     )
     assert done.returncode == 0, done.stderr[-2_000:]
     said = json.loads(done.stdout.splitlines()[-1])
@@ -193,12 +219,13 @@ def test_open62541_imports_it_and_finds_the_same(compiler, declared, tmp_path):
 
 
 @pytest.mark.node
-def test_it_is_valid_by_the_schema(packages):
+@both_files
+def test_it_is_valid_by_the_schema(packages, file, uri):
     target, _ = packages
     java = shutil.which("java")
     if java is None:
         pytest.skip("java is not installed")
     schema = target / "node_modules" / "node-opcua-nodesets" / "nodesets" / "UANodeSet.xsd"
-    command = [java, HERE / "java_peer" / "Validate.java", schema, NODE_SET]
+    command = [java, HERE / "java_peer" / "Validate.java", schema, file]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr[-2_000:]

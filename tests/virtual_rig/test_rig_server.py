@@ -102,6 +102,16 @@ async def test_the_namespace_and_the_browse_paths_are_those_of_the_contract(obse
         assert found.nodeid == ua.NodeId(f"Valvistor.{name}", NS)
 
 
+async def test_a_valve_has_what_its_type_declares(observer):
+    valve = node(observer, "Valvistor")
+    kind = observer.get_node(await valve.read_type_definition())
+    assert (await kind.read_browse_name()).Name == "RigValveType"
+    parts = {(await part.read_browse_name()).Name for part in await kind.get_children()}
+    mine = {(await part.read_browse_name()).Name for part in await valve.get_children()}
+    assert parts == mine
+    assert {"U", "p1", "p2", "Q", "Temperature", "Sequence", "InjectFault"} <= parts
+
+
 @pytest.mark.parametrize(
     ("name", "unit", "high"),
     [("U", "%", 105), ("p1", "bar", 210), ("Q", "l/min", 210), ("Temperature", "°C", 105)],

@@ -1,8 +1,8 @@
 """Imports a UANodeSet into a server of open62541, and says what is there.
 
-``python imported.py FILE URI FOLDER``: open62541's NodeSet compiler makes a package of the file in
-the folder, and o6, which is open62541 for Python, has its server load it. The last line is a JSON
-list of the nodes below BaseObjectType that are of the namespace.
+``python imported.py FILE URI FLOW FOLDER``: open62541's NodeSet compiler makes a package of the
+file in the folder, and o6, which is open62541 for Python, has its server load it. The last line
+is JSON: the nodes below BaseObjectType that are of the namespace, and the unit of the node FLOW.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ def compiled(file, folder):
     sys.path.insert(0, folder)
 
 
-async def found(uri):
+async def found(uri, flow):
     """Return what a server has that loaded it."""
     import o6
 
@@ -52,16 +52,16 @@ async def found(uri):
                 "parent": parent,
             }
             open_.append((target, target.id))
-    unit = await server.read(f"ns={PACKAGE};s=Types.Signals.Q.EngineeringUnits")
+    unit = await server.read(f"ns={PACKAGE};s={flow}.EngineeringUnits")
     server.stop()
     return {"nodes": list(nodes.values()), "unit": unit.displayName.text}
 
 
 async def main(out):
     """Do it."""
-    file, uri, folder = sys.argv[1:]
+    file, uri, flow, folder = sys.argv[1:]
     compiled(file, folder)
-    print(json.dumps(await found(uri)), file=out, flush=True)
+    print(json.dumps(await found(uri, flow)), file=out, flush=True)
 
 
 if __name__ == "__main__":
