@@ -137,7 +137,8 @@ def _fit() -> None:
 def _fill_cells() -> None:
     """What `Auto` does with each sample: these are too few for a fit."""
     auto = Auto()
-    auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+    state, _ = auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+    auto.parameters(state)
 
 
 def _learn(estimator: Estimator[Any]) -> None:

@@ -1,8 +1,9 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from itertools import product
 from typing import Final, Self
 
@@ -15,7 +16,7 @@ from service.identification.adaptation import Adaptation
 from service.identification.change import Change
 from service.identification.contents import Contents
 from service.identification.estimator import State
-from service.identification.fleet import member, one_by_one, update_one
+from service.identification.fleet import alone, member, update_one
 from service.identification.kernels import cells as memory
 from service.identification.kernels import grid, held, ladder, lag, map_fit
 from service.identification.kernels import surface as kernel
@@ -44,7 +45,7 @@ from service.identification.map_shapes import (
     dp_top,
 )
 from service.identification.model_structures import FiveTerms, Structure
-from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
 STARTED: Final = 0
@@ -292,7 +293,29 @@ class Auto:
 
     def parameters_many(self, states: AutoState) -> tuple[Floats, Floats]:
         """What ``parameters`` gives valve by valve, both (M, 55)."""
-        return one_by_one(self, states)
+        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
+        Q, spread = np.empty((2, len(states.sizes), len(U)))
+        sizes = np.ascontiguousarray(states.sizes[:, CHAMPION])
+        is_spline = states.shapes[:, CHAMPION, ladder.CELLS_OF] > 0
+        kernel.evaluate_many(
+            np.ascontiguousarray(states.knots_U[:, CHAMPION]),
+            np.ascontiguousarray(states.knots_s[:, CHAMPION]),
+            memory.NODES_T,
+            np.ascontiguousarray(states.coefficients[:, CHAMPION]),
+            sizes,
+            np.where(is_spline, sizes.prod(axis=1), 0),
+            states.inverse,
+            states.mixed,
+            states.corner,
+            U,
+            dp,
+            np.full_like(U, kernel.T_REFERENCE),
+            Q,
+            spread,
+        )
+        scalars, fitted = states.scalars[:, :, None], states.counters[:, memory.FITTED, None] > 0
+        noise, gain = scalars[:, memory.VARIANCE], scalars[:, memory.GAIN_VARIANCE]
+        return _known(Q, spread, noise, gain, fitted)
 
     def predict(self, state: AutoState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) in the middle of the hysteresis and its standard deviation (N,), l/min."""
@@ -316,11 +339,9 @@ class Auto:
             Q,
             spread,
         )
-        unknown = ~(spread < UNKNOWN) | (state.counters[memory.FITTED] == 0)
-        with np.errstate(all="ignore"):
-            known, gain = state.scalars[[memory.VARIANCE, memory.GAIN_VARIANCE]]
-            std = np.sqrt(spread * known + gain * Q**2)
-        return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
+        fitted = np.asarray(state.counters[memory.FITTED] > 0)
+        noise, gain = state.scalars[[memory.VARIANCE, memory.GAIN_VARIANCE]].tolist()
+        return _known(Q, spread, noise, gain, fitted)
 
     def directions(self, state: AutoState, U: Floats) -> Floats:
         """Direction of U (N,) along a path of its own, for :meth:`predict_along`."""
@@ -344,8 +365,8 @@ class Auto:
 
     def parameters(self, state: AutoState) -> tuple[Floats, Floats]:
         """Q at the 55 points and its standard deviation."""
-        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
-        return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+        Q, std = self.parameters_many(alone(state))
+        return Q[0], std[0]
 
     def adaptation(self, _state: AutoState) -> Adaptation:
         """Undecided: it does not look whether misfit or drift stays."""
@@ -371,6 +392,15 @@ class Auto:
         """Lag of U's effect and of the flow meter, s, as they are taken into account."""
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+
+    def describe_many(self, states: AutoState, chosen: Times) -> Sequence[str]:
+        """What ``describe`` gives of chosen valves."""
+        return [_described(shape.tobytes()) for shape in states.shapes[chosen, CHAMPION]]
+
+    def lags_many(self, states: AutoState, chosen: Times) -> Sequence[tuple[float, float]]:
+        """What ``lags`` gives of chosen valves."""
+        path = states.scalars[chosen, memory.LAGS :]
+        return list(zip(path[:, lag.LAG_U].tolist(), path[:, lag.LAG_Q].tolist(), strict=True))
 
     def largest_lags(self, states: AutoState) -> Floats:
         """The larger of the two `lags` of each of M valves, s (M,)."""
@@ -595,6 +625,25 @@ def _trusted(state: AutoState, ahead: float) -> Floats:
     )
     spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
+
+
+def _known(
+    Q: Floats,
+    spread: Floats,
+    noise: Floats | float,
+    gain: Floats | float,
+    fitted: NDArray[np.bool_],
+) -> tuple[Floats, Floats]:
+    """Flow and its standard deviation, NaN where nothing is known."""
+    unknown = ~((spread < UNKNOWN) & fitted)
+    with np.errstate(all="ignore"):
+        std = np.sqrt(spread * noise + gain * Q**2)
+    return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
+
+
+@lru_cache(maxsize=1024)
+def _described(shape: bytes) -> str:
+    return Shape.from_array(np.frombuffer(shape)).describe()
 
 
 def _surface(state: AutoState, which: int) -> Surface:

@@ -59,6 +59,8 @@ A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
 BEHIND = 1.3  # times what residuals have in common of late: by how much a map that drifts lags
+EXACT = 1e-30  # of the largest of P's pivots: what is less is known without doubt
+LEAST = 1e-150  # pivot of P, where all are known without doubt
 REVISITS = 30.0  # of places, before which nobody can tell
 MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
 
@@ -280,7 +282,11 @@ def matrix_P(state: RlsState) -> Floats:
 def information(state: RlsState) -> Floats:
     """P⁻¹ (n, n), the inverse of `matrix_P`; singular while theta is not determined."""
     if state.counters[FACTORED]:
-        return np.asarray(np.linalg.inv(covariance(state.factor)))
+        d = np.diag(state.factor)
+        d = np.maximum(d, max(EXACT * d.max(), LEAST))
+        V = np.tril(state.factor, -1) + np.eye(len(d))
+        inverse = np.linalg.inv(V)  # with ones on the diagonal: of P itself there may be none
+        return np.asarray((inverse / d) @ inverse.T)
     return np.asarray(state.R.T @ state.R)
 
 
