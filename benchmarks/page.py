@@ -73,8 +73,6 @@ def _demo(log: Path) -> Iterator[tuple[int, Path]]:
 async def _measure(demo: int, log: Path) -> dict[str, float]:
     url = await _page_url(log)
     page = _child(demo, "dashboard")
-    client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
-    await client.connect()
     found: dict[str, float] = {}
     await asyncio.sleep(YOUNG_S)
     alone = []
@@ -83,6 +81,8 @@ async def _measure(demo: int, log: Path) -> dict[str, float]:
         if not viewers:
             alone.append(measured[NOBODY])
     found[NOBODY] = sum(alone) / len(alone)
+    client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
+    await client.connect()
     (gaps,) = await client.read(["Valvistor.Diagnostics.Gaps"])
     found["samples lost"] = float(gaps.value)
     await client.close()

@@ -48,7 +48,7 @@ class Viewer:
     names_seen: int = 0
     greeted: tuple[int, str, str] | None = None
     rows_seen: dict[int, Any] = field(default_factory=dict)
-    news: asyncio.Event = field(default_factory=asyncio.Event)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
@@ -71,9 +71,9 @@ class Viewers:
         return len(self._open)
 
     def wake(self) -> None:
-        """Let everybody look whether there is news."""
+        """Let everybody look what has changed."""
         for viewer in self._open:
-            viewer.news.set()
+            viewer.changed.set()
 
     def wanted(self, valves: tuple[Valve, ...]) -> Wanted:
         """What is in view anywhere."""
@@ -96,7 +96,7 @@ class Viewers:
             return
         await socket.accept()
         viewer = Viewer(socket)
-        viewer.news.set()
+        viewer.changed.set()
         self._open.add(viewer)
         sending = asyncio.create_task(self._send_for_ever(viewer, observer))
         listening = asyncio.create_task(self._listen(viewer, observer))
@@ -141,7 +141,7 @@ class Viewers:
                 viewer.watched, viewer.estimator = valve, estimator
                 viewer.overview = overview
                 viewer.rows_seen.clear()
-                viewer.news.set()
+                viewer.changed.set()
             case {
                 "ask": int() as number,
                 "invert": str() as valve,
@@ -172,9 +172,9 @@ class Viewers:
     async def _send_for_ever(self, viewer: Viewer, observer: Observer) -> None:
         with suppress(WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
             while True:
-                await viewer.news.wait()
-                viewer.news.clear()
-                for message in self._news(viewer, observer):
+                await viewer.changed.wait()
+                viewer.changed.clear()
+                for message in self._unseen(viewer, observer):
                     await self._send(viewer, message)
 
     async def _send(self, viewer: Viewer, message: str | bytes) -> None:
@@ -184,7 +184,7 @@ class Viewers:
             else:
                 await viewer.socket.send_bytes(message)
 
-    def _news(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
+    def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
         """What this viewer has not seen of what it watches."""
         greeting = (observer.generation, observer.link.value, observer.link_text)
         if viewer.greeted != greeting:
