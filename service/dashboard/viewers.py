@@ -6,7 +6,7 @@ store itself. One that reads nothing for long is hung up on.
 
 import asyncio
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,17 +14,16 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from service.dashboard.layout import Valve
-from service.dashboard.messages import pack_matrix, pack_numbers, pack_rows, pack_text
+from service.dashboard.messages import pack_rows, pack_text
 from service.dashboard.observer import Observer
+from service.dashboard.packing import Packing
 from service.dashboard.ports import Wanted
 from service.dashboard.rates import TokenBucket
 from service.errors import ValvemapError
 
 _SLOW_READER_S = 10.0  # for one message to leave
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
-_NAMES_AT_MOST = 60_000  # a name is sent as u2
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
-_PARTS = frozenset({"live", "map"})
 
 
 class Senseless(Exception):  # noqa: N818 - it says what came
@@ -63,7 +62,7 @@ class Viewers:
     def __init__(self, most: int) -> None:
         self._most = most
         self._open: set[Viewer] = set()
-        self._names: dict[str, int] = {}
+        self._packing = Packing()
         self.refused = 0
         self.senseless = 0
 
@@ -236,33 +235,10 @@ class Viewers:
                 ],
             )
 
-    def _new_values(self, viewer: Viewer, observer: Observer, number: int) -> Iterator[str | bytes]:
-        since, viewer.seen = viewer.seen, observer.store.revision
-        numbers, texts, matrices = [], {}, []
-        for name, entry in observer.store.newer(number, since):
-            value = entry.value
-            if isinstance(value, bool | int | float):
-                numbers.append((self._name(name), float(value), entry.code, entry.t))
-            elif _is_text(value):
-                texts[name] = value
-            elif isinstance(value, list) and value:
-                matrices.append(pack_matrix(number, self._name(name), value, entry.t))
-            elif value is None:
-                numbers.append((self._name(name), float("nan"), entry.code, entry.t))
-        if len(self._names) > viewer.names_seen:
-            names = list(self._names)[viewer.names_seen :]
-            yield pack_text({"names": names, "from": viewer.names_seen})
-            viewer.names_seen = len(self._names)
-        if numbers:
-            yield pack_numbers(number, numbers)
-        if texts:
-            yield pack_text({"valve": number, "texts": texts})
-        yield from matrices
-
-    def _name(self, name: str) -> int:
-        if len(self._names) < _NAMES_AT_MOST:
-            return self._names.setdefault(name, len(self._names))
-        return self._names.get(name, 0)
+    def _new_values(self, viewer: Viewer, observer: Observer, number: int) -> Sequence[str | bytes]:
+        packed = self._packing.values(observer.store, number, viewer.seen, viewer.names_seen)
+        viewer.seen, viewer.names_seen = observer.store.revision, self._packing.names
+        return packed
 
 
 def _greeting(observer: Observer) -> dict[str, Any]:
@@ -292,9 +268,3 @@ def _request(text: str | None) -> dict[str, Any]:
 
 def _refuse(_constant: str) -> None:
     raise ValueError
-
-
-def _is_text(value: object) -> bool:
-    if isinstance(value, list):
-        return bool(value) and all(isinstance(element, str) for element in value)
-    return isinstance(value, str)

@@ -95,6 +95,23 @@ async def test_what_does_not_change_is_not_sent_again():
         assert sum(await drain(socket, 1.0)) < 500  # a row or two of the overview
 
 
+async def test_many_viewers_see_the_same_and_it_is_packed_once():
+    async with served(ShownService()) as (page, url), viewer(url) as one, viewer(url) as two:
+        packed = []
+        packing = page.viewers._packing
+        pack = packing._pack
+        packing._pack = lambda *key: packed.append((key[0].revision, *key[1:])) or pack(*key)
+        seen = Seen(one), Seen(two)
+        for other in seen:
+            await other.socket.send(json.dumps(WATCH))
+        for _ in range(2):
+            for other in seen:
+                other.numbers.pop("RLS.SampleCount", None)
+                await other.until(lambda s: "RLS.SampleCount" in s.numbers)
+        assert seen[0].names == seen[1].names
+        assert len(packed) == len(set(packed))
+
+
 async def test_a_map_is_asked_of_the_service_only_while_somebody_looks_at_it():
     shown = ShownService()
     async with served(shown) as (page, url):
