@@ -17,7 +17,7 @@ from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, held, ladder, lag, map_fit
+from service.identification.kernels import grid, held, ladder, lag, map_fit, reaction
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
@@ -347,13 +347,15 @@ class Auto:
         U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
         return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
 
-    def adaptation(self, _state: AutoState) -> Adaptation:
-        """Undecided: it does not look whether misfit or drift stays."""
-        return Adaptation.UNDECIDED
+    def adaptation(self, state: AutoState) -> Adaptation:
+        """Undecided, as it does not look whether misfit or drift stays, or reacting."""
+        reacting = bool(reaction.reacts(state.scalars, memory.REACTION))
+        return Adaptation.REACTING if reacting else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: AutoState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.scalars), Adaptation.UNDECIDED, np.uint8)
+        reacting = reaction.reacts(states.scalars, memory.REACTION)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
@@ -403,12 +405,13 @@ class Auto:
         self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
-            state.counters[memory.NEXT_LOOK] = 2 * kept
+            since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+            state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
         if memory.is_due(state.counters):
             self._refit(state)
 
     def _doubt_lags(self, state: AutoState, kept: int) -> None:
-        """After a change that no map follows look for lags soon, as if for the first time."""
+        """After a change that no map follows look for lags soon, and as often as at first."""
         counters = state.counters
         looked_for = self.lag_U is None or self.lag_Q is None
         at = counters[memory.CHANGE_SAMPLE]
@@ -423,14 +426,17 @@ class Auto:
             and counters[memory.NEXT_LOOK] > kept + lag.ROWS
         ):
             counters[memory.NEXT_LOOK] = kept + lag.ROWS
-            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
+            counters[memory.LAGGING + lag.LOOKED_FROM] = kept
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
         rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0).astype(np.float64)
         path = state.scalars[memory.LAGS :]
-        before = path[lag.LAG_U], path[lag.LAG_Q]
-        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], (self.lag_U, self.lag_Q))
+        before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+        since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+        doubted = before if since > 0 and kept - since <= lag.ROWS else None
+        given = self.lag_U, self.lag_Q
+        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
         share, least = LAG_MOVED
         moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
         path[lag.LAG_U], path[lag.LAG_Q] = found

@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 
 from service.identification.kernels import lag as kernel
+from service.identification.kernels import reaction
 from service.identification.samples import Floats
 
 TRIED_U: Final = (0.0, 0.03, 0.1)  # s
@@ -34,6 +35,7 @@ NEAR: Final = 0.004  # s: how far around a pair they look
 LEAST_BEND: Final = 1.0  # 1/s²: next to nothing, where the score does not bend upwards
 LEAST_GAIN: Final = 0.5  # in J: less is no reason for another one
 LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows to tell a lag
+POWERS: Final = 6  # of U in a map that is coarse, but fits well enough to show the noise
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
@@ -44,20 +46,28 @@ LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
 Pair = tuple[float, float]  # lag of U's effect and of the meter, s
 
 
-def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) -> Pair:
+def look(
+    rows: Floats,
+    known: Floats,
+    given: tuple[float | None, float | None],
+    doubted: Pair | None = None,
+) -> Pair:
     """Lags after a look at ``rows``, see :func:`kernels.lag.keep`; ``known`` (6,) is written.
 
-    The first look searches everywhere, later ones around what is known.
+    The first look searches everywhere, later ones around what is known. Where lags are ``doubted``,
+    it searches everywhere again, and drops what was known of them if these rows clearly speak
+    against them, not else. Where U reacts to the noise of Q nothing is found: behind a lag it would
+    seem to explain the flow better, as its jitter is smoothed.
     """
     rows = np.ascontiguousarray(rows, np.float64)
     squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
-    if counted >= LEAST_ROWS and squares > 0.0:
+    if counted >= LEAST_ROWS and squares > 0.0 and not _reacts(rows):
 
         def score(lags: Pair, rho: float) -> float:
             left = kernel.misfit(rows, *lags, rho)[0]
             return float(counted * math.log(max(left, 1e-12 * squares)))
 
-        near = _resolved(known) if known[LOOKED] else None
+        near = _resolved(known) if known[LOOKED] and doubted is None else None
         ways = _moved(rows, kernel.LEFT_U), _moved(rows, kernel.LEFT_Q)
         free = ways[0] >= LEAST_WAY[0], ways[1] >= LEAST_WAY[1]
         at = _search(partial(score, rho=0.0), near, free)
@@ -65,12 +75,27 @@ def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) 
         if rho:
             at = _search(partial(score, rho=rho), near, free)
         found = _bowl(partial(score, rho=rho), at, free)
-        if found is not None:
+        if found is not None and doubted is not None:
+            refuted = score(doubted, rho) - score(at, rho) > CLEAR
+            known[:] = found if refuted else known
+        elif found is not None:
             known[UU:] *= KEPT
             known += found
     claimed = _claimed(known)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
+
+
+def _reacts(rows: Floats) -> bool:
+    """Whether U reacts to the noise of the same row, as far as a coarse map without lags tells."""
+    U, s, Q = rows[:, kernel.LEFT_U], rows[:, kernel.LEFT_S] / 10.0, rows[:, kernel.LEFT_Q]
+    terms = [s**k * (U / 100.0) ** j for k, j in product((1, 2), range(POWERS))]
+    X = np.column_stack([np.ones(len(U)), *terms])
+    e = Q - X @ np.linalg.lstsq(X, Q)[0]
+    state = np.zeros(reaction.PLACES)
+    for u, error in zip(U.tolist(), e.tolist(), strict=True):
+        reaction.weigh(state, 0, u, error)
+    return bool(reaction.reacts(state, 0))
 
 
 def _moved(rows: Floats, column: int) -> float:
