@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification import coloured_noise, drift, lag_search
+from service.identification import coloured_noise, drift, jitter, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
@@ -17,7 +17,7 @@ from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import member, one_by_one, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, held, ladder, lag, map_fit, reaction
+from service.identification.kernels import grid, held, ladder, lag, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
@@ -92,6 +92,8 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
+
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]
     recent: NDArray[np.float32]
@@ -117,6 +119,7 @@ class AutoState(State):
         scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
         of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
         scalars.within(0.0, where=of_noise)
+        scalars.within(0.0, 1.0, memory.REACTS)
         scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
         counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
         counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
@@ -349,12 +352,12 @@ class Auto:
 
     def adaptation(self, state: AutoState) -> Adaptation:
         """Undecided, as it does not look whether misfit or drift stays, or reacting."""
-        reacting = bool(reaction.reacts(state.scalars, memory.REACTION))
+        reacting = state.scalars[memory.REACTS] > 0.0
         return Adaptation.REACTING if reacting else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: AutoState) -> Codes:
         """`adaptation` of M models (M,)."""
-        reacting = reaction.reacts(states.scalars, memory.REACTION)
+        reacting = states.scalars[..., memory.REACTS] > 0.0
         return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def surface(self, state: AutoState) -> Surface:
@@ -430,7 +433,7 @@ class Auto:
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
-        rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0).astype(np.float64)
+        rows = _last_rows(state)
         path = state.scalars[memory.LAGS :]
         before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
         since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
@@ -467,6 +470,8 @@ class Auto:
         now = counters[memory.LAGGING + lag.TIME]
         ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
         counters[memory.CLOCK] = now
+        if (reacts := jitter.reacts(_last_rows(state))) is not None:
+            scalars[memory.REACTS] = reacts
         coloured_noise.reckon(state.cells, scalars)
         points = _trusted(state, ahead)
         if not len(points):
@@ -564,6 +569,13 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.sizes[which] = n_U, n_s
     state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
     state.coefficients[which, : table.size] = table.ravel()
+
+
+def _last_rows(state: AutoState) -> Floats:
+    """The last samples kept, in the order of time."""
+    kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+    rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0) if kept >= lag.ROWS else state.recent
+    return rows[:kept].astype(np.float64)
 
 
 def _is_of_its_shape(state: AutoState, which: int) -> bool:

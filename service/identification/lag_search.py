@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
+from service.identification import jitter
 from service.identification.kernels import lag as kernel
-from service.identification.kernels import reaction
 from service.identification.samples import Floats
 
 TRIED_U: Final = (0.0, 0.03, 0.1)  # s
@@ -35,10 +35,10 @@ NEAR: Final = 0.004  # s: how far around a pair they look
 LEAST_BEND: Final = 1.0  # 1/s²: next to nothing, where the score does not bend upwards
 LEAST_GAIN: Final = 0.5  # in J: less is no reason for another one
 LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows to tell a lag
-POWERS: Final = 6  # of U in a map that is coarse, but fits well enough to show the noise
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
+WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, smoothed jitter gains up to 120
 COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
@@ -56,16 +56,19 @@ def look(
 
     The first look searches everywhere, later ones around what is known. Where lags are ``doubted``,
     it searches everywhere again, and drops what was known of them if these rows clearly speak
-    against them, not else. Where U reacts to the noise of Q nothing is found: behind a lag it would
-    seem to explain the flow better, as its jitter is smoothed.
+    against them, not else. Jitter of U is taken off before, as a lag would smooth it and so seem to
+    explain the flow better; what is left of it lets a look count for less.
     """
-    rows = np.ascontiguousarray(rows, np.float64)
+    rows, worth = np.ascontiguousarray(rows, np.float64), 1.0
+    if jitter.is_small(rows[:, kernel.LEFT_U]):
+        rows, worth = rows.copy(), WORTH_OF_JITTERY
+        rows[:, kernel.LEFT_U] = jitter.taken_off(rows[:, kernel.LEFT_U])
     squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
-    if counted >= LEAST_ROWS and squares > 0.0 and not _reacts(rows):
+    if counted >= LEAST_ROWS and squares > 0.0:
 
         def score(lags: Pair, rho: float) -> float:
             left = kernel.misfit(rows, *lags, rho)[0]
-            return float(counted * math.log(max(left, 1e-12 * squares)))
+            return worth * float(counted * math.log(max(left, 1e-12 * squares)))
 
         near = _resolved(known) if known[LOOKED] and doubted is None else None
         ways = _moved(rows, kernel.LEFT_U), _moved(rows, kernel.LEFT_Q)
@@ -75,6 +78,8 @@ def look(
         if rho:
             at = _search(partial(score, rho=rho), near, free)
         found = _bowl(partial(score, rho=rho), at, free)
+        if found is not None and worth < 1.0:
+            _claim_no_more(found, score((0.0, 0.0), rho) - score(at, rho))
         if found is not None and doubted is not None:
             refuted = score(doubted, rho) - score(at, rho) > CLEAR
             known[:] = found if refuted else known
@@ -84,18 +89,6 @@ def look(
     claimed = _claimed(known)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
-
-
-def _reacts(rows: Floats) -> bool:
-    """Whether U reacts to the noise of the same row, as far as a coarse map without lags tells."""
-    U, s, Q = rows[:, kernel.LEFT_U], rows[:, kernel.LEFT_S] / 10.0, rows[:, kernel.LEFT_Q]
-    terms = [s**k * (U / 100.0) ** j for k, j in product((1, 2), range(POWERS))]
-    X = np.column_stack([np.ones(len(U)), *terms])
-    e = Q - X @ np.linalg.lstsq(X, Q)[0]
-    state = np.zeros(reaction.PLACES)
-    for u, error in zip(U.tolist(), e.tolist(), strict=True):
-        reaction.weigh(state, 0, u, error)
-    return bool(reaction.reacts(state, 0))
 
 
 def _moved(rows: Floats, column: int) -> float:
@@ -174,6 +167,13 @@ def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> 
     (uu, uq), (_, qq) = (ways * bends) @ ways.T
     b_U, b_Q = np.array([uu * U + uq * Q, uq * U + qq * Q]) - slope
     return np.array([1.0, uu, uq, qq, b_U, b_Q])
+
+
+def _claim_no_more(found: Floats, gain: float) -> None:
+    """Have a look count for as much as J is larger without lags, where its bowl would for more."""
+    claim = float(found[B_U:] @ _resolved(found))
+    if claim > gain:
+        found[UU:] *= max(gain, LEAST_GAIN) / claim
 
 
 def _resolved(known: Floats) -> Pair:

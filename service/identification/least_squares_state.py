@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar, assert_never
+from typing import ClassVar, TypeVar, assert_never
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - score (n,), variance (triangle), detector (60,): of change detection and of the memory
+        - score (n,), variance (triangle), detector (63,): of change detection and of the memory
           of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
@@ -98,6 +98,8 @@ class RlsState(State):
         What was measured where, see :mod:`service.identification.kernels.places`; no rows with
         rules other than `Adaptive`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
 
     row: Floats
     R: Floats
@@ -148,7 +150,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (60,)."""
+        """Of change detection and of the memory of places (63,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 

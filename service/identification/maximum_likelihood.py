@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,7 @@ from service.identification.kernels.filtered_scores import (
     SCORE,
     SQUARE,
 )
+from service.identification.kernels.scores import BLOCK, FEWEST
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
@@ -55,10 +56,12 @@ class MaximumLikelihoodState(State):
         Ramp, counts, noise variance and powers, see the kernel.
     early : (s,)
         The structure's parameters up to 31 samples before; NaN before the first time.
-    omega, moments, blocks, colour : (s, s), (s, s), (7, s), (15,)
+    omega, moments, blocks, colour : (s, s), (s, s), (7, s), (18,)
         Of innovations that stay coloured, see
         :mod:`service.identification.kernels.filtered_scores`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts, nor of a drift
 
     theta: Floats
     factor: Floats

@@ -86,6 +86,16 @@ def test_a_lag_that_is_given_is_taken_and_no_other_is_looked_for():
         Auto(lag_Q=-1.0)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tau_Q", [0.0, 0.1, 0.25])
+def test_a_noisy_sensor_of_U_neither_makes_a_lag_nor_hides_one(seed, tau_Q):
+    samples = machine(seed, 0.0, tau_Q, n=kernel.ROWS)
+    U = samples.U + 0.4 * np.random.default_rng(seed).normal(size=len(samples))
+    rows = np.stack([np.full(len(U), 0.01), U, np.sqrt(samples.dp), samples.Q], axis=1)
+    found = look(rows, np.zeros(6), (None, None))
+    assert found == pytest.approx((0.0, tau_Q), rel=0.2, abs=0.01)
+
+
 def test_a_signal_that_stands_still_tells_no_lag():
     rows = np.zeros((kernel.ROWS, 4))
     rows[:, kernel.STEP], rows[:, kernel.LEFT_U] = 0.01, 50.0

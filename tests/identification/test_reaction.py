@@ -1,5 +1,7 @@
 """U that reacts to the noise of the same sample is told from all else, and said."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -40,55 +42,51 @@ def test_U_that_reacts_is_said_to(name, noise):
         assert ESTIMATORS[name].lags(state) == (0.0, 0.0)
 
 
-def healthy(kind):
-    (U, dp), e = c.cycle(71, N), c.white(71, N)
-    Q = c.ordinary(U, dp) + e
-    match kind:
-        case "lag of Q":
-            Q = c.lagged(c.ordinary(U, dp), 0.2) + e
-        case "lag of U":
-            Q = c.ordinary(c.lagged(U, 0.1), dp) + e
-        case "slow noise":
-            Q = c.ordinary(U, dp) + c.ar(71, N)
-        case "closed loop":
-            U, dp, Q = c.closed_loop(71, N, c.ordinary)
-        case "misfit":
-            Q = c.s_shape(U, dp) + e
-        case "scattered":  # it does react, but next to what else moves U that is nothing
-            U, dp = c.scattered(71, N)
-            U = c.reacting(U, e)
-            Q = c.ordinary(U, dp) + e
-        case "scattered misfit":
-            U, dp = c.scattered(71, N)
-            Q = c.s_shape(U, dp) + e
-        case "steps behind a meter":
-            U, dp = c.structured(per_level=300)
-            Q = c.lagged(c.ordinary(U, dp), 0.2) + c.white(71, len(U))
-        case "U in steps of the converter":
-            U = np.round(U / 0.05) * 0.05
-    return U, dp, Q
+def scattered(valve, held=1, tau=0.0):
+    """It may react, but next to what else moves U that is nothing."""
+    (U, dp), e = (np.repeat(x, held) for x in c.scattered(71, N // held)), c.white(71, N)
+    U = c.reacting(U, e) if held == 1 else U
+    return U, dp, c.lagged(valve(U, dp), tau) + e
+
+
+def cycle(valve, tau_U=0.0, tau_Q=0.0, noise=c.white, step=0.0):
+    U, dp = c.cycle(71, N)
+    U = np.round(U / step) * step if step else U
+    return U, dp, c.lagged(valve(c.lagged(U, tau_U), dp), tau_Q) + noise(71, N)
+
+
+def stepped():
+    U, dp = c.structured(per_level=300)
+    return U, dp, c.lagged(c.ordinary(U, dp), 0.2) + c.white(71, len(U))
+
+
+HEALTHY = {
+    "white": partial(cycle, c.ordinary),
+    "lag of Q": partial(cycle, c.ordinary, tau_Q=0.2),
+    "lag of U": partial(cycle, c.ordinary, tau_U=0.1),
+    "slow noise": partial(cycle, c.ordinary, noise=c.ar),
+    "misfit": partial(cycle, c.s_shape),
+    "U in steps of the converter": partial(cycle, c.ordinary, step=0.05),
+    "closed loop": partial(c.closed_loop, 71, N, c.ordinary),
+    "scattered": partial(scattered, c.ordinary),
+    "scattered misfit": partial(scattered, c.s_shape),
+    "scattered, held behind a meter": partial(scattered, c.ordinary, held=2, tau=0.25),
+    "steps behind a meter": stepped,
+}
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-@pytest.mark.parametrize(
-    "kind",
-    [
-        *("white", "lag of Q", "lag of U", "slow noise", "closed loop", "misfit", "scattered"),
-        *("scattered misfit", "steps behind a meter", "U in steps of the converter"),
-    ],
-)
+@pytest.mark.parametrize("kind", HEALTHY)
 def test_nothing_else_is_taken_for_it(name, kind):
-    said, _ = says(ESTIMATORS[name], *healthy(kind))
+    said, _ = says(ESTIMATORS[name], *HEALTHY[kind]())
     assert said != Adaptation.REACTING
 
 
 def test_a_controller_that_answers_the_sample_before_agrees_as_theory_says():
     rng = np.random.default_rng(1)
-    e = rng.normal(size=20_000)
+    e, way = rng.normal(size=20_000), 30.0 * np.sin(np.arange(20_000) / 300.0)
     for u, r in ((-0.5 * e, -(0.75**0.5)), (-0.5 * np.roll(e, 1), 12**-0.5)):
-        state = np.zeros(reaction.PLACES)
-        for value, error in zip(u, e, strict=True):
-            reaction.weigh(state, 0, value, error)
+        state = reaction.weighed(u + way, e)
         agreed = state[reaction.AGREED] / state[reaction.JITTERY]
         assert agreed == pytest.approx(2.0 / np.pi * np.arcsin(r), abs=0.08)
         assert reaction.reacts(state, 0) == (abs(r) > 0.5)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels import grid, lag, reaction
+from service.identification.kernels import grid, lag
 from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.grid import (
     DIRECTION,
@@ -31,8 +31,8 @@ MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17,
 RATE_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY, RATE = 20, 21, 22, 23, 24, 25
 COLOUR_WEIGHT, RECKONED, STEADY = 26, 27, 28  # the last two: see `_news`
 REFERENCE = 29  # from here on, as wide as a cell: see `_watch`
-REACTION = REFERENCE + len(grid.COLUMNS)  # from here on see `reaction`
-LAGS = REACTION + reaction.PLACES  # from here on see `lag`
+REACTS = REFERENCE + len(grid.COLUMNS)  # 1 where U reacts to the noise, see `jitter`
+LAGS = REACTS + 1  # from here on see `lag`
 SCALARS = LAGS + lag.SCALARS
 
 # Places in `counters`.
@@ -250,7 +250,6 @@ def _take(
         said = lag.metered(_of(champion, U, s, T, direction, scratch), lag.Q_METERED, path)
         rival = lag.metered(_of(challenger, U, s, T, direction, scratch), lag.RIVAL_METERED, path)
         batch.predicted[i], batch.residual[i] = said, Q - said
-        reaction.weigh_in(scalars, REACTION, batch.U[i], Q - said)
         forecast = said
         if path[lag.LAG_Q] > 0.0:
             forecast = _of(champion, at_U, at_s, T, direction, scratch)
