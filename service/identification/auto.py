@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import product
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification import coloured_noise, drift, lag_search
+from service.identification import coloured_noise, drift, jitter, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
@@ -93,6 +93,8 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
+
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]
     recent: NDArray[np.float32]
@@ -118,6 +120,7 @@ class AutoState(State):
         scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
         of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
         scalars.within(0.0, where=of_noise)
+        scalars.within(0.0, 1.0, memory.REACTS)
         scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
         counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
         counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
@@ -368,13 +371,15 @@ class Auto:
         Q, std = self.parameters_many(alone(state))
         return Q[0], std[0]
 
-    def adaptation(self, _state: AutoState) -> Adaptation:
-        """Undecided: it does not look whether misfit or drift stays."""
-        return Adaptation.UNDECIDED
+    def adaptation(self, state: AutoState) -> Adaptation:
+        """Undecided, as it does not look whether misfit or drift stays, or reacting."""
+        reacting = state.scalars[memory.REACTS] > 0.0
+        return Adaptation.REACTING if reacting else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: AutoState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.scalars), Adaptation.UNDECIDED, np.uint8)
+        reacting = states.scalars[..., memory.REACTS] > 0.0
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
@@ -433,12 +438,13 @@ class Auto:
         self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
-            state.counters[memory.NEXT_LOOK] = 2 * kept
+            since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+            state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
         if memory.is_due(state.counters):
             self._refit(state)
 
     def _doubt_lags(self, state: AutoState, kept: int) -> None:
-        """After a change that no map follows look for lags soon, as if for the first time."""
+        """After a change that no map follows look for lags soon, and as often as at first."""
         counters = state.counters
         looked_for = self.lag_U is None or self.lag_Q is None
         at = counters[memory.CHANGE_SAMPLE]
@@ -453,14 +459,17 @@ class Auto:
             and counters[memory.NEXT_LOOK] > kept + lag.ROWS
         ):
             counters[memory.NEXT_LOOK] = kept + lag.ROWS
-            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
+            counters[memory.LAGGING + lag.LOOKED_FROM] = kept
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
-        rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0).astype(np.float64)
+        rows = _last_rows(state)
         path = state.scalars[memory.LAGS :]
-        before = path[lag.LAG_U], path[lag.LAG_Q]
-        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], (self.lag_U, self.lag_Q))
+        before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+        since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+        doubted = before if since > 0 and kept - since <= lag.ROWS else None
+        given = self.lag_U, self.lag_Q
+        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
         share, least = LAG_MOVED
         moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
         path[lag.LAG_U], path[lag.LAG_Q] = found
@@ -491,6 +500,8 @@ class Auto:
         now = counters[memory.LAGGING + lag.TIME]
         ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
         counters[memory.CLOCK] = now
+        if (reacts := jitter.reacts(_last_rows(state))) is not None:
+            scalars[memory.REACTS] = reacts
         coloured_noise.reckon(state.cells, scalars)
         points = _trusted(state, ahead)
         if not len(points):
@@ -588,6 +599,13 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.sizes[which] = n_U, n_s
     state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
     state.coefficients[which, : table.size] = table.ravel()
+
+
+def _last_rows(state: AutoState) -> Floats:
+    """The last samples kept, in the order of time."""
+    kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+    rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0) if kept >= lag.ROWS else state.recent
+    return rows[:kept].astype(np.float64)
 
 
 def _is_of_its_shape(state: AutoState, which: int) -> bool:

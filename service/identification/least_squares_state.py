@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar, assert_never
+from typing import ClassVar, TypeVar, assert_never
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from service.identification.forgetting import (
     Subspace,
     Variable,
 )
-from service.identification.kernels import rules, uncertainty
+from service.identification.kernels import reaction, rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
@@ -38,6 +38,7 @@ from service.identification.kernels.row_layout import (
     PLACES_OF_COUNTERS,
     PLACES_OF_NOISE,
     PRODUCT,
+    REACTION,
     REVISITED,
     SQUARES,
     STALE,
@@ -77,7 +78,7 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - score (n,), variance (triangle), detector (52,): of change detection and of the memory
+        - score (n,), variance (triangle), detector (63,): of change detection and of the memory
           of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
@@ -99,6 +100,8 @@ class RlsState(State):
         What was measured where, see :mod:`service.identification.kernels.places`; no rows with
         rules other than `Adaptive`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
 
     row: Floats
     R: Floats
@@ -149,7 +152,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (52,)."""
+        """Of change detection and of the memory of places (63,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 
@@ -226,15 +229,17 @@ def _keeps(forgetting: Forgetting) -> bool:
 
 def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
     """:class:`~service.identification.adaptation.Adaptation` of M models from their detectors."""
+    reacting = reaction.reacts(detectors, REACTION)
     if not _keeps(forgetting):
-        return np.full(len(detectors), Adaptation.UNDECIDED, np.uint8)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
     noise, seen = np.maximum(detectors[:, MISFIT_POWER], 0.0), detectors[:, REVISITED]
     misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
     found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
     new = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
     undecided = (seen < REVISITS) | (new & (detectors[:, NEW] > 0.0))
     found = np.where(undecided, Adaptation.UNDECIDED, found)
-    return np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found).astype(np.uint8)
+    found = np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found)
+    return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:

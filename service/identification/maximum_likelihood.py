@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,18 +13,25 @@ from service.identification.contents import Contents
 from service.identification.estimator import State
 from service.identification.fleet import one_by_one, update_one
 from service.identification.kernels import maximum_likelihood as kernel
+from service.identification.kernels import reaction
 from service.identification.kernels.factors import covariance
 from service.identification.kernels.filtered_scores import (
     BLOCK_SQUARE,
     BLOCKS,
     GATHERED,
+    LATELY,
     PLACES_OF_COLOUR,
+    REACTING,
     ROWS_OF_BLOCKS,
+    SCORE,
     SQUARE,
 )
+from service.identification.kernels.scores import BLOCK, FEWEST
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
+
+CHANCE: Final = 4.0  # squared standard deviations of the mean score that are no drift
 
 
 @dataclass(frozen=True)
@@ -49,10 +56,12 @@ class MaximumLikelihoodState(State):
         Ramp, counts, noise variance and powers, see the kernel.
     early : (s,)
         The structure's parameters up to 31 samples before; NaN before the first time.
-    omega, moments, blocks, colour : (s, s), (s, s), (6, s), (7,)
+    omega, moments, blocks, colour : (s, s), (s, s), (7, s), (18,)
         Of innovations that stay coloured, see
         :mod:`service.identification.kernels.filtered_scores`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts, nor of a drift
 
     theta: Floats
     factor: Floats
@@ -71,7 +80,8 @@ class MaximumLikelihoodState(State):
 
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them."""
-        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE]
+        reacts = [REACTING + place for place in (reaction.JITTERY, reaction.SEEN)]
+        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE, *reacts]
         squares = ("factor", "spread", "rls_factor", "omega", "moments")
         return {
             **{name: _with_positive_diagonal(getattr(self, name)) for name in squares},
@@ -178,6 +188,7 @@ class MaximumLikelihood:
             rule,
             self._orders(),
             X[good],
+            samples.U[good],
             samples.Q[good],
             values,
             posterior,
@@ -205,7 +216,7 @@ class MaximumLikelihood:
         kernel.evaluate(_memory(state), np.where(finite[:, None], X, 0.0), values, variances, share)
         known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
         with np.errstate(all="ignore"):
-            std = np.sqrt(variances * _noise_variance(state))
+            std = _beyond_lag(state, X, np.sqrt(variances * _noise_variance(state)))
         return np.where(known, values, np.nan), np.where(known, std, np.nan)
 
     def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
@@ -213,22 +224,26 @@ class MaximumLikelihood:
         scale = np.append(self._scale, np.ones(self.nd))
         P = np.diag(covariance(state.factor))
         variance = np.maximum(np.diag(_parameter_covariance(state)), 0.0)
-        variance[: len(self._scale)] *= _inflations(state)
+        n = len(self._scale)
+        variance[:n] *= _inflations(state)
+        std = np.sqrt(variance)
+        std[:n] = _beyond_lag(state, np.eye(n), std[:n])
         known = (P > 0) & (kernel.UNDETERMINED * state.prior >= P)
         known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
-        return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
+        return state.theta / scale, np.where(known, std, np.nan) / scale
 
     def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         return one_by_one(self, states)
 
-    def adaptation(self, _state: MaximumLikelihoodState) -> Adaptation:
-        """Undecided: it does not tell misfit from drift."""
-        return Adaptation.UNDECIDED
+    def adaptation(self, state: MaximumLikelihoodState) -> Adaptation:
+        """Undecided, as it does not tell misfit from drift, or reacting."""
+        return Adaptation.REACTING if _reacts(state.colour) else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.theta), Adaptation.UNDECIDED, np.uint8)
+        reacting = _reacts(states.colour)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""
@@ -503,11 +518,39 @@ def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
         return np.asarray(_noise_variance(state) * over)
 
 
+def _beyond_lag(state: MaximumLikelihoodState, X: Floats, std: Floats) -> Floats:
+    """Standard deviations (N,) at rows X, with what theta lags by behind a plant that drifts.
+
+    The scores of the last samples have the mean M·Δtheta. Where a place was visited long ago the
+    lag is larger than that, elsewhere smaller: by as much as the lag is over all samples.
+    """
+    samples = min(BLOCK * float(state.colour[BLOCKS]), 2.0 * LATELY)
+    if samples < FEWEST * BLOCK:
+        return std
+    M, Omega = (np.tril(x) + np.tril(x, -1).T for x in (state.moments, state.omega))
+    inverse, score = np.linalg.pinv(M, hermitian=True), state.blocks[SCORE]
+    with np.errstate(all="ignore"):
+        lag = inverse @ score
+        doubt = inverse @ Omega @ inverse / samples
+        over_all = max(float(score @ lag - CHANCE * np.trace(doubt @ M)), 0.0)
+        # No BLAS over the rows: each has the same bits alone and among others.
+        behind, chance = (X * lag).sum(axis=1) ** 2, np.zeros(len(X))
+        for j, row in enumerate(doubt):
+            chance += X[:, j] * (X * row).sum(axis=1)
+        here = np.maximum(behind - CHANCE * chance, 0.0)
+        lags = np.where(over_all > 0.0, here + over_all, 0.0)
+        return np.asarray(np.sqrt(std**2 + np.where(np.isfinite(lags), lags, 0.0)))
+
+
 def _inflations(state: MaximumLikelihoodState) -> Floats:
     """How many times wider than in white innovations the structure's variances are (s,)."""
     values = np.empty(len(state.rls_theta))
     kernel.inflations(_memory(state), values)
     return values
+
+
+def _reacts(colours: Floats) -> NDArray[np.bool_]:
+    return np.asarray(reaction.reacts(colours, REACTING))
 
 
 def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:
