@@ -550,14 +550,28 @@ def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
 
 
 @kernel
-def inflations(memory: Memory, values: Floats) -> None:
-    """Write how many times the variance of each parameter (s,) is that in white noise."""
-    scratch = _scratch(len(memory.theta))
-    held = _samples_held(memory, scratch)
-    for j in range(len(values)):
-        _along_axis(memory, scratch, j)
-        own = memory.spread[j, j]
-        values[j] = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
+def diagonals(fleet: Memory, P: Floats, inflations: Floats) -> None:
+    """Write P's diagonals (M, n) of M models, arrays with a leading axis M, and `inflations`.
+
+    Those (M, s) are how many times the variance of each parameter is that in white noise.
+    """
+    scratch = _scratch(fleet.theta.shape[1])
+    for m in range(len(P)):
+        memory = Memory(
+            fleet.theta[m], fleet.factor[m], fleet.spread[m], fleet.prior[m],
+            fleet.rls_theta[m], fleet.rls_factor[m], fleet.raw[m], fleet.filtered[m],
+            fleet.monitor[m], fleet.early[m], fleet.omega[m], fleet.moments[m],
+            fleet.blocks[m], fleet.colour[m],
+        )  # fmt: skip
+        held = _samples_held(memory, scratch)
+        for j in range(P.shape[1]):
+            _along_axis(memory, scratch, j)
+            P[m, j] = scratch.Ph[j]
+            own = memory.spread[j, j]
+            if j >= inflations.shape[1]:
+                continue
+            wider = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
+            inflations[m, j] = wider
 
 
 @inner
