@@ -1,7 +1,8 @@
 """What the live page costs: its memory and CPU, and what its viewers cost the service.
 
-``python -m benchmarks.page`` runs a demo without, with one and with twenty viewers of a valve at
-10 Hz, half a minute each, then without once more, and writes ``benchmarks/results/page.json``.
+``python -m benchmarks.page`` runs a demo with one and with twenty viewers of a valve at 10 Hz, each
+three times between two stretches without any (so that a machine whose pace drifts is compared with
+itself), and writes ``benchmarks/results/page.json``.
 """
 
 import asyncio
@@ -11,19 +12,19 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 
 from websockets.asyncio.client import connect
 
 from service.opcua.results_client import ResultsClient, SourceSettings
 from service.opcua.results_server import NAMESPACE
 
-VIEWERS = (0, 1, 20, 0)  # once more at the end: a young map costs more than one at rest
-SPAN_S = 30.0
+VIEWERS = (*(0, 1, 0, 20) * 3, 0)
+SPAN_S = 20.0
 YOUNG_S = 20.0
-NOBODY = "service with 0 viewers, % of a core"
 _SETTLE_S = 5.0
 _RIG = "opc.tcp://127.0.0.1:4850/valvemap/rig/"
 _SERVICE = "opc.tcp://127.0.0.1:4851/valvemap/service/"
@@ -46,10 +47,7 @@ def figures() -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, _demo(Path(folder) / "demo.log") as (demo, log):
         found = asyncio.run(_measure(demo, log))
     found["bare asyncua import, MB"] = bare
-    found["page above a bare asyncua import, MB"] = found["page with 20 viewers, MB"] - bare
-    without = found[NOBODY]
-    with_all = found["service with 20 viewers, % of a core"]
-    found["service, 20 viewers against none, %"] = 100.0 * (with_all / without - 1.0)
+    found["page above a bare asyncua import, MB"] = found["page, MB, with 20 viewers"] - bare
     return found
 
 
@@ -73,23 +71,35 @@ def _demo(log: Path) -> Iterator[tuple[int, Path]]:
 async def _measure(demo: int, log: Path) -> dict[str, float]:
     url = await _page_url(log)
     page = _child(demo, "dashboard")
+    await asyncio.sleep(YOUNG_S)
+    stretches = [await _with(viewers, url, demo, page) for viewers in VIEWERS]
+    found: dict[str, float] = {}
+    for viewers in sorted(set(VIEWERS)):
+        alike = [s for n, s in zip(VIEWERS, stretches, strict=True) if n == viewers]
+        for k, what in enumerate(("service, % of a core", "page, % of a core", "page, MB")):
+            found[f"{what}, with {viewers} viewers"] = median(s[k] for s in alike)
+        if viewers:
+            found[f"service, {viewers} viewers against none, %"] = _more(viewers, stretches)
     client = ResultsClient(SourceSettings(url=_SERVICE), NAMESPACE)
     await client.connect()
-    found: dict[str, float] = {}
-    await asyncio.sleep(YOUNG_S)
-    alone = []
-    for viewers in VIEWERS:
-        found |= (measured := await _with(viewers, url, demo, page))
-        if not viewers:
-            alone.append(measured[NOBODY])
-    found[NOBODY] = sum(alone) / len(alone)
     (gaps,) = await client.read(["Valvistor.Diagnostics.Gaps"])
     found["samples lost"] = float(gaps.value)
     await client.close()
     return found
 
 
-async def _with(viewers: int, url: str, service: int, page: int) -> dict[str, float]:
+def _more(viewers: int, stretches: Sequence[tuple[float, float, float]]) -> float:
+    """How much more the service takes with viewers than just before and after without, in %."""
+    service = [stretch[0] for stretch in stretches]
+    return 100.0 * median(
+        2.0 * service[k] / (service[k - 1] + service[k + 1]) - 1.0
+        for k, n in enumerate(VIEWERS)
+        if n == viewers
+    )
+
+
+async def _with(viewers: int, url: str, service: int, page: int) -> tuple[float, float, float]:
+    """Service and page in % of a core, memory of the page in MB."""
     watching = [asyncio.create_task(_watch(url)) for _ in range(viewers)]
     await asyncio.sleep(_SETTLE_S)
     before = _cpu_s(service), _cpu_s(page)
@@ -99,12 +109,11 @@ async def _with(viewers: int, url: str, service: int, page: int) -> dict[str, fl
     for task in watching:
         task.cancel()
     await asyncio.gather(*watching, return_exceptions=True)
-    shares = [100.0 * (b - a) / SPAN_S for a, b in zip(before, after, strict=True)]
-    return {
-        f"service with {viewers} viewers, % of a core": shares[0],
-        f"page with {viewers} viewers, % of a core": shares[1],
-        f"page with {viewers} viewers, MB": memory,
-    }
+    of_service, of_page = (100.0 * (b - a) / SPAN_S for a, b in zip(before, after, strict=True))
+    print(
+        f"{viewers} viewers: service {of_service:.2f}, page {of_page:.2f} % of a core", flush=True
+    )
+    return of_service, of_page, memory
 
 
 async def _watch(url: str) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 STALE_AFTER_S = 3.0  # without a new sample; three looks of the page
-CHANGE_IS_NEWS_S = 600.0  # a change of the valve stays on top for ten minutes
+CHANGE_SHOWN_S = 600.0  # a change of the valve stays on top for ten minutes
 
 
 class Severity(IntEnum):
@@ -127,7 +127,7 @@ def judge(seen: Standing) -> Reason:
     reasons = [_by_code(seen.code), _BY_STATUS.get(seen.status, Reason.OK)]
     if seen.silent_s > STALE_AFTER_S and seen.code != _BAD_WAITING_FOR_INITIAL_DATA:
         reasons.append(Reason.STALE)
-    if seen.changed_s <= CHANGE_IS_NEWS_S:
+    if seen.changed_s <= CHANGE_SHOWN_S:
         reasons.append(Reason.CHANGED)
     if seen.adaptation == _MISFIT:
         reasons.append(Reason.MISFIT)

@@ -7,9 +7,10 @@ ROOT = "Identification"
 NO_ESTIMATORS = frozenset({"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline"})
 PREFERRED = "Auto"
 
-_LIVE = ("Signals.", "Diagnostics.SampleAge")
+_LIVE = "Signals."
+_STATE = ("Diagnostics.SampleAge", "Diagnostics.Waiting", "Diagnostics.LastAction")
 _MAPS = ("Coverage", "CoverageAge")
-_SELDOM = ("Names", "MapQ", "MapDp", "CoverageU", "CoverageDp", "Structure")
+_FIXED = ("Names", "MapQ", "MapDp", "CoverageU", "CoverageDp")
 _NEVER = ("Frame", "FrameNames", "Inverse.Map")
 
 
@@ -43,12 +44,27 @@ class Valve:
 
 @dataclass(frozen=True)
 class Variables:
-    """Names of a valve's variables, without the valve's own, by how often they are looked at."""
+    """Names of a valve's variables, without the valve's own, by how they are looked at.
+
+    Attributes
+    ----------
+    live
+        Followed, as the frame is.
+    state
+        Read each second.
+    slow
+        Numbers that move slowly, or that few views show.
+    maps
+        What a map is drawn of.
+    fixed
+        What stays as it is.
+    """
 
     live: tuple[str, ...]
+    state: tuple[str, ...]
     slow: tuple[str, ...]
     maps: tuple[str, ...]
-    seldom: tuple[str, ...]
+    fixed: tuple[str, ...]
 
 
 def sort_variables(valve: Valve, names: Sequence[str]) -> Variables:
@@ -57,21 +73,23 @@ def sort_variables(valve: Valve, names: Sequence[str]) -> Variables:
     >>> found = ("Signals.U", "RLS.Residual", "RLS.ParameterStd", "RLS.Coverage", "Inverse.MapQ")
     >>> sort_variables(Valve("V1", ("RLS",), ("RLS.Residual",)), found)
     ... # doctest: +NORMALIZE_WHITESPACE
-    Variables(live=('Signals.U',), slow=('RLS.ParameterStd',), maps=('RLS.Coverage',),
-        seldom=('Inverse.MapQ',))
+    Variables(live=('Signals.U',), state=(), slow=('RLS.ParameterStd',), maps=('RLS.Coverage',),
+        fixed=('Inverse.MapQ',))
     """
     framed = {*valve.frame_names, *(f"{e}.ParameterVector" for e in valve.estimators)}
-    live, slow, maps, seldom = [], [], [], []
+    live, state, slow, maps, fixed = [], [], [], [], []
     for name in names:
         last = name.rpartition(".")[2]
         if name in framed or name in _NEVER:
             continue
         if name.startswith(_LIVE):
             live.append(name)
+        elif name in _STATE:
+            state.append(name)
         elif last in _MAPS:
             maps.append(name)
-        elif last.endswith(_SELDOM):
-            seldom.append(name)
+        elif last.endswith(_FIXED):
+            fixed.append(name)
         else:
             slow.append(name)
-    return Variables(tuple(live), tuple(slow), tuple(maps), tuple(seldom))
+    return Variables(tuple(live), tuple(state), tuple(slow), tuple(maps), tuple(fixed))

@@ -7,16 +7,14 @@ from datetime import datetime
 from enum import StrEnum
 
 from service.clock import Clock, utc_ns
+from service.dashboard.close_up import TICK_S, CloseUp
 from service.dashboard.figures import Figures
 from service.dashboard.judgement import Reason, Severity, Standing, judge
 from service.dashboard.layout import (
     NO_ESTIMATORS,
     ROOT,
     Valve,
-    Variables,
-    sort_variables,
 )
-from service.dashboard.points import Points
 from service.dashboard.ports import Client, Reading, Wanted
 from service.dashboard.reading import read_all
 from service.dashboard.store import Store
@@ -24,14 +22,11 @@ from service.dashboard.surface import draw_surface
 from service.dashboard.timeline import TimeLine
 from service.errors import CommandRejected, SourceLost, ValvemapError
 
-TICK_S = 0.1  # of what is watched live
 _TICKS_PER_ROUND = 10  # all valves are looked at once a second
 _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare
 _SURFACE_EVERY_S = 5.0  # a map costs the service some 20 ms
 _RETRY_S = (0.5, 1.0, 2.0)  # a service that starts again is back on the page within seconds
 _REFUSED_RETRY_S = 10.0  # whoever is refused need not ask often
-_BAD_NODE_ID_UNKNOWN = 0x8034_0000
-_BAD = 0x8000_0000
 
 
 class Link(StrEnum):
@@ -67,7 +62,7 @@ class Observer:
         Stamps what was seen when.
     wanted
         What viewers look at now.
-    on_news
+    on_change
         Called after each look.
     """
 
@@ -76,7 +71,7 @@ class Observer:
         client: Client,
         clock: Clock,
         wanted: Callable[[], Wanted],
-        on_news: Callable[[], None],
+        on_change: Callable[[], None],
     ) -> None:
         self.client = client
         self.store = Store()
@@ -87,10 +82,8 @@ class Observer:
         self.generation = 0
         self._clock = clock
         self._wanted = wanted
-        self._on_news = on_news
-        self._variables: dict[int, Variables] = {}
-        self._seldom_read: set[int] = set()
-        self._points: dict[int, Points] = {}
+        self._on_change = on_change
+        self._close_up = CloseUp(client, self.store, clock)
         self._heard: dict[int, tuple[int, float]] = {}
         self._changed: dict[int, int] = {}
         self.figures = Figures(client, clock)
@@ -115,10 +108,6 @@ class Observer:
                 await self.client.close()
             failures += 1
             await asyncio.sleep(pause)
-
-    def points(self, valve: int) -> Points:
-        """Where a valve was measured."""
-        return self._points.setdefault(valve, Points())
 
     def silent_s(self, valve: int) -> float:
         """Time since a valve's newest sample was first seen."""
@@ -147,12 +136,15 @@ class Observer:
             begun = self._clock.monotonic()
             wanted = self._wanted()
             round_, within = divmod(tick, _TICKS_PER_ROUND)
+            await self._close_up.watch({number: self.valves[number] for number in wanted.live})
+            self._close_up.hear()
+            for number in wanted.live:
+                if frame := self._close_up.newest(number):
+                    self._hear(number, frame.t)
             if within == 0:
-                await self._look_at_all(thoroughly=round_ % _ROUNDS_PER_DISCOVERY == 0)
-                for valve in wanted.live:
-                    await self._look_closer(valve, wanted)
-            await self._look_live(sorted(wanted.live))
-            self._on_news()
+                await self._look_around(wanted, thoroughly=round_ % _ROUNDS_PER_DISCOVERY == 0)
+            self._close_up.play()
+            self._on_change()
             step = 1 if wanted.live else _TICKS_PER_ROUND - within
             tick += step
             await asyncio.sleep(max(begun + step * TICK_S - self._clock.monotonic(), 0.01))
@@ -167,7 +159,7 @@ class Observer:
                 now = self._clock.now()
                 for name, matrix in surface.items():
                     self.store.put(valve, f"{estimator}.Surface{name}", matrix, 0, now)
-                self._on_news()
+                self._on_change()
             await asyncio.sleep(_SURFACE_EVERY_S if self._wanted().maps else TICK_S)
 
     async def _discover(self) -> None:
@@ -186,22 +178,31 @@ class Observer:
             self.valves = tuple(found)
             self.store.clear()
             self.rows.clear()
-            self._points.clear()
-        self._variables.clear()
-        self._seldom_read.clear()
+            self._close_up.forget_points()
+        self._close_up.forget()
         self._heard.clear()
         self.figures.forget()
 
-    async def _look_at_all(self, *, thoroughly: bool) -> None:
-        """Look at how every valve stands."""
+    async def _look_around(self, wanted: Wanted, *, thoroughly: bool) -> None:
+        """Look at how every valve stands, and what moves slowly of those that are watched."""
         if thoroughly:
             await self._look_for_changes()
-        ids = []
-        for valve in self.valves:
-            ids += [f"{valve.name}.Frame", f"{valve.name}.{valve.primary}.PredictedFlow"]
-        readings = await self._read(ids)
-        for number, valve in enumerate(self.valves):
-            self._take_standing(number, valve, readings[2 * number], readings[2 * number + 1])
+        frames = {n: self._close_up.newest(n) for n in range(len(self.valves))}
+        unknown = [number for number, frame in frames.items() if frame is None]
+        due = list(self._close_up.due(wanted, thoroughly=thoroughly))
+        asked = [(n, f"{valve.primary}.PredictedFlow") for n, valve in enumerate(self.valves)]
+        asked += [*((number, "Frame") for number in unknown), *due]
+        readings = iter(await self._read([f"{self.valves[n].name}.{name}" for n, name in asked]))
+        flows = [next(readings) for _ in self.valves]
+        for number in unknown:
+            frames[number] = read = next(readings)
+            if number in wanted.live:
+                self._close_up.show(number, read)
+        for number, name in due:
+            self._close_up.take(number, [name], [next(readings)])
+        for number, frame in frames.items():
+            if frame is not None:
+                self._take_standing(number, self.valves[number], frame, flows[number])
 
     def _take_standing(self, number: int, valve: Valve, frame: Reading, flow: Reading) -> None:
         columns = dict(zip(valve.frame_names, frame.value or (), strict=False))
@@ -258,72 +259,8 @@ class Observer:
             if isinstance(action.value, str):
                 self.time_line.acted(valve.name, action.value, action.t)
 
-    async def _look_live(self, valves: Sequence[int]) -> None:
-        """Look at what moves, of the valves that somebody watches."""
-        watched = [(number, await self._variables_of(number)) for number in valves]
-        ids = []
-        for number, variables in watched:
-            name = self.valves[number].name
-            ids += [f"{name}.Frame", *(f"{name}.{live}" for live in variables.live)]
-        readings = iter(await self._read(ids) if ids else ())
-        for number, variables in watched:
-            frame = next(readings)
-            self._hear(number, frame.t)
-            if frame.value:
-                for column, value in zip(
-                    self.valves[number].frame_names, frame.value, strict=False
-                ):
-                    self.store.put(number, column, value, frame.code, frame.t)
-            self._take(number, variables.live, [next(readings) for _ in variables.live])
-            self._take_point(number)
-
-    async def _look_closer(self, number: int, wanted: Wanted) -> None:
-        """Look at what moves slowly, of a valve that somebody watches."""
-        valve, variables = self.valves[number], await self._variables_of(number)
-        names = list(variables.slow)
-        if number not in self._seldom_read:
-            names += variables.seldom
-            self._seldom_read.add(number)
-        estimators = {estimator for of, estimator in wanted.maps if of == number}
-        names += [name for name in variables.maps if name.partition(".")[0] in estimators]
-        self._take(number, names, await self._read([f"{valve.name}.{name}" for name in names]))
-        flows = [f"{valve.name}.{estimator}.PredictedFlow" for estimator in valve.estimators]
-        for estimator, flow in zip(valve.estimators, await self._read(flows), strict=True):
-            self.store.put(number, f"{estimator}.Code", float(flow.code), flow.code, flow.t)
-        if estimators:
-            rows = self.points(number).rows
-            self.store.put(number, "Points", rows, 0, self._clock.now())
-
-    async def _variables_of(self, number: int) -> Variables:
-        known = self._variables.get(number)
-        if known is None:
-            valve = self.valves[number]
-            names = []
-            for child in await self.client.browse(valve.name):
-                if child.is_variable:
-                    names.append(child.id)
-                elif not child.is_method:
-                    names += [c.id for c in await self.client.browse(child.id) if c.is_variable]
-            own = [name.removeprefix(f"{valve.name}.") for name in names]
-            known = self._variables[number] = sort_variables(valve, own)
-        return known
-
     async def _read(self, ids: Sequence[str]) -> list[Reading]:
         return await read_all(self.client, ids)
-
-    def _take(self, number: int, names: Sequence[str], readings: Sequence[Reading]) -> None:
-        for name, reading in zip(names, readings, strict=True):
-            if reading.code != _BAD_NODE_ID_UNKNOWN:
-                value = in_ns(reading.value) * 1e-6 if is_time(reading.value) else reading.value
-                self.store.put(number, name, value, reading.code, reading.t)
-
-    def _take_point(self, number: int) -> None:
-        U, dp, Q = (self.store.get(number, f"Signals.{name}") for name in ("U", "dp", "Q"))
-        if U is None or dp is None or Q is None or max(U.code, dp.code, Q.code) >= _BAD:
-            return
-        values = (U.value, dp.value, Q.value)
-        if all(isinstance(value, float) for value in values):
-            self.points(number).add(*values)
 
     def _hear(self, number: int, t: int) -> None:
         """Note when a newer sample is first seen; both clocks may differ."""
@@ -340,12 +277,7 @@ class Observer:
             severity = Severity.GOOD if link is Link.UP else Severity.ALARM
             self.time_line.add(now, "", "link", severity, _SAID[link])
         self.link, self.link_text = link, text
-        self._on_news()
-
-
-def is_time(value: object) -> bool:
-    """Whether a value is a DateTime."""
-    return isinstance(value, datetime)
+        self._on_change()
 
 
 def in_ns(time: object) -> int:

@@ -1,6 +1,6 @@
 """What the page asks of the service; `service.opcua.results_client.ResultsClient` fulfils it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -58,6 +58,15 @@ class Client(Protocol):
 
     async def read(self, ids: Sequence[str | int]) -> Sequence[Reading]:
         """Values of variables; a number names one of the standard's."""
+
+    async def follow(self, ids: Collection[str], every_s: float) -> None:
+        """Be sent what changes of just these variables, so often; of none: end that.
+
+        SourceRejected: there is no room for it, and nothing is followed.
+        """
+
+    def changes(self) -> Sequence[tuple[str, Reading]]:
+        """Take what was sent of the variables that are followed, in its order."""
 
     async def call(
         self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]

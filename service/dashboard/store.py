@@ -53,6 +53,7 @@ class Store:
     def clear(self) -> None:
         """Forget all values: their server is another one."""
         self._valves.clear()
+        self.revision += 1
 
 
 def _same(a: Any, b: Any) -> bool:  # noqa: ANN401 - as read

@@ -83,7 +83,8 @@ class TimeLine:
         before = self._changes.get((valve, estimator))
         self._changes[valve, estimator] = count
         if before is not None and count > before:
-            text = f"{estimator} found an abrupt change: {size:+.1f} l/min."
+            sign = "+" if size >= 0.0 else "−"
+            text = f"{estimator} found an abrupt change: {sign}{abs(size):.1f} l/min."
             self.add(t, valve, "change", Severity.WARNING, text)
 
     def acted(self, valve: str, text: str, t: int) -> None:

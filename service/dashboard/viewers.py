@@ -6,7 +6,7 @@ store itself. One that reads nothing for long is hung up on.
 
 import asyncio
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,17 +14,16 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from service.dashboard.layout import Valve
-from service.dashboard.messages import pack_matrix, pack_numbers, pack_rows, pack_text
+from service.dashboard.messages import pack_rows, pack_text
 from service.dashboard.observer import Observer
+from service.dashboard.packing import Packing
 from service.dashboard.ports import Wanted
 from service.dashboard.rates import TokenBucket
 from service.errors import ValvemapError
 
 _SLOW_READER_S = 10.0  # for one message to leave
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
-_NAMES_AT_MOST = 60_000  # a name is sent as u2
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
-_PARTS = frozenset({"live", "map"})
 
 
 class Senseless(Exception):  # noqa: N818 - it says what came
@@ -48,7 +47,7 @@ class Viewer:
     names_seen: int = 0
     greeted: tuple[int, str, str] | None = None
     rows_seen: dict[int, Any] = field(default_factory=dict)
-    news: asyncio.Event = field(default_factory=asyncio.Event)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
@@ -63,7 +62,7 @@ class Viewers:
     def __init__(self, most: int) -> None:
         self._most = most
         self._open: set[Viewer] = set()
-        self._names: dict[str, int] = {}
+        self._packing = Packing()
         self.refused = 0
         self.senseless = 0
 
@@ -71,9 +70,9 @@ class Viewers:
         return len(self._open)
 
     def wake(self) -> None:
-        """Let everybody look whether there is news."""
+        """Let everybody look what has changed."""
         for viewer in self._open:
-            viewer.news.set()
+            viewer.changed.set()
 
     def wanted(self, valves: tuple[Valve, ...]) -> Wanted:
         """What is in view anywhere."""
@@ -96,7 +95,7 @@ class Viewers:
             return
         await socket.accept()
         viewer = Viewer(socket)
-        viewer.news.set()
+        viewer.changed.set()
         self._open.add(viewer)
         sending = asyncio.create_task(self._send_for_ever(viewer, observer))
         listening = asyncio.create_task(self._listen(viewer, observer))
@@ -141,7 +140,7 @@ class Viewers:
                 viewer.watched, viewer.estimator = valve, estimator
                 viewer.overview = overview
                 viewer.rows_seen.clear()
-                viewer.news.set()
+                viewer.changed.set()
             case {
                 "ask": int() as number,
                 "invert": str() as valve,
@@ -172,9 +171,9 @@ class Viewers:
     async def _send_for_ever(self, viewer: Viewer, observer: Observer) -> None:
         with suppress(WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
             while True:
-                await viewer.news.wait()
-                viewer.news.clear()
-                for message in self._news(viewer, observer):
+                await viewer.changed.wait()
+                viewer.changed.clear()
+                for message in self._unseen(viewer, observer):
                     await self._send(viewer, message)
 
     async def _send(self, viewer: Viewer, message: str | bytes) -> None:
@@ -184,7 +183,7 @@ class Viewers:
             else:
                 await viewer.socket.send_bytes(message)
 
-    def _news(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
+    def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
         """What this viewer has not seen of what it watches."""
         greeting = (observer.generation, observer.link.value, observer.link_text)
         if viewer.greeted != greeting:
@@ -236,33 +235,10 @@ class Viewers:
                 ],
             )
 
-    def _new_values(self, viewer: Viewer, observer: Observer, number: int) -> Iterator[str | bytes]:
-        since, viewer.seen = viewer.seen, observer.store.revision
-        numbers, texts, matrices = [], {}, []
-        for name, entry in observer.store.newer(number, since):
-            value = entry.value
-            if isinstance(value, bool | int | float):
-                numbers.append((self._name(name), float(value), entry.code, entry.t))
-            elif _is_text(value):
-                texts[name] = value
-            elif isinstance(value, list) and value:
-                matrices.append(pack_matrix(number, self._name(name), value, entry.t))
-            elif value is None:
-                numbers.append((self._name(name), float("nan"), entry.code, entry.t))
-        if len(self._names) > viewer.names_seen:
-            names = list(self._names)[viewer.names_seen :]
-            yield pack_text({"names": names, "from": viewer.names_seen})
-            viewer.names_seen = len(self._names)
-        if numbers:
-            yield pack_numbers(number, numbers)
-        if texts:
-            yield pack_text({"valve": number, "texts": texts})
-        yield from matrices
-
-    def _name(self, name: str) -> int:
-        if len(self._names) < _NAMES_AT_MOST:
-            return self._names.setdefault(name, len(self._names))
-        return self._names.get(name, 0)
+    def _new_values(self, viewer: Viewer, observer: Observer, number: int) -> Sequence[str | bytes]:
+        packed = self._packing.values(observer.store, number, viewer.seen, viewer.names_seen)
+        viewer.seen, viewer.names_seen = observer.store.revision, self._packing.names
+        return packed
 
 
 def _greeting(observer: Observer) -> dict[str, Any]:
@@ -292,9 +268,3 @@ def _request(text: str | None) -> dict[str, Any]:
 
 def _refuse(_constant: str) -> None:
     raise ValueError
-
-
-def _is_text(value: object) -> bool:
-    if isinstance(value, list):
-        return bool(value) and all(isinstance(element, str) for element in value)
-    return isinstance(value, str)

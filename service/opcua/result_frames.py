@@ -11,9 +11,10 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from service.identification.samples import Times
-from service.opcua.information_model import FRAME, FRAME_NAMES, INVERSE, VariableNode
+from service.identification.samples import Floats, Quality, Times
+from service.opcua.information_model import FRAME, FRAME_NAMES, INVERSE, SIGNALS, VariableNode
 from service.opcua.result_values import Column, estimator_own_words, worse
+from service.streaming.ports import SIGNALS as SIGNAL_NAMES
 from service.streaming.ports import Results, ValveDescription
 
 _NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCount", "Status")
@@ -33,7 +34,8 @@ def frame_names(valve: ValveDescription) -> tuple[str, ...]:
         columns += [
             f"{estimator.name}.ParameterVector.{name}" for name in estimator.parameter_names
         ]
-    return (*columns, f"{INVERSE}.RequiredU", f"{INVERSE}.RequiredUStatus")
+    columns += [f"{INVERSE}.RequiredU", f"{INVERSE}.RequiredUStatus"]
+    return (*columns, *(f"{SIGNALS}.{name}" for name in SIGNAL_NAMES))
 
 
 def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode]:
@@ -72,6 +74,15 @@ def frames(valve: ValveDescription, results: Results, sequence: Times, now: int)
         t = np.maximum(t, found.t)
         columns += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
         columns += [found.sample_count, found.status, found.theta]
-    columns += [results.inverse.required_U, results.inverse.status]
+    columns += [results.inverse.required_U, results.inverse.status, _signals(results)]
     values = np.column_stack([np.asarray(column, np.float64) for column in columns])
     return Column(FRAME, values, codes, np.where(t, t, now))
+
+
+def _signals(results: Results) -> Floats:
+    """The newest sample of M valves, (M, 6); NaN where the sensors are lost."""
+    signals = results.signals
+    if signals is None:
+        return np.full((len(results.valves), len(SIGNAL_NAMES)), np.nan)
+    lost = (signals.quality == Quality.BAD) | (signals.t == 0)
+    return np.where(lost[:, None], np.nan, signals.values)

@@ -1,10 +1,9 @@
-"""A client of a server of ours, results or rig: browse, read, call, write. What any client can get.
+"""A client of a server of ours, results or rig: browse, read, follow, call, write.
 
-It polls: whoever looks at numbers wants the newest ones, of what is in view, together; and polling
-needs none of the compiled loops that take in every sample.
+It shows what any client can get, and needs none of the compiled loops that take in every sample.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,7 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
+from service.opcua.followed import Followed
 from service.opcua.requests import children_of, in_chunks, namespaces_of, read_values
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
@@ -62,6 +62,7 @@ class ResultsClient:
         self._settings = settings
         self._namespace = namespace
         self._connection: Connection | None = None
+        self._followed: Followed[str] | None = None
         self._index = 0
 
     @property
@@ -88,13 +89,16 @@ class ResultsClient:
         except BaseException:
             await connection.close()
             raise
-        self._connection = connection
+        self._connection, self._followed = connection, Followed(connection)
 
     async def close(self) -> None:
         """Disconnect; safe to call twice, and after a loss."""
         connection, self._connection = self._connection, None
+        followed, self._followed = self._followed, None
         if connection is not None:
             await connection.close()
+        if followed is not None:
+            await followed.end()
 
     async def browse(self, id: str | None) -> list[Child]:  # noqa: A002 - OPC UA's word
         """Nodes of our namespace below a node; None is the Objects folder.
@@ -131,6 +135,30 @@ class ResultsClient:
         with connection.errors("reading"):
             answers = await read_values(connection, nodes, ua.TimestampsToReturn.Source)
         return [_reading(answer) for answer in answers]
+
+    async def follow(self, ids: Collection[str], every_s: float) -> None:
+        """Be sent what changes of just these variables, so often; of none: end that.
+
+        Raises
+        ------
+        SourceRejected
+            if the server has no room for that; nothing is followed then.
+        SourceLost
+        """
+        if self._followed is None:
+            raise self._not_connected()
+        await self._followed.follow({id_: self._node(id_) for id_ in ids}, every_s)
+
+    def changes(self) -> list[tuple[str, Reading]]:
+        """Take what was sent of the variables that are followed, in its order.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        if self._followed is None:
+            raise self._not_connected()
+        return [(id_, _reading(value)) for id_, value in self._followed.take()]
 
     async def call(
         self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
@@ -193,8 +221,11 @@ class ResultsClient:
 
     def _connected(self) -> Connection:
         if self._connection is None:
-            raise SourceLost(f"{self.url}: not connected")
+            raise self._not_connected()
         return self._connection
+
+    def _not_connected(self) -> SourceLost:
+        return SourceLost(f"{self.url}: not connected")
 
     def _node(self, id_: str | int) -> ua.NodeId:
         return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)

@@ -93,6 +93,13 @@ class BatchSession(UaSession):
         request = ua.CreateSubscriptionRequest(Parameters=params)
         return (await self._ask(request, ua.CreateSubscriptionResponse)).Parameters
 
+    async def end_subscription(self, number: int) -> None:
+        """Delete a subscription."""
+        parameters = ua.DeleteSubscriptionsParameters([number])
+        request = ua.DeleteSubscriptionsRequest(Parameters=parameters)
+        (status,) = (await self._ask(request, ua.DeleteSubscriptionsResponse)).Results
+        status.check()
+
     @override
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters

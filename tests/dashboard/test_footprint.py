@@ -21,11 +21,11 @@ def test_the_page_loads_no_kernels_and_no_configuration():
     assert done.stdout.split() == []
 
 
-@pytest.mark.soak  # two minutes, and figures of the machine
-@pytest.mark.timeout(600)
+@pytest.mark.soak  # six minutes, and figures of the machine
+@pytest.mark.timeout(1_200)
 def test_the_page_is_small_and_the_service_does_not_feel_it():
     found = page.figures()
     assert found["page above a bare asyncua import, MB"] <= 80.0
-    assert found["page with 1 viewers, % of a core"] <= 15.0
+    assert found["page, % of a core, with 1 viewers"] <= 15.0
     assert found["service, 20 viewers against none, %"] <= 5.0
     assert found["samples lost"] == 0.0

@@ -95,6 +95,23 @@ async def test_what_does_not_change_is_not_sent_again():
         assert sum(await drain(socket, 1.0)) < 500  # a row or two of the overview
 
 
+async def test_many_viewers_see_the_same_and_it_is_packed_once():
+    async with served(ShownService()) as (page, url), viewer(url) as one, viewer(url) as two:
+        packed = []
+        packing = page.viewers._packing
+        pack = packing._pack
+        packing._pack = lambda *key: packed.append((key[0].revision, *key[1:])) or pack(*key)
+        seen = Seen(one), Seen(two)
+        for other in seen:
+            await other.socket.send(json.dumps(WATCH))
+        for _ in range(2):
+            for other in seen:
+                other.numbers.pop("RLS.SampleCount", None)
+                await other.until(lambda s: "RLS.SampleCount" in s.numbers)
+        assert seen[0].names == seen[1].names
+        assert len(packed) == len(set(packed))
+
+
 async def test_a_map_is_asked_of_the_service_only_while_somebody_looks_at_it():
     shown = ShownService()
     async with served(shown) as (page, url):
@@ -110,6 +127,36 @@ async def test_a_map_is_asked_of_the_service_only_while_somebody_looks_at_it():
             assert seen.matrices["RLS.Coverage"][:2] == (2, 2)
         await gone(page)
         assert page.viewers.wanted(page.observer.valves).live == set()
+
+
+async def test_what_moves_is_followed_while_somebody_looks_and_only_of_the_valve_in_view():
+    shown = ShownService(names=("V1", "V2"))
+    async with served(shown) as (page, url):
+        async with viewer(url) as socket, viewer(url) as second:
+            for one in (socket, second):
+                await one.send(json.dumps(WATCH))
+                await Seen(one).until(lambda s: "Signals.U" in s.numbers)
+            assert shown.followed == ("V1.Frame",)
+            other = {"watch": {"valve": "V2", "estimator": None, "overview": False}}
+            await socket.send(json.dumps(other))
+            async with asyncio.timeout(10):
+                while len(shown.followed) < 2:  # noqa: ASYNC110 - a service has no event
+                    await asyncio.sleep(0.01)
+            assert shown.followed == ("V1.Frame", "V2.Frame")
+        await gone(page)
+        async with asyncio.timeout(10):
+            while shown.followed:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+
+async def test_a_service_without_room_for_who_follows_is_read_each_second():
+    async with served(ShownService(may_follow=False)) as (_, url), viewer(url) as socket:
+        await socket.send(json.dumps(WATCH))
+        seen = Seen(socket)
+        await seen.until(lambda s: "RLS.SampleCount" in s.numbers)
+        first = seen.numbers["RLS.SampleCount"]
+        await seen.until(lambda s: s.numbers["RLS.SampleCount"] > first)
+        assert seen.link() == "up"
 
 
 async def test_the_slider_s_answer_is_the_service_s_own_and_writes_nothing():

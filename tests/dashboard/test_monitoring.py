@@ -29,7 +29,7 @@ async def figures():
     page = Page(shown, lambda *_: (shown, None), PageSettings(), SystemClock())
     await page.observer.client.connect()
     await page.observer._discover()
-    await page.observer._look_at_all(thoroughly=True)
+    await page.observer._look_around(page.viewers.wanted(page.observer.valves), thoroughly=True)
     page.observer.link = type(page.observer.link).UP
     await page.observer.look_at_figures()
     text = page._metrics.exposition().decode()

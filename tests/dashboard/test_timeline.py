@@ -33,7 +33,7 @@ def test_what_was_before_the_page_looked_is_no_event():
     line.changed("V1", "RLS", 4, 7 * S, -3.25)
     line.acted("V1", "operator: Resume RLS", 8 * S)
     assert texts(line) == [
-        (7, "change", "RLS found an abrupt change: -3.2 l/min."),
+        (7, "change", "RLS found an abrupt change: −3.2 l/min."),
         (8, "action", "operator: Resume RLS"),
     ]
 

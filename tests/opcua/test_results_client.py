@@ -1,20 +1,26 @@
-"""The client that polls: browse, read, call, write, and typed errors."""
+"""The page's client: browse, read, follow, call, write, and typed errors."""
 
+import asyncio
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import pytest_asyncio
-from support.results import results_settings
+from support.results import results_of, results_settings
 
 from service.errors import CommandRejected, SourceLost, SourceRejected
-from service.hardened import Role, UserStore
+from service.hardened import Limits, Role, UserStore
 from service.identification.inversion import Inversion
-from service.identification.samples import Status
+from service.identification.samples import Quality, Status
 from service.opcua.results_client import ResultsClient, SourceSettings
 from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.ports import EstimatorDescription, ValveDescription
+from service.streaming.ports import (
+    EstimatorDescription,
+    EstimatorResult,
+    InverseResult,
+    ValveDescription,
+)
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -25,6 +31,20 @@ VALVE = ValveDescription(
     map_dp=(0.0, 50.0, 200.0),
     counters=("late",),
 )
+
+RESULT = EstimatorResult(
+    t=1_000,
+    quality=Quality.GOOD,
+    theta=np.array([1.0, -2.5]),
+    std=np.array([0.1, 0.2]),
+    predicted=50.0,
+    residual=0.5,
+    residual_rmse=0.4,
+    sample_count=7,
+    status=Status.OK,
+    noise_std=0.3,
+)
+INVERSE = InverseResult(1_000, Quality.GOOD, 42.0, 0, np.zeros((1, 1)))
 
 
 class Operator:
@@ -120,6 +140,77 @@ async def test_an_operator_writes_and_hears_what_is_refused(served):
     wrong = ResultsClient(replace(settings, password="wrong"), NAMESPACE)
     with pytest.raises(SourceRejected, match="password"):
         await wrong.connect()
+
+
+async def changes(client, wanted):
+    """Take changes until one is what is wanted; return all."""
+    found = []
+    async with asyncio.timeout(20):
+        while not any(wanted(*change) for change in found):
+            found += client.changes()
+            await asyncio.sleep(0.01)
+    return found
+
+
+async def until_subscriptions(client, count):
+    """Wait until the server says that it has so many subscriptions."""
+    async with asyncio.timeout(20):
+        while (await client.read([2285]))[0].value != count:  # noqa: ASYNC110 - it is the server's
+            await asyncio.sleep(0.05)
+
+
+async def test_what_is_followed_comes_by_itself_result_by_result(served, client):
+    await client.follow(["V1.Frame", "V1.Diagnostics.Late", "V1.RLS.Nonsense"], 0.1)
+    await changes(client, lambda id_, _: id_ == "V1.Diagnostics.Late")
+    for count in range(1, 6):
+        await served[0].publish(results_of(0, {"RLS": RESULT}, INVERSE, late=count))
+        await asyncio.sleep(0.06)  # the server's sampling
+    found = await changes(client, lambda id_, r: id_.endswith("Late") and r.value == 5)
+    sequences = [r.value[0] for id_, r in found if id_ == "V1.Frame" and r.value]
+    assert sequences[-5:] == [sequences[-5] + k for k in range(5)]
+    await until_subscriptions(client, 1)
+
+
+async def test_whoever_follows_less_is_sent_less_and_nothing_is_left_behind(served, client):
+    await client.follow(["V1.Frame", "V1.Diagnostics.Late"], 0.1)
+    await changes(client, lambda id_, _: id_ == "V1.Diagnostics.Late")
+    await client.follow(["V1.Diagnostics.Late"], 0.1)
+    await served[0].publish(results_of(0, {"RLS": RESULT}, INVERSE, late=9))
+    found = await changes(client, lambda _, r: r.value == 9)
+    assert {id_ for id_, _ in found} == {"V1.Diagnostics.Late"}
+    for _ in range(2):
+        await client.follow([], 0.1)
+        assert client.changes() == []
+    await until_subscriptions(client, 0)
+    await client.follow(["V1.Diagnostics.Late"], 0.1)
+    await changes(client, lambda _, r: r.value == 9)
+
+
+async def test_a_server_without_room_refuses_and_is_read_as_before(tmp_path):
+    limits = Limits(subscriptions=0)
+    settings = results_settings(none_on_loopback=True, cache=tmp_path, limits=limits)
+    async with ResultsServer(settings, (VALVE,), Operator()) as server:
+        client = ResultsClient(SourceSettings(url=server.url), NAMESPACE)
+        await client.connect()
+        with pytest.raises(SourceRejected, match="Subscriptions"):
+            await client.follow(["V1.Frame"], 0.1)
+        assert client.changes() == []
+        assert (await client.read(["V1.Diagnostics.Late"]))[0].value == 0
+        await client.close()
+
+
+async def test_a_server_that_goes_while_it_is_followed_is_a_loss(tmp_path):
+    settings = results_settings(none_on_loopback=True, cache=tmp_path)
+    async with ResultsServer(settings, (VALVE,), Operator()) as server:
+        client = ResultsClient(SourceSettings(url=server.url), NAMESPACE)
+        await client.connect()
+        await client.follow(["V1.Diagnostics.Late"], 0.1)
+        await changes(client, lambda *_: True)
+    with pytest.raises(SourceLost):
+        await changes(client, lambda *_: False)
+    await client.close()
+    with pytest.raises(SourceLost, match="not connected"):
+        client.changes()
 
 
 async def test_a_server_that_is_not_there_is_worth_another_try(client, unused_tcp_port):

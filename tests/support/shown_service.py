@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from service.errors import SourceLost
+from service.errors import SourceLost, SourceRejected
 
 FRAME = (
     "Sequence",
@@ -16,7 +16,11 @@ FRAME = (
     "RLS.ParameterVector.a1",
     "Inverse.RequiredU",
     "Inverse.RequiredUStatus",
+    "Signals.U",
+    "Signals.dp",
+    "Signals.Q",
 )
+SIGNALS = (40.0, 100.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,8 @@ class ShownService:
     reads: int = 0
     closed: int = 0
     users: dict[str, str] = field(default_factory=dict)
+    followed: tuple[str, ...] = ()
+    may_follow: bool = True
 
     async def connect(self):
         self._check()
@@ -84,6 +90,19 @@ class ShownService:
             self.t += 10_000_000
         return [self._one(id_) for id_ in ids]
 
+    async def follow(self, ids, every_s):
+        self._check()
+        if not self.may_follow:
+            self.followed = ()
+            raise SourceRejected("no room")
+        self.followed = tuple(ids)
+
+    def changes(self):
+        self._check()
+        if self.moving and self.followed:
+            self.t += 10_000_000
+        return [(id_, self._one(id_)) for id_ in self.followed if self.moving]
+
     async def call(self, owner, method, inputs):
         self._check()
         self.calls.append((owner, method, tuple(map(tuple, inputs))))
@@ -109,15 +128,15 @@ class ShownService:
         name = id_.partition(".")[2]
         count = self.t / 1e7
         known = {
-            "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, 0.0, 1.5, 30.0, 0.0],
+            "Frame": [count, 10.0, 0.1, 0.2, 0.3, count, 0.0, 1.5, 30.0, 0.0, *SIGNALS],
             "FrameNames": list(FRAME),
             "RLS.ParameterNames": ["a1"],
             "RLS.ParameterStd": [0.01],
             "RLS.Coverage": [[1.0, 2.0], [3.0, math.nan]],
             "Baseline.Version": "",
-            "Signals.U": 40.0,
-            "Signals.dp": 100.0,
-            "Signals.Q": 60.0,
+            "Signals.U": SIGNALS[0],
+            "Signals.dp": SIGNALS[1],
+            "Signals.Q": SIGNALS[2],
             "Inverse.MapDp": [0.0, 100.0, 200.0],
             "Diagnostics.Aligned": int(count),
             "Diagnostics.Late": 0,

@@ -57,7 +57,6 @@ export function onTheme(draw) {
   return () => removeEventListener("theme", after);
 }
 
-export const lineColour = (k) => css(`--line-${(k % 6) + 1}`);
 export const lineVariable = (k) => `var(--line-${(k % 6) + 1})`;
 
 /** A canvas in device pixels; returns its context in CSS pixels, cleared. */

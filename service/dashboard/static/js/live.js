@@ -1,9 +1,6 @@
 // The page's one connection: what it brings is kept here, and whoever draws asks for it.
 
-import { fixed } from "./format.js";
-
 const RETRY_MS = [300, 1000, 2000];
-const GOOD = 0, UNCERTAIN = 1, BAD = 2;
 
 export class Live extends EventTarget {
   link = "connecting";
@@ -183,6 +180,3 @@ export class Live extends EventTarget {
     this.dispatchEvent(new Event("rows"));
   }
 }
-
-export const QUALITY = { GOOD, UNCERTAIN, BAD };
-export const withUnit = (value, decimals, unit) => `${fixed(value, decimals)} ${unit}`;

@@ -65,14 +65,14 @@ function show() {
 }
 
 function nothing() {
-  const told = {
+  const words = {
     connecting: ["Connecting …", "The page is looking for the service."],
     lost: ["The service does not answer", live.text],
     refused: ["The service refuses this page", live.text],
     page: ["This page's server does not answer", "It may have been stopped. The page tries again by itself."],
     up: ["No valves yet", "The service runs, but identifies no valve. Name one in its configuration: valvemap connect."],
   }[live.link];
-  return h("div.empty", {}, h("h1", {}, told[0]), h("p", {}, told[1]));
+  return h("div.empty", {}, h("h1", {}, words[0]), h("p", {}, words[1]));
 }
 
 function valvePicker(view, valve) {

@@ -18,7 +18,8 @@ export function timelineView(root, { live }) {
   }
 
   function draw() {
-    const shown = live.events.filter((event) => (!which.value || event.valve === which.value) && (!kind.value || event.kind === kind.value)).reverse();
+    const shown = live.events.filter((event) => (!which.value || event.valve === which.value) && (!kind.value || event.kind === kind.value))
+      .sort((a, b) => b.t - a.t || b.number - a.number); // what is found out late happened when it did
     list.replaceChildren(...shown.map((event) => h("li", { "data-kind": event.kind },
       h("time.muted", { datetime: new Date(event.t).toISOString() }, clock(event.t)),
       h("span", {}, h("span.badge", { "data-severity": event.severity }, KINDS[event.kind] ?? event.kind)),

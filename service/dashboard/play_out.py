@@ -1,0 +1,44 @@
+"""What comes some at a time is shown one by one. Pure."""
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+_MOST = 100  # that wait; whoever is so late wants the newest
+
+
+class PlayOut(Generic[T]):
+    """Results that came together, handed out evenly until the next come.
+
+    Parameters
+    ----------
+    every_s
+        Time between two lots.
+    tick_s
+        Time between two looks.
+
+    Examples
+    --------
+    >>> results = PlayOut(every_s=0.5, tick_s=0.1)
+    >>> results.come("abcde", now=10.0)
+    >>> [results.due(10.0 + 0.1 * k) for k in range(6)]
+    [['a'], ['b'], ['c'], ['d'], ['e'], []]
+    """
+
+    def __init__(self, every_s: float, tick_s: float) -> None:
+        self._every_s, self._tick_s = every_s, tick_s
+        self._waiting: deque[T] = deque(maxlen=_MOST)
+        self._until = 0.0
+
+    def come(self, results: Iterable[T], now: float) -> None:
+        """Take a lot in; ``now`` in s."""
+        self._waiting.extend(results)
+        self._until = now + self._every_s
+
+    def due(self, now: float) -> list[T]:
+        """Hand out what is due: the same share at each look, all that is left at the last."""
+        looks = max(1, round((self._until - now) / self._tick_s))
+        share = -(-len(self._waiting) // looks)
+        return [self._waiting.popleft() for _ in range(share)]
