@@ -182,7 +182,10 @@ class Alarms:
             trace.residual,
             trace.status,
         )
-        kernel.watch(seen, self._patient, self._limits, self._conditions, self._senses, segments)
+        shares = np.empty(kernel.CAUSES)
+        kernel.watch(
+            seen, self._patient, self._limits, self._conditions, self._senses, segments, shares
+        )
 
     def be_patient(self, chosen: Times, patient: Flags) -> None:
         """Say whose signals come on change: their silence is no loss."""
@@ -212,7 +215,8 @@ class Alarms:
         if came.any():
             detail[chosen[came], Alarm.CHANGED, 0] = size[came]
             new = chosen[came]
-            kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses)
+            shares = np.empty(kernel.CAUSES)
+            kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses, shares)
 
     def note_lags(self, chosen: Times, lags: Floats) -> None:
         """Take up the largest lag of K valves, s; NaN where none is looked for.
@@ -342,7 +346,9 @@ class Alarms:
 
     def _step(self, chosen: Times, alarm: Alarm, x: Floats, t: Times, began: Times) -> Flags:
         x = np.ascontiguousarray(x, np.float64)
-        return kernel.move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions)
+        came = np.empty(len(x), np.bool_)
+        kernel.move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions, came)
+        return came
 
 
 class ServiceAlarms:
@@ -369,10 +375,9 @@ class ServiceAlarms:
             (ServiceAlarm.CERTIFICATE, -days_left),
             (ServiceAlarm.LOAD, load),
         ):
-            t, one = np.array([now]), np.zeros(1, np.int64)
-            kernel.move_on(
-                one, t, t, np.array([x], np.float64), int(alarm), self._limits, self._conditions
-            )
+            t, one, value = np.array([now]), np.zeros(1, np.int64), np.array([x], np.float64)
+            limits, conditions, came = self._limits, self._conditions, np.empty(1, np.bool_)
+            kernel.move_on(one, t, t, value, int(alarm), limits, conditions, came)
 
     def acknowledge(self, alarm: ServiceAlarm, remark: Remark) -> bool:
         """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""

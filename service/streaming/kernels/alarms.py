@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import inlined, kernel
+from service.identification.kernels.compiled import lean_inlined, lean_kernel
 from service.identification.samples import Floats, Segments, Times
 
 Flags = NDArray[np.bool_]
@@ -118,7 +118,7 @@ class Watched(NamedTuple):
     status: NDArray[np.uint8]
 
 
-@kernel
+@lean_kernel
 def watch(
     seen: Watched,
     patient: Flags,
@@ -126,11 +126,14 @@ def watch(
     conditions: Conditions,
     senses: Senses,
     segments: Segments,
+    shares: Floats,
 ) -> None:
     """Take N samples in.
 
     Parameters
     ----------
+    shares : (CAUSES,)
+        To calculate with.
     patient : (M,)
         Whose signals come on change: silence is no loss of theirs.
     rules : (A, 3)
@@ -146,10 +149,10 @@ def watch(
             _look_for_losses(m, i, seen, rules, conditions, senses)
             _look_for_standstills(m, i, seen, rules, conditions, senses)
             _look_at_excitation(m, i, seen, rules, conditions, senses)
-            _look_at_residual(m, i, seen, rules, conditions, senses)
+            _look_at_residual(m, i, seen, rules, conditions, senses, shares)
 
 
-@kernel
+@lean_kernel
 def move_on(
     valves: Times,
     t: Times,
@@ -158,15 +161,14 @@ def move_on(
     alarm: int,
     rules: Floats,
     conditions: Conditions,
-) -> Flags:
-    """Judge one alarm of K valves by what was measured, ``x`` (K,); which of them came (K,)."""
-    came = np.zeros(len(valves), np.bool_)
+    came: Flags,
+) -> None:
+    """Judge one alarm of K valves by what was measured, ``x`` (K,); write which ``came`` (K,)."""
     for k in range(len(valves)):
         came[k] = _step(valves[k], alarm, t[k], began[k], x[k], rules, conditions)
-    return came
 
 
-@inlined
+@lean_inlined
 def _step(
     m: int, a: int, t: int, began: int, x: float, rules: Floats, conditions: Conditions
 ) -> bool:
@@ -200,7 +202,7 @@ def _step(
     return True
 
 
-@inlined
+@lean_inlined
 def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses) -> None:
     """Begin waiting anew where the clock went back, or nobody looked; follow the oil slowly."""
     times, newest, memory = senses.times[m], senses.times[m, NEWEST], senses.memory[m]
@@ -222,7 +224,7 @@ def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses)
     times[NEWEST] = t
 
 
-@inlined
+@lean_inlined
 def _look_for_losses(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -234,7 +236,7 @@ def _look_for_losses(
         _step(m, SENSOR_LOST, t, t, 0.0, rules, conditions)
 
 
-@inlined
+@lean_inlined
 def _look_for_standstills(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -273,7 +275,7 @@ def _look_for_standstills(
         conditions.detail[m, SENSOR_FROZEN, 0] = dead
 
 
-@inlined
+@lean_inlined
 def _look_at_excitation(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -285,9 +287,15 @@ def _look_at_excitation(
     _step(m, UNEXCITED, t, times[EXCITED], held, rules, conditions)
 
 
-@inlined
+@lean_inlined
 def _look_at_residual(
-    m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
+    m: int,
+    i: int,
+    seen: Watched,
+    rules: Floats,
+    conditions: Conditions,
+    senses: Senses,
+    shares: Floats,
 ) -> None:
     """How many times the residual, averaged over a few samples, is what it usually is.
 
@@ -314,7 +322,9 @@ def _look_at_residual(
         memory[BLOCK_N] += 1.0
         if memory[BLOCK_N] >= BLOCK:
             if _take_block(memory, usual_now):
-                senses.sums[m] *= HALF_FORGOTTEN
+                for j in range(DIRECTIONS + 1):
+                    for k in range(DIRECTIONS + 1):
+                        senses.sums[m, j, k] *= HALF_FORGOTTEN
             enough = memory[USUAL_N] >= SETTLED_BLOCKS
             ratio = np.sqrt(memory[RECENT] / memory[USUAL]) if enough else 0.0
             times = senses.times[m]
@@ -324,7 +334,7 @@ def _look_at_residual(
             memory[RATIO] = ratio
             if _step(m, RESIDUAL, t, t, ratio, rules, conditions):
                 conditions.detail[m, RESIDUAL, 0] = np.sqrt(memory[SQUARES])
-                _name_causes(m, RESIDUAL, conditions, senses)
+                _name_causes(m, RESIDUAL, conditions, senses, shares)
     if usual_now:
         memory[USUAL_SQUARE_N] = min(memory[USUAL_SQUARE_N] + 1.0, USUAL_SAMPLES)
         seldom = memory[USUAL_SQUARE_N] >= KNOWN_PLACE
@@ -338,7 +348,7 @@ def _look_at_residual(
     memory[Q_BEFORE] = predicted
 
 
-@inlined
+@lean_inlined
 def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
     """End a block: what residuals are now, and usually are; whether this one is as usual."""
     mean = memory[BLOCK_SUM] / memory[BLOCK_N]
@@ -355,7 +365,7 @@ def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numb
     return bool(new < AS_USUAL * memory[USUAL])
 
 
-@inlined
+@lean_inlined
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
     """Sum up how the residual goes with what each cause would do to it."""
     memory, sums = senses.memory[m], senses.sums[m]
@@ -367,20 +377,25 @@ def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
             sums[j, k] = CAUSE_MEMORY * sums[j, k] + row[j] * row[k]
 
 
-@kernel
-def name_causes(valves: Times, alarm: int, conditions: Conditions, senses: Senses) -> None:
+@lean_kernel
+def name_causes(
+    valves: Times, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
+) -> None:
     """Say of K valves what could be the cause: the up to three that explain most of the residual.
 
-    Those that explain it nearly as well as the best cannot be told apart from it.
+    Those that explain it nearly as well as the best cannot be told apart from it; ``shares``
+    (CAUSES,) is to calculate with.
     """
     for k in range(len(valves)):
-        _name_causes(valves[k], alarm, conditions, senses)
+        _name_causes(valves[k], alarm, conditions, senses, shares)
 
 
-@inlined
-def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> None:
+@lean_inlined
+def _name_causes(
+    m: int, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
+) -> None:
     sums, causes = senses.sums[m], conditions.causes[m, alarm]
-    shares = np.zeros(CAUSES)
+    shares[:] = 0.0
     shares[EDGE] = _explained(sums, FLOW, ROOT_DP)
     shares[METER] = _explained(sums, FLOW, CONSTANT)
     shares[SIGNAL] = _explained(sums, ROOT_DP, FLOW_BY_DP)
@@ -407,7 +422,7 @@ def _name_causes(m: int, alarm: int, conditions: Conditions, senses: Senses) -> 
         shares[chosen] = 0.0
 
 
-@inlined
+@lean_inlined
 def _explained(sums: Floats, j: int, k: int) -> float:
     """Share of the residual's squares that two directions together explain."""
     e, squares = DIRECTIONS, sums[DIRECTIONS, DIRECTIONS]
