@@ -75,6 +75,22 @@ HEALTHY = {
 }
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(70, 80))
+def test_no_lag_is_seen_in_a_u_that_jitters(seed):
+    (way, dp), auto = c.cycle(seed, N), Auto()
+    for noise in (c.white, c.ar):
+        for gain in (0.3, 0.8, 1.5):
+            e = noise(seed, N)
+            U = c.reacting(way, e, gain)
+            said, state = says(auto, U, dp, c.ordinary(U, dp) + e)
+            assert said == Adaptation.REACTING
+            assert auto.lags(state) == (0.0, 0.0)
+    U = way + 0.3 * np.random.default_rng(seed).normal(size=N)
+    _, state = says(auto, U, dp, c.ordinary(way, dp) + c.white(seed, N))
+    assert auto.lags(state) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize("kind", HEALTHY)
 def test_nothing_else_is_taken_for_it(name, kind):
