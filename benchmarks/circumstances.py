@@ -72,6 +72,18 @@ def progressive(U, dp, power=1.7):
     return 13.0 * (U / 100.0) ** power * np.sqrt(dp)
 
 
+VALVES = {
+    "eq. (7)": eq7,
+    "ordinary": ordinary,
+    "dead band": dead_band,
+    "S-shape": s_shape,
+    "saturating": saturating,
+    "laminar": laminar,
+    "two slopes": two_slopes,
+    "progressive": progressive,
+}
+
+
 def warm(valve, k=2e-3):
     """The same valve with a flow that rises by k per degree."""
     return lambda U, dp, T=40.0: valve(U, dp) * (1.0 + k * (T - 40.0))
@@ -122,9 +134,20 @@ def ar(seed, N, rho=0.95, sigma=SIGMA):
     """Stationary AR(1) noise of standard deviation sigma."""
     e = white(seed, N, sigma)
     e[1:] *= np.sqrt(1.0 - rho**2)
+    values = e.tolist()
     for i in range(1, N):
-        e[i] += rho * e[i - 1]
-    return e
+        values[i] += rho * values[i - 1]
+    return np.array(values)
+
+
+def lagged(x, tau):
+    """Behind a first-order lag of time constant tau, s."""
+    share = 1.0 - np.exp(-1.0 / (FS * tau)) if tau > 0.0 else 1.0
+    out, y = np.empty(len(x)), x[0]
+    for i, value in enumerate(x.tolist()):
+        y += share * (value - y)
+        out[i] = y
+    return out
 
 
 def drift(N, per_hour=-0.15):
@@ -207,33 +230,3 @@ def best_eq7(region, truth):
 def rms(x):
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(x))))
-
-
-def oracle(X, Q, Omega_times, at, truth, lam=1.0):
-    """Generalised least squares of structure X with the noise known: errors at rows ``at``.
-
-    ``Omega_times(A)`` whitens the columns of A (identity for white noise).
-    """
-    root = np.sqrt(lam ** np.arange(len(Q))[::-1])[:, None]
-    whitened = Omega_times(np.column_stack([X, Q])) * root
-    theta = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
-    return at @ theta - truth
-
-
-def unwhitened(A):
-    """White noise needs no whitening."""
-    return A
-
-
-def whitened_ar(A, rho=0.95):
-    """Columns freed of AR(1) noise."""
-    out = A.copy()
-    out[1:] -= rho * A[:-1]
-    out[0] *= np.sqrt(1.0 - rho**2)
-    return out
-
-
-def ideal_width(errors, std, systematic=0.0, share=0.95):
-    """Mean width of the narrowest constant multiple of the standard deviation that covers."""
-    total = np.hypot(std, systematic)
-    return 2.0 * float(np.quantile(np.abs(errors) / total, share) * np.mean(total))

@@ -30,6 +30,7 @@ PATIENCE_S = 60.0  # for an end
 PAUSE_S = 0.02  # between two looks
 WATCHED = 50  # valves, whose ages are asked for
 AGES_EVERY_S = 1.0
+SHOWN = "SampleCount", "PredictedFlow"
 STALE_S, LOOK_S = 2.0, 0.5  # as configured; how long after that it must have been seen
 STOPPED_S = 0.05
 COUNTED = [waiting.GAPS, waiting.MISSING, waiting.LOST_BY_TIME]
@@ -127,6 +128,7 @@ async def watched(service: Service) -> AsyncIterator[Seen]:
 
         await read("RLS.SampleCount", chosen[:1])
         await read("Diagnostics.SampleAge", chosen)  # makes their nodes
+        await read("RLS.PredictedFlow", chosen)
         looking = [
             asyncio.create_task(_look(read, chosen[:1], seen)),
             asyncio.create_task(_ask_ages(read, chosen, seen)),
@@ -159,7 +161,8 @@ async def _ask_ages(read, valves, seen):
     while True:
         ages = await read("Diagnostics.SampleAge", valves)
         seen.ages += [v.Value.Value for v in ages if v.Value.Value is not None]
-        for value in await read("RLS.SampleCount", valves):
+        counts, flows = [await read(f"RLS.{name}", valves) for name in SHOWN]
+        for value in (*counts, *flows):
             age = time.time() - value.SourceTimestamp.replace(tzinfo=UTC).timestamp()
             seen.old_and_good += value.StatusCode.is_good() and age > STALE_S + LOOK_S
         await asyncio.sleep(AGES_EVERY_S)

@@ -16,7 +16,7 @@ from service.config.models import Config, ValveConfig
 from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator, key_of
-from service.identification.kernels import cells, grid, lag
+from service.identification.kernels import cells, grid, lag, reaction
 from service.identification.kernels.compiled import note_warm_up, was_warmed_up
 from service.identification.map_shapes import Shape, Variety
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -150,7 +150,8 @@ def _fit() -> None:
 def _fill_cells() -> None:
     """What `Auto` does with each sample: these are too few for a fit."""
     auto = Auto()
-    auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+    state, _ = auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+    auto.parameters(state)
 
 
 def _learn(estimator: Estimator[Any]) -> None:
@@ -220,6 +221,7 @@ def _compile_what_auto_seldom_needs() -> None:
     lag_search.look(rows, scalars[cells.LAGS + lag.KNOWN_LAGS :], (None, None))
     map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
     cells.colour(scalars)
+    reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
 
 
 def _samples() -> Samples:

@@ -322,6 +322,7 @@ class HardenedServer(Startable):
         source_times: ArrayLike,
         codes: ArrayLike = ua.StatusCodes.Good,
         present: ArrayLike | None = None,
+        columns: ArrayLike | None = None,
     ) -> None:
         """Publish k successive samples of a block, as :meth:`write` would one by one.
 
@@ -337,8 +338,10 @@ class HardenedServer(Startable):
             StatusCodes, one for all or of shape (k, n). A Bad one drops the value.
         present
             Shape (k, n), False where there is no sample; None: all are there.
+        columns
+            The n columns that are written, each once, in any order; None: all that there are.
         """
-        block.take(block.batch(values, source_times, codes, present, self._clock.now()))
+        block.take(block.batch(values, source_times, codes, present, self._clock.now(), columns))
 
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
         """Let clients read what variables have been; who keeps it is asked with each request.

@@ -1,7 +1,8 @@
 """How an estimator takes residuals that stay: as misfit of its structure, or as a plant that moves.
 
 A residual that comes back at the same place (U, dp) is misfit; one that moves with time is drift;
-before a place has been seen again nobody can tell.
+before a place has been seen again nobody can tell. A residual that goes with what is new in U is
+neither.
 """
 
 from enum import IntEnum
@@ -20,6 +21,7 @@ class Adaptation(IntEnum):
     UNDECIDED = 1
     MISFIT = 2
     DRIFT = 3
+    REACTING = 4
 
     @property
     def sentence(self) -> str:
@@ -35,4 +37,6 @@ _SENTENCES = {
     "the memory is kept.",
     Adaptation.DRIFT: "Places seen again show another flow than before: the valve moves, and the "
     "memory is shortened to follow it.",
+    Adaptation.REACTING: "What is new in U from sample to sample goes with the residual: U reacts "
+    "to the noise of the same sample, or is as noisy itself; the map is biased by that.",
 }

@@ -1,21 +1,22 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from itertools import product
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification import coloured_noise, drift, lag_search
+from service.identification import coloured_noise, drift, jitter, lag_search
 from service.identification import fit_budget as budget
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
 from service.identification.contents import Contents
 from service.identification.estimator import State
-from service.identification.fleet import member, one_by_one, update_one
+from service.identification.fleet import alone, member, update_one
 from service.identification.kernels import cells as memory
 from service.identification.kernels import grid, held, ladder, lag, map_fit
 from service.identification.kernels import surface as kernel
@@ -44,7 +45,7 @@ from service.identification.map_shapes import (
     dp_top,
 )
 from service.identification.model_structures import FiveTerms, Structure
-from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Trace
+from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
 STARTED: Final = 0
@@ -92,6 +93,8 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
+
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]
     recent: NDArray[np.float32]
@@ -117,6 +120,7 @@ class AutoState(State):
         scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
         of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
         scalars.within(0.0, where=of_noise)
+        scalars.within(0.0, 1.0, memory.REACTS)
         scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
         counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
         counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
@@ -292,7 +296,29 @@ class Auto:
 
     def parameters_many(self, states: AutoState) -> tuple[Floats, Floats]:
         """What ``parameters`` gives valve by valve, both (M, 55)."""
-        return one_by_one(self, states)
+        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
+        Q, spread = np.empty((2, len(states.sizes), len(U)))
+        sizes = np.ascontiguousarray(states.sizes[:, CHAMPION])
+        is_spline = states.shapes[:, CHAMPION, ladder.CELLS_OF] > 0
+        kernel.evaluate_many(
+            np.ascontiguousarray(states.knots_U[:, CHAMPION]),
+            np.ascontiguousarray(states.knots_s[:, CHAMPION]),
+            memory.NODES_T,
+            np.ascontiguousarray(states.coefficients[:, CHAMPION]),
+            sizes,
+            np.where(is_spline, sizes.prod(axis=1), 0),
+            states.inverse,
+            states.mixed,
+            states.corner,
+            U,
+            dp,
+            np.full_like(U, kernel.T_REFERENCE),
+            Q,
+            spread,
+        )
+        scalars, fitted = states.scalars[:, :, None], states.counters[:, memory.FITTED, None] > 0
+        noise, gain = scalars[:, memory.VARIANCE], scalars[:, memory.GAIN_VARIANCE]
+        return _known(Q, spread, noise, gain, fitted)
 
     def predict(self, state: AutoState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) in the middle of the hysteresis and its standard deviation (N,), l/min."""
@@ -316,11 +342,9 @@ class Auto:
             Q,
             spread,
         )
-        unknown = ~(spread < UNKNOWN) | (state.counters[memory.FITTED] == 0)
-        with np.errstate(all="ignore"):
-            known, gain = state.scalars[[memory.VARIANCE, memory.GAIN_VARIANCE]]
-            std = np.sqrt(spread * known + gain * Q**2)
-        return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
+        fitted = np.asarray(state.counters[memory.FITTED] > 0)
+        noise, gain = state.scalars[[memory.VARIANCE, memory.GAIN_VARIANCE]].tolist()
+        return _known(Q, spread, noise, gain, fitted)
 
     def directions(self, state: AutoState, U: Floats) -> Floats:
         """Direction of U (N,) along a path of its own, for :meth:`predict_along`."""
@@ -344,16 +368,18 @@ class Auto:
 
     def parameters(self, state: AutoState) -> tuple[Floats, Floats]:
         """Q at the 55 points and its standard deviation."""
-        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
-        return self.predict(state, U, dp, np.full_like(U, kernel.T_REFERENCE))
+        Q, std = self.parameters_many(alone(state))
+        return Q[0], std[0]
 
-    def adaptation(self, _state: AutoState) -> Adaptation:
-        """Undecided: it does not look whether misfit or drift stays."""
-        return Adaptation.UNDECIDED
+    def adaptation(self, state: AutoState) -> Adaptation:
+        """Undecided, as it does not look whether misfit or drift stays, or reacting."""
+        reacting = state.scalars[memory.REACTS] > 0.0
+        return Adaptation.REACTING if reacting else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: AutoState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.scalars), Adaptation.UNDECIDED, np.uint8)
+        reacting = states.scalars[..., memory.REACTS] > 0.0
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
@@ -371,6 +397,15 @@ class Auto:
         """Lag of U's effect and of the flow meter, s, as they are taken into account."""
         path = state.scalars[memory.LAGS :]
         return float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+
+    def describe_many(self, states: AutoState, chosen: Times) -> Sequence[str]:
+        """What ``describe`` gives of chosen valves."""
+        return [_described(shape.tobytes()) for shape in states.shapes[chosen, CHAMPION]]
+
+    def lags_many(self, states: AutoState, chosen: Times) -> Sequence[tuple[float, float]]:
+        """What ``lags`` gives of chosen valves."""
+        path = states.scalars[chosen, memory.LAGS :]
+        return list(zip(path[:, lag.LAG_U].tolist(), path[:, lag.LAG_Q].tolist(), strict=True))
 
     def largest_lags(self, states: AutoState) -> Floats:
         """The larger of the two `lags` of each of M valves, s (M,)."""
@@ -403,12 +438,13 @@ class Auto:
         self._doubt_lags(state, kept)
         if kept >= state.counters[memory.NEXT_LOOK]:
             self._look_for_lags(state, kept)
-            state.counters[memory.NEXT_LOOK] = 2 * kept
+            since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+            state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
         if memory.is_due(state.counters):
             self._refit(state)
 
     def _doubt_lags(self, state: AutoState, kept: int) -> None:
-        """After a change that no map follows look for lags soon, as if for the first time."""
+        """After a change that no map follows look for lags soon, and as often as at first."""
         counters = state.counters
         looked_for = self.lag_U is None or self.lag_Q is None
         at = counters[memory.CHANGE_SAMPLE]
@@ -423,14 +459,17 @@ class Auto:
             and counters[memory.NEXT_LOOK] > kept + lag.ROWS
         ):
             counters[memory.NEXT_LOOK] = kept + lag.ROWS
-            state.scalars[memory.LAGS + lag.KNOWN_LAGS :] = 0.0
+            counters[memory.LAGGING + lag.LOOKED_FROM] = kept
 
     def _look_for_lags(self, state: AutoState, kept: int) -> None:
         """Weigh what the last samples say of the lags; where they move, the map starts anew."""
-        rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0).astype(np.float64)
+        rows = _last_rows(state)
         path = state.scalars[memory.LAGS :]
-        before = path[lag.LAG_U], path[lag.LAG_Q]
-        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], (self.lag_U, self.lag_Q))
+        before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+        since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+        doubted = before if since > 0 and kept - since <= lag.ROWS else None
+        given = self.lag_U, self.lag_Q
+        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
         share, least = LAG_MOVED
         moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
         path[lag.LAG_U], path[lag.LAG_Q] = found
@@ -461,6 +500,8 @@ class Auto:
         now = counters[memory.LAGGING + lag.TIME]
         ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
         counters[memory.CLOCK] = now
+        if (reacts := jitter.reacts(_last_rows(state))) is not None:
+            scalars[memory.REACTS] = reacts
         coloured_noise.reckon(state.cells, scalars)
         points = _trusted(state, ahead)
         if not len(points):
@@ -560,6 +601,13 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.coefficients[which, : table.size] = table.ravel()
 
 
+def _last_rows(state: AutoState) -> Floats:
+    """The last samples kept, in the order of time."""
+    kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+    rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0) if kept >= lag.ROWS else state.recent
+    return rows[:kept].astype(np.float64)
+
+
 def _is_of_its_shape(state: AutoState, which: int) -> bool:
     n_U, n_s = state.sizes[which].tolist()
     shape = _shape(state, which)
@@ -595,6 +643,25 @@ def _trusted(state: AutoState, ahead: float) -> Floats:
     )
     spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
+
+
+def _known(
+    Q: Floats,
+    spread: Floats,
+    noise: Floats | float,
+    gain: Floats | float,
+    fitted: NDArray[np.bool_],
+) -> tuple[Floats, Floats]:
+    """Flow and its standard deviation, NaN where nothing is known."""
+    unknown = ~((spread < UNKNOWN) & fitted)
+    with np.errstate(all="ignore"):
+        std = np.sqrt(spread * noise + gain * Q**2)
+    return np.where(unknown, np.nan, Q), np.where(unknown, np.nan, std)
+
+
+@lru_cache(maxsize=1024)
+def _described(shape: bytes) -> str:
+    return Shape.from_array(np.frombuffer(shape)).describe()
 
 
 def _surface(state: AutoState, which: int) -> Surface:

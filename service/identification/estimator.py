@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from tokenize import TokenError
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
 from service.identification.adaptation import Adaptation
 from service.identification.contents import Contents
 from service.identification.samples import Floats, Samples, Trace
-
-STATE_VERSION = 2
 
 
 class StateMismatchError(ValueError):
@@ -27,13 +25,16 @@ class State:
     """Base of all estimator states: a frozen dataclass whose fields are arrays.
 
     Scalars are arrays of shape (): the bytes are one record in a ``.npy``, readable for ever by
-    numpy alone.
+    numpy alone. Where what its arrays mean changes, its ``state_version`` goes up: those of before
+    are a fresh start.
     """
+
+    state_version: ClassVar[int] = 2
 
     def to_bytes(self, key: str) -> bytes:
         """Pack the state; ``key`` names the hyper-parameters it belongs to."""
         arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        arrays["header_"] = np.array([str(STATE_VERSION), type(self).__name__, key])
+        arrays["header_"] = np.array([str(self.state_version), type(self).__name__, key])
         layout = tuple((name, array.dtype.str, array.shape) for name, array in arrays.items())
         return b"".join((_npy_head(layout), *(array.tobytes() for array in arrays.values())))
 
@@ -53,7 +54,7 @@ class State:
             arrays = {name: record[name].copy() for name in names}
         except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
-        expected = (str(STATE_VERSION), cls.__name__, key)
+        expected = (str(cls.state_version), cls.__name__, key)
         if header != expected:
             raise StateMismatchError(f"state of {header}, not of {expected}")
         return cls(**arrays)

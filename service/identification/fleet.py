@@ -13,7 +13,9 @@ from service.identification.least_squares_state import RlsState, batch_of, learn
 from service.identification.place_grid import Grid
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
 
-UNREAD = frozenset({"places", "window"})  # arrays of a state that results are not made of
+UNREAD = frozenset(  # arrays of a state that results are not made of
+    {"places", "window", "cells", "slots", "recent"}
+)
 
 S = TypeVar("S", bound=State)
 In_contra = TypeVar("In_contra", bound=State, contravariant=True)
@@ -55,6 +57,12 @@ def repeated(state: S, M: int) -> S:
     return kind(**{name: np.tile(a, (M,) + (1,) * a.ndim) for name, a in arrays.items()})
 
 
+def alone(state: S) -> S:
+    """A fleet of this one model: views, not copies."""
+    kind = type(state)
+    return kind(**{f.name: np.asarray(getattr(state, f.name))[None] for f in fields(kind)})
+
+
 def member(fleet: S, m: int) -> S:
     """State of model m: views, not copies."""
     kind = type(fleet)
@@ -70,7 +78,7 @@ def copied(state: S) -> S:
 def members(fleet: S, chosen: Times) -> S:
     """States of some models, with a leading axis of their own: copies.
 
-    But for what no result is read from: of the memory of places and of windows there is none.
+    But for what no result is read from: of memories of places, windows and cells there is none.
     """
     kind, nothing = type(fleet), np.empty((len(chosen), 0))
     arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}

@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from service.identification import jitter
 from service.identification.kernels import lag as kernel
 from service.identification.samples import Floats
 
@@ -37,6 +38,7 @@ LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
+WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, smoothed jitter gains up to 120
 COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
@@ -44,20 +46,31 @@ LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
 Pair = tuple[float, float]  # lag of U's effect and of the meter, s
 
 
-def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) -> Pair:
+def look(
+    rows: Floats,
+    known: Floats,
+    given: tuple[float | None, float | None],
+    doubted: Pair | None = None,
+) -> Pair:
     """Lags after a look at ``rows``, see :func:`kernels.lag.keep`; ``known`` (6,) is written.
 
-    The first look searches everywhere, later ones around what is known.
+    The first look searches everywhere, later ones around what is known. Where lags are ``doubted``,
+    it searches everywhere again, and drops what was known of them if these rows clearly speak
+    against them, not else. Jitter of U is taken off before, as a lag would smooth it and so seem to
+    explain the flow better; what is left of it lets a look count for less.
     """
-    rows = np.ascontiguousarray(rows, np.float64)
+    rows, worth = np.ascontiguousarray(rows, np.float64), 1.0
+    if jitter.is_small(rows[:, kernel.LEFT_U]):
+        rows, worth = rows.copy(), WORTH_OF_JITTERY
+        rows[:, kernel.LEFT_U] = jitter.taken_off(rows[:, kernel.LEFT_U])
     squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
     if counted >= LEAST_ROWS and squares > 0.0:
 
         def score(lags: Pair, rho: float) -> float:
             left = kernel.misfit(rows, *lags, rho)[0]
-            return float(counted * math.log(max(left, 1e-12 * squares)))
+            return worth * float(counted * math.log(max(left, 1e-12 * squares)))
 
-        near = _resolved(known) if known[LOOKED] else None
+        near = _resolved(known) if known[LOOKED] and doubted is None else None
         ways = _moved(rows, kernel.LEFT_U), _moved(rows, kernel.LEFT_Q)
         free = ways[0] >= LEAST_WAY[0], ways[1] >= LEAST_WAY[1]
         at = _search(partial(score, rho=0.0), near, free)
@@ -65,7 +78,12 @@ def look(rows: Floats, known: Floats, given: tuple[float | None, float | None]) 
         if rho:
             at = _search(partial(score, rho=rho), near, free)
         found = _bowl(partial(score, rho=rho), at, free)
-        if found is not None:
+        if found is not None and worth < 1.0:
+            _claim_no_more(found, score((0.0, 0.0), rho) - score(at, rho))
+        if found is not None and doubted is not None:
+            refuted = score(doubted, rho) - score(at, rho) > CLEAR
+            known[:] = found if refuted else known
+        elif found is not None:
             known[UU:] *= KEPT
             known += found
     claimed = _claimed(known)
@@ -149,6 +167,13 @@ def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> 
     (uu, uq), (_, qq) = (ways * bends) @ ways.T
     b_U, b_Q = np.array([uu * U + uq * Q, uq * U + qq * Q]) - slope
     return np.array([1.0, uu, uq, qq, b_U, b_Q])
+
+
+def _claim_no_more(found: Floats, gain: float) -> None:
+    """Have a look count for as much as J is larger without lags, where its bowl would for more."""
+    claim = float(found[B_U:] @ _resolved(found))
+    if claim > gain:
+        found[UU:] *= max(gain, LEAST_GAIN) / claim
 
 
 def _resolved(known: Floats) -> Pair:

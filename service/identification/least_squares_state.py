@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar, assert_never
+from typing import ClassVar, TypeVar, assert_never
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from service.identification.forgetting import (
     Subspace,
     Variable,
 )
-from service.identification.kernels import rules, uncertainty
+from service.identification.kernels import reaction, rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
@@ -38,6 +38,7 @@ from service.identification.kernels.row_layout import (
     PLACES_OF_COUNTERS,
     PLACES_OF_NOISE,
     PRODUCT,
+    REACTION,
     REVISITED,
     SQUARES,
     STALE,
@@ -59,6 +60,8 @@ A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
 BEHIND = 1.3  # times what residuals have in common of late: by how much a map that drifts lags
+EXACT = 1e-30  # of the largest of P's pivots: what is less is known without doubt
+LEAST = 1e-150  # pivot of P, where all are known without doubt
 REVISITS = 30.0  # of places, before which nobody can tell
 MISFITS = 0.25  # mean square of misfit over that of noise from which the structure does not fit
 
@@ -75,7 +78,7 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - score (n,), variance (triangle), detector (52,): of change detection and of the memory
+        - score (n,), variance (triangle), detector (63,): of change detection and of the memory
           of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
@@ -97,6 +100,8 @@ class RlsState(State):
         What was measured where, see :mod:`service.identification.kernels.places`; no rows with
         rules other than `Adaptive`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
 
     row: Floats
     R: Floats
@@ -147,7 +152,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (52,)."""
+        """Of change detection and of the memory of places (63,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 
@@ -224,15 +229,17 @@ def _keeps(forgetting: Forgetting) -> bool:
 
 def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
     """:class:`~service.identification.adaptation.Adaptation` of M models from their detectors."""
+    reacting = reaction.reacts(detectors, REACTION)
     if not _keeps(forgetting):
-        return np.full(len(detectors), Adaptation.UNDECIDED, np.uint8)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
     noise, seen = np.maximum(detectors[:, MISFIT_POWER], 0.0), detectors[:, REVISITED]
     misfit = (detectors[:, MISFIT] > MISFITS * noise) & (noise > 0.0)
     found = np.where(misfit, Adaptation.MISFIT, Adaptation.STEADY)
     new = detectors[:, NEW] > np.maximum(detectors[:, FLOOR], detectors[:, MISFIT])
     undecided = (seen < REVISITS) | (new & (detectors[:, NEW] > 0.0))
     found = np.where(undecided, Adaptation.UNDECIDED, found)
-    return np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found).astype(np.uint8)
+    found = np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found)
+    return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
@@ -280,7 +287,11 @@ def matrix_P(state: RlsState) -> Floats:
 def information(state: RlsState) -> Floats:
     """P⁻¹ (n, n), the inverse of `matrix_P`; singular while theta is not determined."""
     if state.counters[FACTORED]:
-        return np.asarray(np.linalg.inv(covariance(state.factor)))
+        d = np.diag(state.factor)
+        d = np.maximum(d, max(EXACT * d.max(), LEAST))
+        V = np.tril(state.factor, -1) + np.eye(len(d))
+        inverse = np.linalg.inv(V)  # with ones on the diagonal: of P itself there may be none
+        return np.asarray((inverse / d) @ inverse.T)
     return np.asarray(state.R.T @ state.R)
 
 

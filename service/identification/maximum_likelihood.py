@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,20 +11,27 @@ from numpy.typing import ArrayLike, NDArray
 from service.identification.adaptation import Adaptation
 from service.identification.contents import Contents
 from service.identification.estimator import State
-from service.identification.fleet import one_by_one, update_one
+from service.identification.fleet import alone, update_one
 from service.identification.kernels import maximum_likelihood as kernel
+from service.identification.kernels import reaction
 from service.identification.kernels.factors import covariance
 from service.identification.kernels.filtered_scores import (
     BLOCK_SQUARE,
     BLOCKS,
     GATHERED,
+    LATELY,
     PLACES_OF_COLOUR,
+    REACTING,
     ROWS_OF_BLOCKS,
+    SCORE,
     SQUARE,
 )
+from service.identification.kernels.scores import BLOCK, FEWEST
 from service.identification.kernels.stability import is_stable, root_margins
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
+
+CHANCE: Final = 4.0  # squared standard deviations of the mean score that are no drift
 
 
 @dataclass(frozen=True)
@@ -49,10 +56,12 @@ class MaximumLikelihoodState(State):
         Ramp, counts, noise variance and powers, see the kernel.
     early : (s,)
         The structure's parameters up to 31 samples before; NaN before the first time.
-    omega, moments, blocks, colour : (s, s), (s, s), (6, s), (7,)
+    omega, moments, blocks, colour : (s, s), (s, s), (7, s), (18,)
         Of innovations that stay coloured, see
         :mod:`service.identification.kernels.filtered_scores`.
     """
+
+    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts, nor of a drift
 
     theta: Floats
     factor: Floats
@@ -71,7 +80,8 @@ class MaximumLikelihoodState(State):
 
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them."""
-        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE]
+        reacts = [REACTING + place for place in (reaction.JITTERY, reaction.SEEN)]
+        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE, *reacts]
         squares = ("factor", "spread", "rls_factor", "omega", "moments")
         return {
             **{name: _with_positive_diagonal(getattr(self, name)) for name in squares},
@@ -178,6 +188,7 @@ class MaximumLikelihood:
             rule,
             self._orders(),
             X[good],
+            samples.U[good],
             samples.Q[good],
             values,
             posterior,
@@ -205,35 +216,43 @@ class MaximumLikelihood:
         kernel.evaluate(_memory(state), np.where(finite[:, None], X, 0.0), values, variances, share)
         known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
         with np.errstate(all="ignore"):
-            std = np.sqrt(variances * _noise_variance(state))
+            own = np.sqrt(variances * _noise_variance(state))
+        (std,) = _beyond_lags(alone(state), X, own[None])
         return np.where(known, values, np.nan), np.where(known, std, np.nan)
 
     def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations: the structure's in its units, d without unit."""
-        scale = np.append(self._scale, np.ones(self.nd))
-        P = np.diag(covariance(state.factor))
-        variance = np.maximum(np.diag(_parameter_covariance(state)), 0.0)
-        variance[: len(self._scale)] *= _inflations(state)
-        known = (P > 0) & (kernel.UNDETERMINED * state.prior >= P)
-        known[len(known) - self.nd :] = state.monitor[kernel.DETERMINED] > 0
-        return state.theta / scale, np.where(known, np.sqrt(variance), np.nan) / scale
+        theta, std = self.parameters_many(alone(state))
+        return theta[0], std[0]
 
     def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
-        return one_by_one(self, states)
+        n, scale = len(self._scale), np.append(self._scale, np.ones(self.nd))
+        P, inflations = _diagonals(states)
+        determined = states.monitor[:, kernel.DETERMINED, None] > 0
+        over = np.where(determined, np.diagonal(states.spread, axis1=1, axis2=2), P)
+        with np.errstate(all="ignore"):
+            variance = np.maximum(_noise_variances(states)[:, None] * over, 0.0)
+        variance[:, :n] *= inflations
+        std = np.sqrt(variance)
+        std[:, :n] = _beyond_lags(states, np.eye(n), std[:, :n])
+        known = (P > 0) & (kernel.UNDETERMINED * states.prior >= P)
+        known[:, len(scale) - self.nd :] = determined
+        return states.theta / scale, np.where(known, std, np.nan) / scale
 
-    def adaptation(self, _state: MaximumLikelihoodState) -> Adaptation:
-        """Undecided: it does not tell misfit from drift."""
-        return Adaptation.UNDECIDED
+    def adaptation(self, state: MaximumLikelihoodState) -> Adaptation:
+        """Undecided, as it does not tell misfit from drift, or reacting."""
+        return Adaptation.REACTING if _reacts(state.colour) else Adaptation.UNDECIDED
 
     def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
         """`adaptation` of M models (M,)."""
-        return np.full(len(states.theta), Adaptation.UNDECIDED, np.uint8)
+        reacting = _reacts(states.colour)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
 
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""
         n = len(self._scale)
-        wider = np.sqrt(_inflations(state)) / self._scale
+        wider = np.sqrt(_diagonals(alone(state))[1][0]) / self._scale
         return _parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
@@ -489,25 +508,65 @@ def _contracted(d: Floats, radius: float) -> Floats:
 
 def _noise_variance(state: MaximumLikelihoodState) -> float:
     """σ² of the innovation; NaN before the first sample."""
-    known = state.monitor[kernel.WEIGHT] > 0
-    return float(state.monitor[kernel.VARIANCE]) if known else float("nan")
+    return float(_noise_variances(alone(state))[0])
+
+
+def _noise_variances(states: MaximumLikelihoodState) -> Floats:
+    known = states.monitor[:, kernel.WEIGHT] > 0
+    return np.where(known, states.monitor[:, kernel.VARIANCE], np.nan)
 
 
 def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
     """Covariance of theta (n, n), an upper bound until theta is determined."""
     over = covariance(state.factor)
     if state.monitor[kernel.DETERMINED] > 0:
-        lower = np.tril(state.spread)  # what lies above the diagonal is no part of it
-        over = lower + np.tril(lower, -1).T
+        over = _mirrored(state.spread[None])[0]  # what lies above the diagonal is no part of it
     with np.errstate(all="ignore"):
         return np.asarray(_noise_variance(state) * over)
 
 
-def _inflations(state: MaximumLikelihoodState) -> Floats:
-    """How many times wider than in white innovations the structure's variances are (s,)."""
-    values = np.empty(len(state.rls_theta))
-    kernel.inflations(_memory(state), values)
-    return values
+def _beyond_lags(states: MaximumLikelihoodState, X: Floats, std: Floats) -> Floats:
+    """Standard deviations (M, N) at rows X, with what theta lags by behind a plant that drifts.
+
+    The scores of the last samples have the mean M·Δtheta. Where a place was visited long ago the
+    lag is larger than that, elsewhere smaller: by as much as the lag is over all samples.
+    """
+    samples = np.minimum(BLOCK * states.colour[:, BLOCKS], 2.0 * LATELY)
+    enough = samples >= FEWEST * BLOCK
+    if not enough.any():
+        return std
+    M, Omega = (_mirrored(square[enough]) for square in (states.moments, states.omega))
+    inverse, score = np.linalg.pinv(M, hermitian=True), states.blocks[enough, SCORE]
+    with np.errstate(all="ignore"):
+        lag = (inverse @ score[:, :, None])[:, None, :, 0]
+        doubt = inverse @ Omega @ inverse / samples[enough, None, None]
+        chance_over_all = np.trace(doubt @ M, axis1=1, axis2=2)
+        over_all = np.maximum((score * lag[:, 0]).sum(axis=1) - CHANCE * chance_over_all, 0.0)
+        # No BLAS over the rows: each has the same bits alone and among others.
+        behind, chance = (X * lag).sum(axis=2) ** 2, np.zeros((len(M), len(X)))
+        for j in range(doubt.shape[1]):
+            chance += X[:, j] * (X * doubt[:, None, j]).sum(axis=2)
+        here = np.maximum(behind - CHANCE * chance, 0.0) + over_all[:, None]
+        lags = np.where((over_all[:, None] > 0.0) & np.isfinite(here), here, 0.0)
+        wider = std.copy()
+        wider[enough] = np.sqrt(std[enough] ** 2 + lags)
+    return wider
+
+
+def _mirrored(squares: Floats) -> Floats:
+    """Symmetric matrices (M, n, n) of which the lower triangles are kept."""
+    return np.asarray(np.tril(squares) + np.tril(squares, -1).transpose(0, 2, 1))
+
+
+def _diagonals(states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
+    """P's diagonals (M, n), and how many times wider than in white noise variances are (M, s)."""
+    P, inflations = np.empty(states.theta.shape), np.empty(states.rls_theta.shape)
+    kernel.diagonals(_memory(states), P, inflations)
+    return P, inflations
+
+
+def _reacts(colours: Floats) -> NDArray[np.bool_]:
+    return np.asarray(reaction.reacts(colours, REACTING))
 
 
 def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from service.identification.adaptation import Adaptation
 from service.identification.contents import Contents
 from service.identification.estimator import State
-from service.identification.fleet import one_by_one, update_one
+from service.identification.fleet import alone, update_one
 from service.identification.kernels import rbf_network as kernel
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
 
@@ -200,20 +200,16 @@ class RbfNetwork:
 
     def parameters(self, state: RbfNetworkState) -> tuple[Floats, Floats]:
         """Weights in l/min, centres in % and bar, widths in ranges; no standard deviations."""
-        low = np.array([self.U_range[0], self.dp_range[0]])
-        high = np.array([self.U_range[1], self.dp_range[1]])
-        theta = np.concatenate(
-            [
-                state.w * self.Q_scale,
-                (low + state.c * (high - low)).ravel(),
-                np.exp(state.log_b),
-            ]
-        )
-        return theta, np.full(len(theta), np.nan)
+        theta, std = self.parameters_many(alone(state))
+        return theta[0], std[0]
 
     def parameters_many(self, states: RbfNetworkState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
-        return one_by_one(self, states)
+        low = np.array([self.U_range[0], self.dp_range[0]])
+        high = np.array([self.U_range[1], self.dp_range[1]])
+        parts = [states.w * self.Q_scale, low + states.c * (high - low), np.exp(states.log_b)]
+        theta = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+        return theta, np.full(theta.shape, np.nan)
 
     def adaptation(self, _state: RbfNetworkState) -> Adaptation:
         """Undecided: the network does not look what its residuals do."""

@@ -5,12 +5,13 @@ The blocks hold what is new of every valve, whether its nodes are made yet or no
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from service.hardened import Block, HardenedServer, Variable
+from service.hardened import HardenedServer, Variable
 from service.identification.samples import Times
 from service.opcua.information_model import (
     PARAMETERS,
@@ -107,20 +108,20 @@ class ResultBlocks:
         """Publish variables of valves that are treated alike; what is not there is passed over."""
         if not len(valves):
             return
-        rows: dict[int, _Row] = {}
+        parts: dict[int, list[_Part]] = {}
         for column in columns:
             where = self._where.get(column.name)
             number = -1 if where is None else int(where[valves[0], 0])
             if where is None or number < 0:
                 continue
-            if number not in rows:
-                rows[number] = _Row(self._blocks[number])
-            places = where[valves, 1]
-            if len(places) == 1:  # writing to a slice is much the faster
-                places = slice(places[0], places[0] + 1)
-            rows[number].put(places, column)
-        for row in rows.values():
-            self._server.write_block(row.block, row.values, row.t, row.codes, row.present)
+            scalars = self._blocks[number].length is None
+            part = _Part.of(column, where[valves, 1], scalars=scalars)
+            parts.setdefault(number, []).append(part)
+        for number, found in parts.items():
+            places, t, codes, values = map(np.concatenate, zip(*found, strict=True))
+            self._server.write_block(
+                self._blocks[number], values[None], t[None], codes[None], columns=places
+            )
 
 
 def _by_kind(variables: Iterable[Changing]) -> dict[_Kind, list[Changing]]:
@@ -152,31 +153,20 @@ def _at_first(changing: Changing, valves: int, now: int) -> Column:
     )
 
 
-class _Row:
-    """What is new of one block."""
+class _Part(NamedTuple):
+    """What is new of a block: at n places n values."""
 
-    def __init__(self, block: Block) -> None:
-        n = len(block)
-        self.block = block
-        shape = (1, n) if block.length is None else (1, n, block.length)
-        self.values = np.zeros(shape, block.dtype)
-        self.codes = np.zeros((1, n), np.uint32)
-        self.t = np.zeros((1, n), np.int64)
-        self.present = np.zeros((1, n), np.bool_)
+    places: NDArray[np.intp]
+    t: Times
+    codes: NDArray[np.uint32]
+    values: NDArray[Any]
 
-    def put(self, places: NDArray[np.intp] | slice, column: Column) -> None:
-        if self.block.length is None and column.values.ndim == 2:
-            self._put_side_by_side(places, column)
-            return
-        self.values[0, places] = column.values
-        self.codes[0, places] = column.codes
-        self.t[0, places] = column.t
-        self.present[0, places] = True
-
-    def _put_side_by_side(self, places: NDArray[np.intp] | slice, column: Column) -> None:
-        first = np.array([places.start]) if isinstance(places, slice) else places
-        each = first[:, None] + np.arange(column.values.shape[1])
-        self.values[0, each] = column.values
-        self.codes[0, each] = column.codes
-        self.t[0, each] = column.t[:, None]
-        self.present[0, each] = True
+    @classmethod
+    def of(cls, column: Column, first: NDArray[np.intp], *, scalars: bool) -> Self:
+        """One value of each valve, or scalars side by side from the first place on."""
+        if not scalars or column.values.ndim == 1:
+            return cls(first, column.t, column.codes, column.values)
+        width = column.values.shape[1]
+        places = first[:, None] + np.arange(width)
+        t = np.repeat(column.t, width)
+        return cls(places.ravel(), t, column.codes.ravel(), column.values.ravel())

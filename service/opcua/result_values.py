@@ -14,7 +14,7 @@ the map falls with U                   BadInvalidState
 =====================================  ==========================================================
 
 Status, SampleCount and the like are the service's own words: they stay readable, as
-UncertainLastUsableValue, while the rest is Bad.
+UncertainLastUsableValue, while the rest is Bad, or uncertain because it is old.
 """
 
 import math
@@ -328,4 +328,6 @@ _SIGNAL = np.array(
     np.uint32,
 )
 _ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)
+for _status in (Status.OK, Status.FROZEN):  # uncertain for one reason only: it is old
+    _ESTIMATOR_ITSELF[0, Quality.UNCERTAIN, _status] = _Codes.UncertainLastUsableValue
 _ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)

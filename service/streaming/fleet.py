@@ -403,12 +403,14 @@ class _Stacked:
         return [self._changes[m] for m in chosen]
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
-        describe = self._estimator.describe if isinstance(self._estimator, Auto) else None
-        return [describe(member(self._all, m)) if describe else None for m in chosen]
+        if isinstance(self._estimator, Auto):
+            return self._estimator.describe_many(self._all, chosen)
+        return [None] * len(chosen)
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
-        found = self._estimator.lags if isinstance(self._estimator, Auto) else None
-        return [found(member(self._all, m)) if found else None for m in chosen]
+        if isinstance(self._estimator, Auto):
+            return self._estimator.lags_many(self._all, chosen)
+        return [None] * len(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
         if isinstance(self._estimator, Auto):

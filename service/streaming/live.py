@@ -4,7 +4,6 @@ import asyncio
 import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -34,8 +33,8 @@ from service.streaming.ports import (
     PastCounters,
     ResultSink,
 )
+from service.streaming.publishing_turns import PublishingTurns
 
-VALVES_AT_ONCE = 32
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
 PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
@@ -78,7 +77,8 @@ class LiveSettings:
         time, with their newest results.
     publish_share : float
         Most of the time that goes into publishing as long as there is more to publish than that:
-        samples that come in go before results that go out.
+        samples that come in go before results that go out. See
+        :class:`~service.streaming.publishing_turns.PublishingTurns`.
     certificate_until_ns : int
         End of the service's own certificate, UTC ns; 0: it has none that lasts.
     """
@@ -134,10 +134,10 @@ class LiveService:
         self._left_in_round: set[int] = set()
         self._keeping: asyncio.Task[None] | None = None
         self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
-        self._unpublished: dict[int, None] = {}  # valves, the oldest first
+        self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
+        self._samples_wait = False
         self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
         self._map_due = now + settings.map_interval_s
-        self._publish_due = now
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
         self._fed_at = np.full(len(identification.plans), now)
@@ -175,8 +175,8 @@ class LiveService:
             log.info("states restored", estimators=_named(restored))
         if refused:
             log.warning("states left aside, these start afresh", why=_by_reason(refused))
-        self._unpublished = dict.fromkeys(range(len(self._lost)))
-        while self._unpublished:  # in turns: clients are answered meanwhile
+        self._note_new(range(len(self._lost)))
+        while len(self._to_publish):  # in turns: clients are answered meanwhile
             await self._publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
@@ -205,6 +205,7 @@ class LiveService:
             self._note_pace(len(piece), took_s)
             if took_s > LEARN_S / 2.0:
                 await asyncio.sleep(0.0)
+            self._samples_wait = len(rest) > 0
             await self._use(samples, own)
             self._worked_s += self._clock.monotonic() - began
             if len(rest):
@@ -244,7 +245,7 @@ class LiveService:
         if self._on_samples is not None:
             for valve, batch in samples.items():
                 self._on_samples(self.identification.plans[valve].name, batch)
-        self._unpublished.update(dict.fromkeys(samples))
+        self._note_new(samples)
         self._say_what_is_doubted()
         self._say_what_was_found()
         await self._feed_forward(self._own(own))
@@ -277,11 +278,11 @@ class LiveService:
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
         overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
-        self._unpublished.update(dict.fromkeys(overdue))
+        self._note_new(overdue)
         old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
         if len(old):
             self._old[old] = True
-            self._unpublished.update(dict.fromkeys(old.tolist()))
+            self._note_new(old.tolist())
 
     def _ages(self, valves: slice = slice(None)) -> Floats:
         """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
@@ -318,12 +319,13 @@ class LiveService:
         passed, worked = now - self._worked_since, self._worked_s
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
+        share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
         kept_at = self._began if math.isnan(self._kept_at) else self._kept_at
         return self.identification.watch_service(
             utc,
             checkpoint_age_s=now - kept_at,
             days_left=(until - utc) / DAY_NS if until else math.nan,
-            load=min(worked / passed, 1.0) if passed > 0.0 else math.nan,
+            load=1.0 if self._to_publish.late else share,
         )
 
     async def _wait_no_longer(self, now: float) -> None:
@@ -462,27 +464,32 @@ class LiveService:
             why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
             log.warning("sensors lost", valve=name, why=why)
         if valves:
-            self._unpublished.update(dict.fromkeys(valves))
+            self._note_new(valves)
             await self._publish_all()
+
+    def _note_new(self, valves: Iterable[int]) -> None:
+        self._to_publish.add(valves, self._clock.monotonic())
 
     async def _publish_in_turn(self) -> None:
         """Publish what the budget and the share of time allow."""
         began = self._clock.monotonic()
-        if began < self._publish_due or not self._unpublished:
+        if not self._to_publish.are_due(began):
             return
         await self._publish_until(began + self._settings.publish_budget_s)
         now = self._clock.monotonic()
-        self._publish_due = now + (now - began) * (1.0 / self._settings.publish_share - 1.0)
+        self._to_publish.pause(began, now, samples_wait=self._samples_wait)
 
     async def _publish_all(self) -> None:
         await self._publish_until(np.inf)
 
     async def _publish_until(self, end: float) -> None:
-        while self._unpublished:
-            some = list(islice(self._unpublished, VALVES_AT_ONCE))
-            for valve in some:
-                del self._unpublished[valve]
-            for results in self.identification.results(some, self._lost, self._old):
+        while len(self._to_publish):
+            was_late = self._to_publish.late
+            some = self._to_publish.next(self._clock.monotonic())
+            late = self._to_publish.late
+            if late and not was_late:
+                log.warning("results are published late", remedy="fewer valves, or more CPU")
+            for results in self.identification.results(some, self._lost, self._old | late):
                 await self._sink.publish(results)
                 if self._past is not None:
                     self._past.note(results)
@@ -541,7 +548,7 @@ class LiveService:
 
     def _say(self, valve: int, status: FeedForwardStatus) -> None:
         self.identification.note_feed_forward(valve, status)
-        self._unpublished[valve] = None
+        self._note_new([valve])
         name = self.identification.plans[valve].name
         log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
 

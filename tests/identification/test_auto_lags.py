@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from service.identification.auto import Auto
+from service.identification.kernels import cells as memory
 from service.identification.kernels import lag as kernel
 from service.identification.lag_search import look
 from service.identification.map_shapes import Shape
@@ -85,6 +86,16 @@ def test_a_lag_that_is_given_is_taken_and_no_other_is_looked_for():
         Auto(lag_Q=-1.0)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tau_Q", [0.0, 0.1, 0.25])
+def test_a_noisy_sensor_of_U_neither_makes_a_lag_nor_hides_one(seed, tau_Q):
+    samples = machine(seed, 0.0, tau_Q, n=kernel.ROWS)
+    U = samples.U + 0.4 * np.random.default_rng(seed).normal(size=len(samples))
+    rows = np.stack([np.full(len(U), 0.01), U, np.sqrt(samples.dp), samples.Q], axis=1)
+    found = look(rows, np.zeros(6), (None, None))
+    assert found == pytest.approx((0.0, tau_Q), rel=0.2, abs=0.01)
+
+
 def test_a_signal_that_stands_still_tells_no_lag():
     rows = np.zeros((kernel.ROWS, 4))
     rows[:, kernel.STEP], rows[:, kernel.LEFT_U] = 0.01, 50.0
@@ -109,3 +120,38 @@ def test_without_a_lag_no_sample_is_too_fast():
     samples, auto = machine(6, n=4000), Auto()
     state, _ = auto.update(auto.initial_state(), samples)
     assert auto.too_fast(state) == 0
+
+
+def rows_of(seed, tau_Q, gain=1.0, *, still=False):
+    """The last samples as `Auto` keeps them."""
+    samples = machine(seed, 0.0, tau_Q, n=kernel.ROWS)
+    U, s, Q = samples.U, np.sqrt(samples.dp), gain * samples.Q
+    if still:
+        U, s, Q = np.full_like(U, 50.0), np.full_like(s, 10.0), 70.0 + 0.1 * Q
+    return np.stack([np.full(len(Q), 0.01), U, s, Q], axis=1)
+
+
+def test_a_lag_in_doubt_stays_unless_the_rows_clearly_speak_against_it():
+    known = np.zeros(6)
+    for seed in range(3):
+        lags = look(rows_of(seed, 0.05), known, (None, None))
+    before = known.copy()
+    for rows in (rows_of(7, 0.05, gain=0.7), rows_of(8, 0.05, still=True)):
+        assert look(rows, known, (None, None), doubted=lags) == lags
+        np.testing.assert_array_equal(known, before)
+    found = look(rows_of(9, 0.2), known, (None, None), doubted=lags)
+    assert found[1] == pytest.approx(0.2, rel=0.2)
+
+
+def test_after_a_doubt_lags_are_looked_for_as_often_as_at_first():
+    auto, samples = Auto(), machine(10, 0.0, 0.1, n=12 * kernel.ROWS)
+    state, _ = auto.update(auto.initial_state(), samples[: 5 * kernel.ROWS])
+    at = memory.LAGGING + kernel.LOOKED_FROM
+    state.counters[at] = state.counters[memory.LAGGING + kernel.KEPT_ROWS]
+    state.counters[memory.NEXT_LOOK] = state.counters[at] + kernel.ROWS
+    looks = [0]
+    for first in range(5 * kernel.ROWS, len(samples), kernel.ROWS // 2):
+        state, _ = auto.update(state, samples[first : first + kernel.ROWS // 2])
+        looks.append(int(state.counters[memory.NEXT_LOOK] - state.counters[at]) // kernel.ROWS)
+    assert sorted(set(looks) - {0}) == [1, 2, 4, 8]
+    assert auto.lags(state)[1] == pytest.approx(0.1, rel=0.2)

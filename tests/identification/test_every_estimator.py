@@ -126,6 +126,14 @@ def test_resumed_from_bytes_it_goes_on_as_if_never_interrupted(estimator):
         type(first).from_bytes(first.to_bytes(key), "another")
 
 
+def test_a_state_of_an_earlier_version_is_refused(estimator, monkeypatch):
+    state = estimator.initial_state()
+    of_today = state.to_bytes("key")
+    monkeypatch.setattr(type(state), "state_version", type(state).state_version + 1)
+    with pytest.raises(StateMismatchError, match="state of"):
+        type(state).from_bytes(of_today, "key")
+
+
 def test_its_bytes_are_what_numpy_writes(estimator):
     state = run(estimator, valve(100))[0]
     ours, written = state.to_bytes("key"), io.BytesIO()

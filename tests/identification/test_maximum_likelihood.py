@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks import circumstances, coverage
 from service.identification.estimator import key_of
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
@@ -377,3 +378,11 @@ def test_a_state_out_of_range_starts_again_by_itself():
     theta, _ = RML.parameters(recovered)
     assert theta[3] == pytest.approx(0.12, abs=0.01)
     assert recovered.monitor[kernel.RESTARTS] >= 1
+
+
+def test_under_drift_the_interval_knows_how_far_theta_lags():
+    found = [coverage.one(coverage.RML, "drift", circumstances.eq7, seed) for seed in range(6)]
+    held, points = (sum(f[k] for f in found) for k in ("held", "points"))
+    assert held >= 0.75 * points  # without it .47; forty seeds: benchmarks.honest_maps
+    error = np.sqrt(np.mean([f["square"] for f in found]))
+    assert np.mean([f["width"] for f in found]) <= 3.92 * error

@@ -255,4 +255,4 @@ def test_a_kernel_for_so_many_terms_alone_gives_the_bits_of_the_one_for_any_numb
     monkeypatch.setattr(row_layout, "_KNOWN", ())
     common = recursive_least_squares(X, y, Exponential(0.998))
     for name in ("theta", "theta_history", "innovations", "covariance"):
-        assert np.array_equal(getattr(own, name), getattr(common, name))
+        assert np.array_equal(getattr(own, name), getattr(common, name), equal_nan=True)

@@ -3,79 +3,29 @@
 import numpy as np
 import pytest
 
+from benchmarks import plants
+from benchmarks.circumstances import eq7, ordinary
 from service.identification.auto import Auto
 from service.identification.forgetting import Exponential
 from service.identification.inverse_map import invert
 from service.identification.model_structures import FiveTerms
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples
 from service.identification.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
-from service.streaming import pipeline
 
-CLASS = SensorAccuracy(p1=1.0, p2=1.0, Q=0.8)
-BAR, IDEAL = 0.93, 1.3
-N, SIGMA, SEEDS_OF_SOAK = 4_000, 0.4, 200
+CLASS, BAR, IDEAL = plants.CLASS, plants.HELD, plants.WIDEST
+SEEDS_OF_SOAK = 200
 RLS = RecursiveLeastSquares(FiveTerms(), Exponential(1.0))
-
-
-def eq7(U, dp):
-    return 1.0 + 0.02 * U + 0.3 * np.sqrt(dp) + 0.12 * U * np.sqrt(dp) - 0.01 * dp
-
-
-def bent(U, dp):
-    u = np.clip((U - 4) / 96, 0, 1)
-    return 14 * u * (1.15 - 0.15 * u) * np.sqrt(dp)
-
-
-def asked():
-    U, dp = np.meshgrid(np.linspace(10, 95, 12), np.linspace(15, 190, 10))
-    return U.ravel(), dp.ravel(), np.full(U.size, 40.0)
-
-
-def taught(estimator, valve, seed):
-    """A map learnt through sensors that are off, each by a constant within its limits."""
-    rng = np.random.default_rng(seed)
-    U, dp = rng.uniform(0, 100, N), rng.uniform(5, 195, N)
-    off = {name: rng.uniform(-1, 1) * getattr(CLASS, name) for name in ("p1", "p2", "Q")}
-    p2 = rng.uniform(5, 50, N)
-    samples = Samples.of(
-        t=np.arange(N) * 10_000_000,
-        U=U,
-        p1=p2 + dp + off["p1"],
-        p2=p2 + off["p2"],
-        Q=valve(U, dp) + off["Q"] + rng.normal(0, SIGMA, N),
-        T=np.full(N, 40.0),
-    )
-    lane = pipeline.fresh_lane(estimator)
-    state, _ = estimator.update(lane.state, samples)
-    support = lane.support.of_many(1)
-    return state, support
-
-
-def covered(estimator, valve, seed):
-    """Errors of the map at the true U and dp, and both standard deviations, each (N,)."""
-    state, _ = taught(estimator, valve, seed)
-    U, dp, T = asked()
-    Q, std = estimator.predict(state, U, dp, T)
-
-    def flow(*points):
-        return estimator.predict(state, *points)[0]
-
-    off = systematic_std(CLASS, flow, (U, dp, T))
-    return Q - valve(U, dp), std, off
 
 
 def judged(estimator, valve, seeds):
     """Share of true flows within the interval, and its width over the ideal one's."""
-    errors, std, off = (
-        np.stack(x) for x in zip(*(covered(estimator, valve, s) for s in seeds), strict=True)
-    )
-    total = np.hypot(std, off)
-    ratio = np.abs(errors) / total
-    return np.mean(ratio <= 1.96), 1.96 / np.quantile(ratio, 0.95)
+    ratios = np.abs([plants.one(estimator, valve, seed)["ratios"] for seed in seeds])
+    return np.mean(ratios <= 1.96), 1.96 / np.quantile(ratios, 0.95)
 
 
-@pytest.mark.parametrize(("estimator", "valve"), [(RLS, eq7), (Auto(), bent)], ids=["RLS", "Auto"])
+@pytest.mark.parametrize(
+    ("estimator", "valve"), [(RLS, eq7), (Auto(), ordinary)], ids=["RLS", "Auto"]
+)
 def test_the_true_flow_is_covered_whatever_the_sensors_are_off_by(estimator, valve):
     share, width = judged(estimator, valve, range(40 if estimator is RLS else 10))
     assert share >= BAR
@@ -85,7 +35,7 @@ def test_the_true_flow_is_covered_whatever_the_sensors_are_off_by(estimator, val
 @pytest.mark.soak
 @pytest.mark.parametrize(
     ("estimator", "valve"),
-    [(RLS, eq7), (Auto(), eq7), (Auto(), bent)],
+    [(RLS, eq7), (Auto(), eq7), (Auto(), ordinary)],
     ids=["RLS", "Auto on eq. (7)", "Auto"],
 )
 def test_of_200_plants_the_true_flow_is_covered_by_intervals_near_the_ideal(estimator, valve):
@@ -94,7 +44,7 @@ def test_of_200_plants_the_true_flow_is_covered_by_intervals_near_the_ideal(esti
 
 
 def test_the_interval_of_U_holds_what_the_sensors_are_off_by():
-    state, _ = taught(RLS, eq7, 5)
+    state = plants.taught(RLS, eq7, 5)
     Q, dp = [80.0], [100.0]
     sure, doubtful = (invert(RLS, state, Q, dp, 40.0, accuracy=a) for a in (EXACT, CLASS))
     assert doubtful.U == sure.U

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.outside import VALVES, eq_7, ordinary
+from benchmarks.circumstances import eq7, ordinary
+from benchmarks.outside import VALVES
 from service.identification.samples import Samples, Status, Trace
 from service.identification.support import Support
 
@@ -124,30 +125,30 @@ def test_eq_7_suffices_for_itself_alone(name):
 
 
 def test_too_few_samples_or_too_alike_prove_nothing():
-    U, dp, Q = noisy(eq_7, 1, 40)
+    U, dp, Q = noisy(eq7, 1, 40)
     assert not resting_on(U[:9], dp[:9], Q[:9]).is_eq7_enough
     levels = np.where(np.arange(5000) % 2, 10.0, 30.0)  # two of them: a bend in U is not seen
     _, dp = scattered(1, 5000)
-    Q = eq_7(levels, dp) + SIGMA * np.random.default_rng(2).normal(size=5000)
+    Q = eq7(levels, dp) + SIGMA * np.random.default_rng(2).normal(size=5000)
     assert not resting_on(levels, dp, Q).is_eq7_enough
 
 
 def test_coloured_noise_on_a_cycle_does_not_look_like_misfit_and_misfit_there_does():
     N = 40_000
     U, dp, noise = ramps(1, N, 0, 100), ramps(2, N, 3, 195), ar(3, N)
-    exact, bent = (resting_on(U, dp, valve(U, dp) + noise) for valve in (eq_7, ordinary))
+    exact, bent = (resting_on(U, dp, valve(U, dp) + noise) for valve in (eq7, ordinary))
     assert exact.is_eq7_enough
     assert bent.is_eq7_refuted
-    drifting = eq_7(U, dp) * (1.0 - 0.15 * np.arange(N) / 360_000) + noise
+    drifting = eq7(U, dp) * (1.0 - 0.15 * np.arange(N) / 360_000) + noise
     assert not resting_on(U, dp, drifting).is_eq7_refuted
-    few = resting_on(U[:4000], dp[:4000], eq_7(U, dp)[:4000] + noise[:4000])
+    few = resting_on(U[:4000], dp[:4000], eq7(U, dp)[:4000] + noise[:4000])
     assert not few.is_eq7_enough  # nobody can tell yet
     assert not few.is_eq7_refuted
 
 
 def test_a_narrow_window_could_hide_a_bend_and_says_how_much():
     far = np.array([100.0]), np.array([200.0])
-    wide, narrow = (resting_on(*noisy(eq_7, 5, 5000, U=U)) for U in ((5, 40), (20, 25)))
+    wide, narrow = (resting_on(*noisy(eq7, 5, 5000, U=U)) for U in ((5, 40), (20, 25)))
     assert wide.may_hide(*far)[0] < 15.0
     assert narrow.may_hide(*far)[0] > 100.0
 

@@ -77,7 +77,7 @@ def test_enumerations_name_every_value():
     assert status.enum_strings == tuple(member.name for member in Status)
     assert all(member.sentence in status.description for member in Status)
     adaptation = by_name(estimator_variables(VALVE, RLS))["Adaptation"]
-    assert adaptation.enum_strings == ("STEADY", "UNDECIDED", "MISFIT", "DRIFT")
+    assert adaptation.enum_strings == tuple(member.name for member in Adaptation)
     assert all(member.sentence in adaptation.description for member in Adaptation)
     required = by_name(inverse_variables(VALVE))["RequiredUStatus"]
     assert required.enum_strings == tuple(member.name for member in InverseStatus)

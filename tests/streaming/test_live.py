@@ -15,7 +15,8 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.identification import ALARMS, MEMORY, Identification
-from service.streaming.live import VALVES_AT_ONCE, LiveService, LiveSettings
+from service.streaming.live import LiveService, LiveSettings
+from service.streaming.publishing_turns import VALVES_AT_ONCE
 from service.streaming.supervisor import SupervisorSettings, supervise
 
 QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))

@@ -113,7 +113,7 @@ def odd_plant(seed, n=1500):
 
 @pytest.mark.parametrize("cases", [3, pytest.param(600, marks=pytest.mark.soak)])
 def test_whatever_a_valve_has_learnt_it_takes_up_again(fresh, cases):
-    for seed in range(cases):
+    for seed in [35, *range(cases)]:  # 35: P becomes singular
         learnt, changed = fresh(), as_changes(odd_plant(seed))
         for part in range(3):
             learnt.take(changed[part * len(changed) // 3 : (part + 1) * len(changed) // 3])

@@ -28,6 +28,7 @@ Values = NDArray[Any]
 Bools = NDArray[np.bool_]
 Codes = NDArray[np.uint32]
 Ticks = NDArray[np.int64]
+Columns = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class Batch:
     ``values`` (k, n, w) with w elements of each variable's value; ``codes`` (k, n) StatusCodes;
     ``has`` (k, n), False where a sample has no value; ``source`` (k, n) in 100 ns since 1601;
     ``present`` (k, n), False where there is no sample, or None if all are there; ``server`` one
-    time for all.
+    time for all. With ``columns`` (n,), in any order, the n are those columns of the block, each
+    once, and the others stay as they are; None: the n are all.
     """
 
     values: Values
@@ -46,6 +48,7 @@ class Batch:
     source: Ticks
     server: int
     present: Bools | None
+    columns: Columns | None = None
 
     def __len__(self) -> int:
         return len(self.values)
@@ -58,6 +61,19 @@ class Batch:
             self.source[rows],
             self.server,
             None if self.present is None else self.present[rows],
+            self.columns,
+        )
+
+    def of(self, which: Columns) -> Self:
+        """The same samples of some of the n."""
+        return type(self)(
+            self.values[:, which],
+            self.codes[:, which],
+            self.has[:, which],
+            self.source[:, which],
+            self.server,
+            None if self.present is None else self.present[:, which],
+            None if self.columns is None else self.columns[which],
         )
 
 
@@ -139,8 +155,9 @@ class Block:
         codes: ArrayLike,
         present: ArrayLike | None,
         now: int,
+        columns: ArrayLike | None = None,
     ) -> Batch:
-        """Make a batch of what is written; times in UTC ns.
+        """Make a batch of what is written; times in UTC ns; ``columns`` if it is not all.
 
         Raises
         ------
@@ -148,7 +165,9 @@ class Block:
             if the shapes do not fit.
         """
         found = np.array(values, self.dtype)  # a copy: it may be queued
-        shape = (-1, len(self)) if self.length is None else (-1, len(self), self.length)
+        written = None if columns is None else np.asarray(columns, np.intp)
+        width = len(self) if written is None else len(written)
+        shape = (-1, width) if self.length is None else (-1, width, self.length)
         if found.ndim != len(shape) or found.shape[1:] != shape[1:]:
             raise ValueError(f"values: shape {found.shape}, allowed is {shape}, -1 = any")
         k, n = found.shape[:2]
@@ -166,6 +185,7 @@ class Block:
             source=_spread(source // 100 + TICKS_1970, (k, n)),
             server=ticks_of_ns(now),
             present=None if there is None else _spread(there, (k, n)),
+            columns=written,
         )
 
     def batch_of(self, column: int, data: ua.DataValue) -> Batch:
@@ -183,7 +203,7 @@ class Block:
 
     def take(self, batch: Batch) -> None:
         """Take the next samples in and hand them to whom they concern."""
-        if batch.present is not None and not batch.present.any():
+        if not batch.codes.size or (batch.present is not None and not batch.present.any()):
             return
         moment = self._ledger.moment + 1
         for row, column, data in self._for_others(batch):
@@ -256,38 +276,40 @@ class Block:
         return lambda _node, _attribute: self.current(column)
 
     def _store(self, batch: Batch) -> None:
-        if batch.present is None:
-            self._values[:] = batch.values[-1]
-            self._codes[:] = batch.codes[-1]
-            self._has[:] = batch.has[-1]
-            self._source[:] = batch.source[-1]
-            self._server[:] = batch.server
-            return
-        if len(batch) == 1:
-            row, there = np.nonzero(batch.present)
-        else:
+        where: Columns | slice = slice(None) if batch.columns is None else batch.columns
+        row: int | NDArray[np.intp] = -1
+        there: Columns | slice = slice(None)
+        if batch.present is not None:
             there = np.flatnonzero(batch.present.any(axis=0))
             row = len(batch) - 1 - np.argmax(batch.present[::-1, there], axis=0)
-        self._values[there] = batch.values[row, there]
-        self._codes[there] = batch.codes[row, there]
-        self._has[there] = batch.has[row, there]
-        self._source[there] = batch.source[row, there]
-        self._server[there] = batch.server
+            where = there if batch.columns is None else batch.columns[there]
+        self._values[where] = batch.values[row, there]
+        self._codes[where] = batch.codes[row, there]
+        self._has[where] = batch.has[row, there]
+        self._source[where] = batch.source[row, there]
+        self._server[where] = batch.server
 
     def _for_others(self, batch: Batch) -> Iterator[tuple[int, int, ua.DataValue]]:
         """Samples, in their order, of those variables that somebody watches one by one."""
-        watched = sorted(self._watched)
-        for row in range(len(batch) if watched else 0):
-            for column in watched:
-                if batch.present is None or batch.present[row, column]:
+        watched = self._watched
+        if not watched:
+            return
+        if batch.columns is None:
+            pairs = [(column, column) for column in sorted(watched)]
+        else:
+            columns = enumerate(batch.columns.tolist())
+            pairs = sorted((column, n) for n, column in columns if column in watched)
+        for row in range(len(batch)):
+            for column, n in pairs:
+                if batch.present is None or batch.present[row, n]:
                     yield (
                         row,
                         column,
                         self.data_value(
-                            batch.values[row, column],
-                            int(batch.codes[row, column]),
-                            bool(batch.has[row, column]),
-                            int(batch.source[row, column]),
+                            batch.values[row, n],
+                            int(batch.codes[row, n]),
+                            bool(batch.has[row, n]),
+                            int(batch.source[row, n]),
                             batch.server,
                         ),
                     )

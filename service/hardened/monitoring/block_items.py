@@ -20,6 +20,7 @@ _FEWEST = 50  # variables: in a smaller block they are faster one by one
 _Mode = ua.MonitoringMode
 _Trigger = ua.DataChangeTrigger
 _Pair = tuple[NDArray[Any], NDArray[Any]]
+_Order = tuple[Slots, Slots]  # slots in use in the order of their columns, and the columns
 
 
 def serves(block: Block, monitoring: Monitoring) -> bool:
@@ -108,7 +109,7 @@ class BlockItems:
         self.number = np.zeros(0, np.int64)
         self._subscription = subscription
         self._free: list[int] = []
-        self._order: Slots | None = None
+        self._order: _Order | None = None
         self._column = np.zeros(0, np.intp)
         self._handle = np.zeros(0, np.uint32)
         self._size = np.zeros(0, np.int64)
@@ -177,10 +178,22 @@ class BlockItems:
     def take_in(self, batch: Batch, moment: int) -> None:
         """Take samples in, the first of which belongs to the moment."""
         if self._order is None:
-            used = np.flatnonzero(self.modes != _Mode.Disabled)
-            self._order = used[np.lexsort((self.number[used], self._column[used]))]
-        if len(self._order):
-            self._take_in(batch, self._order, moment)
+            self._order = self._by_column()
+        slots, columns = self._order
+        if not len(slots):
+            return
+        if batch.columns is not None:
+            which, of_batch = _common(columns, batch.columns)
+            slots, columns, batch = slots[which], columns[which], batch.of(of_batch)
+        elif len(columns) != len(self.block) or (columns != np.arange(len(columns))).any():
+            batch = batch.of(columns)
+        if len(slots):
+            self._see(batch, slots, columns, moment)
+
+    def _by_column(self) -> _Order:
+        used = np.flatnonzero(self.modes != _Mode.Disabled)
+        order = used[np.lexsort((self.number[used], self._column[used]))]
+        return order, self._column[order]
 
     def take(self, front: Notifications) -> tuple[bytes, Counts]:
         """Take (the beginning of) the queue's front, encoded: all bytes, and where each ends."""
@@ -226,20 +239,6 @@ class BlockItems:
             int(taken.source[i]),
             int(taken.server[i]),
         )
-
-    def _take_in(self, batch: Batch, slots: Slots, moment: int) -> None:
-        columns = self._column[slots]
-        whole = len(columns) == len(self.block) and bool((columns == np.arange(len(columns))).all())
-        if not whole:
-            batch = Batch(
-                batch.values[:, columns],
-                batch.codes[:, columns],
-                batch.has[:, columns],
-                batch.source[:, columns],
-                batch.server,
-                None if batch.present is None else batch.present[:, columns],
-            )
-        self._see(batch, slots, columns, moment)
 
     def _see(self, batch: Batch, slots: Slots, columns: Slots, moment: int) -> None:
         """Queue what has changed in samples of just these columns."""
@@ -385,6 +384,17 @@ class BlockItems:
             held = getattr(self, name)
             empty = np.zeros((more, *held.shape[1:]), held.dtype)
             setattr(self, name, np.concatenate((held, empty)))
+
+
+def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
+    """Where ascending columns (several may be equal) are written, and where what is written is."""
+    first = np.searchsorted(columns, written, "left")
+    counts = np.searchsorted(columns, written, "right") - first
+    of_batch = np.repeat(np.arange(len(written)), counts)
+    nth = np.arange(len(of_batch)) - np.repeat(np.cumsum(counts) - counts, counts)
+    which = first[of_batch] + nth
+    order = np.argsort(which)
+    return which[order], of_batch[order]
 
 
 def _notifications(

@@ -31,7 +31,8 @@ MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17,
 RATE_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY, RATE = 20, 21, 22, 23, 24, 25
 COLOUR_WEIGHT, RECKONED, STEADY = 26, 27, 28  # the last two: see `_news`
 REFERENCE = 29  # from here on, as wide as a cell: see `_watch`
-LAGS = REFERENCE + len(grid.COLUMNS)  # from here on see `lag`
+REACTS = REFERENCE + len(grid.COLUMNS)  # 1 where U reacts to the noise, see `jitter`
+LAGS = REACTS + 1  # from here on see `lag`
 SCALARS = LAGS + lag.SCALARS
 
 # Places in `counters`.

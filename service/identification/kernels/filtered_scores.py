@@ -7,22 +7,28 @@ forgotten. Where innovations are white, nothing is changed.
 
 Regressors that react to the noise of the same sample bias theta by about N·P·Γ, Γ = mean of
 (h_f(t) - h_f(t-1))·ε(t), N = s/tr(P·M) the samples that P holds.
+
+A plant that drifts is ahead of theta: the scores of the last samples have a mean, M times as far.
 """
 
 import numpy as np
 
+from service.identification.kernels import reaction
 from service.identification.kernels.compiled import inner
 from service.identification.kernels.scores import BLOCK, COLOURED, FEWEST, MEMORY, REACTS, STUDENT
 from service.identification.samples import Floats
 
 # Rows of `blocks` (s each): sum of h_f·ε over this block, and over the one before; h_f of the
-# sample before; sum of its step times ε over this block; mean of that, Γ; mean of its square.
-THIS, BEFORE, PREVIOUS, REACTION, REACTED, DOUBT = range(6)
-ROWS_OF_BLOCKS = 6
+# sample before; sum of its step times ε over this block; mean of that, Γ; mean of its square; mean
+# of h_f·ε over the last LATELY samples.
+THIS, BEFORE, PREVIOUS, REACTION, REACTED, DOUBT, SCORE = range(7)
+ROWS_OF_BLOCKS = 7
 # Places in `colour`.
 GATHERED, BLOCKS, PRODUCT, SQUARE, BLOCK_PRODUCT, BLOCK_SQUARE, LAST = range(7)
-PLACES_OF_COLOUR = 7
+REACTING = 7  # from here on see `reaction`
+PLACES_OF_COLOUR = REACTING + reaction.PLACES
 ROUNDING = 1e-12  # of the flow, squared: no colour
+LATELY = 8192.0  # samples: a plant that drifts does so for longer
 
 
 @inner
@@ -54,12 +60,14 @@ def gather(
         for k in range(j + 1):
             pair = (blocks[THIS, j] + blocks[BEFORE, j]) * (blocks[THIS, k] + blocks[BEFORE, k])
             omega[j, k] += part * (0.5 * pair / BLOCK - omega[j, k])
+    lately = max(part, BLOCK / LATELY)
     for j in range(ns):
+        blocks[SCORE, j] += lately * (blocks[THIS, j] / BLOCK - blocks[SCORE, j])
         blocks[BEFORE, j] = blocks[THIS, j]
         blocks[THIS, j] = 0.0
-        reaction = blocks[REACTION, j] / BLOCK
-        blocks[REACTED, j] += part * (reaction - blocks[REACTED, j])
-        blocks[DOUBT, j] += part * (reaction * reaction - blocks[DOUBT, j])
+        step = blocks[REACTION, j] / BLOCK
+        blocks[REACTED, j] += part * (step - blocks[REACTED, j])
+        blocks[DOUBT, j] += part * (step * step - blocks[DOUBT, j])
         blocks[REACTION, j] = 0.0
     for place in (GATHERED, BLOCK_PRODUCT, BLOCK_SQUARE):
         colour[place] = 0.0

@@ -21,8 +21,8 @@ KNOWN_LAGS = 11  # estimates of the lags, s, and the information behind them: se
 SCALARS = KNOWN_LAGS + 6
 
 # Places in this part of `counters`.
-TIME, KEPT_TIME, KEPT_ROWS = 0, 1, 2
-COUNTERS = 3
+TIME, KEPT_TIME, KEPT_ROWS, LOOKED_FROM = 0, 1, 2, 3  # the last: kept when looks began anew
+COUNTERS = 4
 
 ROWS = 704  # samples that are looked at for lags: 7 s at 100 Hz, 11 kB
 STEP, LEFT_U, LEFT_S, LEFT_Q = 0, 1, 2, 3  # columns: s since the row before, %, √bar, l/min

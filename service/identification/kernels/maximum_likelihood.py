@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels import filtered_scores
+from service.identification.kernels import filtered_scores, reaction
 from service.identification.kernels.compiled import inner, kernel, spliced
 from service.identification.kernels.factors import covariance, project, rank_one
 from service.identification.kernels.residual_spread import EARLIER
@@ -125,8 +125,8 @@ def run(
     """
     scratch = _scratch(len(memory.theta))
     _span(
-        memory, rule, orders, scratch, X, y, use, predicted, posterior, early, share, status,
-        history, 0, len(y),
+        memory, rule, orders, scratch, X, np.zeros(len(y)), y, use, predicted, posterior, early,
+        share, status, history, 0, len(y),
     )  # fmt: skip
 
 
@@ -136,6 +136,7 @@ def run_fleet(
     rule: Rule,
     orders: Orders,
     X: Floats,
+    U: Floats,
     y: Floats,
     predicted: Floats,
     posterior: Floats,
@@ -152,6 +153,8 @@ def run_fleet(
         The states' arrays, each with a leading axis M; written in place.
     rule, orders, X, y, predicted, posterior, early, share, status
         As for one model; the samples of all models one after another, all of them to be used.
+    U : (N,)
+        Opening, %; it may react to the noise.
     segments
         Which samples are whose.
     """
@@ -169,8 +172,8 @@ def run_fleet(
             filtered[m], monitor[m], before[m], omega[m], moments[m], blocks[m], colour[m],
         )  # fmt: skip
         _span(
-            memory, rule, orders, scratch, X, y, use, predicted, posterior, early, share, status,
-            history, starts[s], stops[s],
+            memory, rule, orders, scratch, X, U, y, use, predicted, posterior, early, share,
+            status, history, starts[s], stops[s],
         )  # fmt: skip
 
 
@@ -181,6 +184,7 @@ def _span(
     orders: Orders,
     scratch: _Scratch,
     X: Floats,
+    U: Floats,
     y: Floats,
     use: Codes,
     predicted: Floats,
@@ -213,6 +217,8 @@ def _span(
             predicted[t] = _dot(scratch.h, memory.theta, n)
             if use[t]:
                 early[t] = _look_back(memory, scratch.h, y[t], y[t] - predicted[t])
+                of_map = _dot(scratch.h, memory.theta, n - orders[last])
+                reaction.weigh_in(memory.colour, filtered_scores.REACTING, U[t], y[t] - of_map)
                 status[t] = _step(memory, rule, scratch, y[t], d, share, t)
                 posterior[t] = _rest(scratch.h, memory.theta, n, y[t])
                 _push(memory, d, 0, y[t])
@@ -544,14 +550,28 @@ def _along_axis(memory: Memory, scratch: _Scratch, j: int) -> None:
 
 
 @kernel
-def inflations(memory: Memory, values: Floats) -> None:
-    """Write how many times the variance of each parameter (s,) is that in white noise."""
-    scratch = _scratch(len(memory.theta))
-    held = _samples_held(memory, scratch)
-    for j in range(len(values)):
-        _along_axis(memory, scratch, j)
-        own = memory.spread[j, j]
-        values[j] = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
+def diagonals(fleet: Memory, P: Floats, inflations: Floats) -> None:
+    """Write P's diagonals (M, n) of M models, arrays with a leading axis M, and `inflations`.
+
+    Those (M, s) are how many times the variance of each parameter is that in white noise.
+    """
+    scratch = _scratch(fleet.theta.shape[1])
+    for m in range(len(P)):
+        memory = Memory(
+            fleet.theta[m], fleet.factor[m], fleet.spread[m], fleet.prior[m],
+            fleet.rls_theta[m], fleet.rls_factor[m], fleet.raw[m], fleet.filtered[m],
+            fleet.monitor[m], fleet.early[m], fleet.omega[m], fleet.moments[m],
+            fleet.blocks[m], fleet.colour[m],
+        )  # fmt: skip
+        held = _samples_held(memory, scratch)
+        for j in range(P.shape[1]):
+            _along_axis(memory, scratch, j)
+            P[m, j] = scratch.Ph[j]
+            own = memory.spread[j, j]
+            if j >= inflations.shape[1]:
+                continue
+            wider = _widened(memory, scratch.Ph, own, held) / own if own > 0.0 else 1.0
+            inflations[m, j] = wider
 
 
 @inner

@@ -29,12 +29,14 @@ from service.identification.kernels.places import (
     LONGEST,
     LOOK_EVERY,
     LOOK_EVERY_YOUNG,
+    NODES_A,
     PROVEN,
     REFIT,
     YOUNG,
     look,
     refit,
 )
+from service.identification.kernels.reaction import weigh_in as weigh_reaction
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
@@ -45,6 +47,7 @@ from service.identification.kernels.row_layout import (
     HASTE,
     LOOKS,
     PLACES_OF_COUNTERS,
+    REACTION,
     SAMPLE,
     SIZE,
     SQUARES,
@@ -69,6 +72,7 @@ from service.identification.kernels.triangles import add_square, rotate, take_in
 from service.identification.samples import Codes, Floats, Segments, Status, Times
 
 TRACE_EVERY = 16
+STEP_U = 100.0 / (NODES_A - 1)  # %: of U to a step of the grid of places
 NOISE_LAM = 0.9995  # of the mean square that is the noise, for rules that look for changes
 
 _OK = int(Status.OK)
@@ -199,6 +203,8 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                     s[at.scale + j] = abs(s[at.x + j])
                     s[at.unit + j] = 1.0 / s[at.scale + j]
 
+            if placed:
+                weigh_reaction(s, at.detector + REACTION, STEP_U * a[i], e)
             every = LOOK_EVERY if own[COUNT] > YOUNG else LOOK_EVERY_YOUNG
             looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
             d = np.nan

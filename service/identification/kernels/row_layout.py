@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.kernels import reaction
 from service.identification.kernels.compiled import inlined
 from service.identification.samples import Floats
 
@@ -41,7 +42,8 @@ LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQU
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
 # Of the clock by which places age.
 CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN = range(46, 52)
-PLACES_OF_DETECTOR = 52
+REACTION = 52  # from here on see `reaction`
+PLACES_OF_DETECTOR = REACTION + reaction.PLACES
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
 

@@ -7,10 +7,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inner, kernel
 from service.identification.kernels.spline import basis, hats
-from service.identification.samples import Floats
+from service.identification.samples import Floats, Times
 
 T_REFERENCE = 40.0
 T_UNIT = 20.0
@@ -107,6 +108,52 @@ def evaluate(
         point[3] = T[i] if math.isfinite(T[i]) else T_REFERENCE
         Q[i] = value(knots_U, knots_s, nodes_T, theta, point[1], point[2], point[3], scratch)
         variance[i] = spread(knots_U, knots_s, inverse, mixed, corner, point, scratch)
+
+
+@kernel
+def evaluate_many(
+    knots_U: Floats,
+    knots_s: Floats,
+    nodes_T: Floats,
+    coefficients: Floats,
+    sizes: Times,
+    free: Times,
+    inverse: NDArray[np.float32],
+    mixed: NDArray[np.float32],
+    corner: Floats,
+    U: Floats,
+    dp: Floats,
+    T: Floats,
+    Q: Floats,
+    variance: Floats,
+) -> None:
+    """`evaluate` M maps at the same N points in the middle of the hysteresis: Q, variance (M, N).
+
+    Arrays have a leading axis M and are padded; the spline of map m has ``free[m]`` parameters
+    that its variance is made of, 0 where it is eq. (7) alone. NaN for a map of no size.
+    """
+    middle = np.zeros(len(U))
+    for m in range(len(sizes)):
+        n_U, n_s, n = sizes[m, 0], sizes[m, 1], free[m]
+        if n_U == 0:
+            Q[m], variance[m] = math.nan, math.nan
+            continue
+        evaluate(
+            knots_U[m, : n_U + 4],
+            knots_s[m, : n_s + 4],
+            nodes_T,
+            coefficients[m, : 2 * n_U * n_s].reshape(n_U, n_s, 2),
+            0.0,
+            inverse[m, :n].astype(np.float64),
+            mixed[m, :n].astype(np.float64),
+            corner[m],
+            U,
+            dp,
+            T,
+            middle,
+            Q[m],
+            variance[m],
+        )
 
 
 @kernel

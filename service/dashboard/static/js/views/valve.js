@@ -189,7 +189,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
       lines.push(["Lag", `${Number.isFinite(lagU) ? `U ${fixed(1000 * lagU, 0)} ms` : "U unknown"}, ${Number.isFinite(lagQ) ? `Q ${fixed(1000 * lagQ, 0)} ms` : "Q unknown"}`]);
     }
     const adaptation = of("Adaptation");
-    if (Number.isFinite(adaptation)) lines.push(["Adaptation", ["steady", "undecided: misfit or drift, a place must be seen again", "misfit: the structure cannot follow", "drift: the valve moves, the map follows"][adaptation]]);
+    if (Number.isFinite(adaptation)) lines.push(["Adaptation", ["steady", "undecided: misfit or drift, a place must be seen again", "misfit: the structure cannot follow", "drift: the valve moves, the map follows", "U reacts to the noise of Q: the map is biased"][adaptation]]);
     const structure = live.get(`${selected}.Structure`)?.value;
     if (structure) lines.push(["Structure", structure]);
     const share = of("CoverageShare");
