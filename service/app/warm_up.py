@@ -42,17 +42,23 @@ Progress = Callable[[int, int], None]  # parts that are done, of how many
 _REPORT_EVERY_S = 5.0
 
 
-def warm_up(config: Config, progress: Progress = lambda _done, _of: None) -> None:
+def warm_up(
+    config: Config,
+    progress: Progress = lambda _done, _of: None,
+    is_over: Callable[[], bool] = lambda: False,
+) -> None:
     """Have every kernel compiled that this configuration needs.
 
-    The first run on a machine compiles for half a minute and caches the result on disk; later runs
+    The first run on a machine compiles for a minute and caches the result on disk; later runs
     load it. A second process helps at that: each takes the next part that nobody has taken, and
-    ``progress`` hears now and then how many are done.
+    ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
     """
     decode_data_changes(_NO_CHANGES)
     config = _one_of_each_kind(config)
     if not was_warmed_up():
-        _compile_in_parts(config, progress)
+        _compile_in_parts(config, progress, is_over)
+    if is_over():
+        return
     compile_here(config)
     note_warm_up()
 
@@ -65,7 +71,7 @@ def _one_of_each_kind(config: Config) -> Config:
     return config.model_copy(update={"valves": tuple(kinds.values())})
 
 
-def _compile_in_parts(config: Config, progress: Progress) -> None:
+def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], bool]) -> None:
     """Compile what takes long, each part in one of two processes."""
     context = get_context("spawn")
     taken, done = context.Value("i", 0), context.Value("i", 0)
@@ -81,7 +87,7 @@ def _compile_in_parts(config: Config, progress: Progress) -> None:
 
     threading.Thread(target=report, daemon=True).start()
     try:
-        _take_parts(config, taken, done)
+        _take_parts(config, taken, done, is_over)
     finally:
         finished.set()
     if helper is not None:
@@ -91,13 +97,20 @@ def _compile_in_parts(config: Config, progress: Progress) -> None:
 def _help(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
     """Take parts as well; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _take_parts(config, taken, done)
+    _take_parts(config, taken, done, lambda: False)
 
 
-def _take_parts(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
+def _take_parts(
+    config: Config,
+    taken: "Synchronized[int]",
+    done: "Synchronized[int]",
+    is_over: Callable[[], bool],
+) -> None:
     parts = _parts(config)
     while True:
         with taken.get_lock():
+            if is_over():
+                taken.value = len(parts)  # the other process takes no more either
             mine, taken.value = taken.value, taken.value + 1
         if mine >= len(parts):
             return

@@ -54,7 +54,7 @@ def demo(
         fed_forward = scenario == feedforward.NAME
         config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
         console = Console()
-        console.print("preparing (the very first start compiles for half a minute) ...")
+        console.print("preparing (the very first start compiles for a minute) ...")
         run = _feed_forward_demo if fed_forward else _demo
         asyncio.run(run(config, scenario, loaded, duration, console))
 
@@ -67,9 +67,11 @@ async def _demo(
     users, password = UserStore.one_time("operator", Role.OPERATOR)
     stop = asyncio.Event()
     with stop_on_signal(stop):
-        compiling = asyncio.ensure_future(asyncio.to_thread(warm_up, config))
+        compiling = asyncio.ensure_future(_compile(config, stop, console))
         async with rig_process(config.source.url, name, password) as rig_url:
             await compiling
+            if stop.is_set():
+                return
             serving = asyncio.ensure_future(
                 serve(config, stop, _settings(config, users), identification, view.count)
             )
@@ -89,7 +91,9 @@ async def _feed_forward_demo(
     config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
     stop = asyncio.Event()
     with stop_on_signal(stop):
-        await asyncio.to_thread(warm_up, config)
+        await _compile(config, stop, console)
+        if stop.is_set():
+            return
         await asyncio.to_thread(feedforward.commission, identification, scenario)
         async with rig_process(config.source.url, name, password) as rig_url:
             course = feedforward.Course(identification, SystemClock().now())
@@ -102,6 +106,13 @@ async def _feed_forward_demo(
                 _say_where(console, config, rig_url, password, page, armed)
                 await _show(course, console, stop, serving, end)
     console.print(course.table())
+
+
+async def _compile(config: Config, stop: asyncio.Event, console: Console) -> None:
+    def say(done: int, of: int) -> None:
+        console.print(f"compiled {done} of {of} parts")
+
+    await asyncio.to_thread(warm_up, config, say, stop.is_set)
 
 
 def _settings(config: Config, users: UserStore) -> ServerSettings:

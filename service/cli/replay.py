@@ -62,14 +62,16 @@ def replay(
     from service.app.models import save_models
     from service.app.replay import as_json
     from service.app.replay import replay as run
-    from service.report.replay_page import write_page
-    from service.report.replay_plots import ReplayPlots
     from service.report.verification import verification_table
 
     check_folder("--json", json_out)
     check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
-    plots = None if plot is None else ReplayPlots(plot)
+    plots = None
+    if plot is not None:  # matplotlib is an extra: without pictures nobody needs it
+        from service.report.replay_plots import ReplayPlots
+
+        plots = ReplayPlots(plot)
     with recordings_of(files, config, since, until) as recordings, bars() as progress:
         taps = [] if plots is None else [plots.take]
         report = run(recordings, loaded, verify, of_files(progress), *taps, insist=insist)
@@ -91,6 +93,8 @@ def replay(
         for written in save_models(save, report):
             console.print(f"written: {written}")
     if plots is not None and plot is not None:
+        from service.report.replay_page import write_page
+
         lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
         with working("drawing"):
             pictures = list(plots.write(lanes))

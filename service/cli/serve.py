@@ -96,5 +96,5 @@ def warm_up(config: ConfigOption = None) -> None:
     """Compile the estimators ahead (for images)."""
     from service.app.warm_up import warm_up as run
 
-    with working("compiling: half a minute at first") as say:
+    with working("compiling: a minute at first") as say:
         run(load_config(config), lambda done, of: say(f"compiling: {done} of {of} parts are done"))

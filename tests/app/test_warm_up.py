@@ -83,6 +83,18 @@ def test_two_that_compile_take_each_part_once_and_count_it(monkeypatch):
     monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
     taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda _: warm_up._take_parts(Config(), taken, done), range(2)))
+        take = partial(warm_up._take_parts, Config(), taken, done)
+        list(pool.map(lambda _: take(lambda: False), range(2)))
     assert sorted(ran) == list(range(20))
     assert done.value == 20
+
+
+def test_whoever_presses_ctrl_c_waits_for_no_further_part(monkeypatch):
+    ran = []
+    parts = [partial(ran.append, number) for number in range(20)]
+    monkeypatch.setattr(warm_up, "_parts", lambda _: parts)
+    taken, done = (get_context("spawn").Value("i", 0) for _ in range(2))
+    warm_up._take_parts(Config(), taken, done, lambda: len(ran) == 3)
+    assert ran == [0, 1, 2]
+    warm_up._take_parts(Config(), taken, done, lambda: False)  # the other process
+    assert ran == [0, 1, 2]

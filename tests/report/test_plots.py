@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import service.report
+from service.cli import run
 from service.errors import ConfigurationError, StorageError
 from service.report import plots
 
@@ -82,3 +83,10 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.delattr(service.report, "plots")
     with pytest.raises(ConfigurationError, match=r"pip install 'valvemap\[plot\]'"):
         importlib.import_module("service.report.plots")
+
+
+def test_a_replay_without_pictures_needs_no_matplotlib(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "service.report.plots", None)
+    monkeypatch.delitem(sys.modules, "service.report.replay_plots", raising=False)
+    assert run(["replay", "none.csv"]) == 2
+    assert "none.csv" in capsys.readouterr().err
