@@ -5,7 +5,7 @@ from itertools import islice
 from typing import Final
 
 VALVES_AT_ONCE: Final = 64  # 20 ms: of fewer each costs more
-SOON_S: Final = 0.4  # results wait for so long: more time goes into publishing
+SOON_S: Final = 0.7  # results wait for so long: more time goes into publishing
 HURRY: Final = 0.5  # share of the time then, unless samples wait, too
 LATE: Final = 0.95  # of `stale_after_s`: results that have waited for so long may get old, shown
 ON_TIME: Final = 0.85  # of it: once they wait no longer, they do not
