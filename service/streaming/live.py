@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import structlog
+from numpy.typing import NDArray
 
 from service.clock import Clock
 from service.errors import SourceError, SourceRejected, StorageError
@@ -489,12 +490,18 @@ class LiveService:
             late = self._to_publish.late
             if late and not was_late:
                 log.warning("results are published late", remedy="fewer valves, or more CPU")
-            for results in self.identification.results(some, self._lost, self._old | late):
+            old = self._old | late | self._soon_old()
+            for results in self.identification.results(some, self._lost, old):
                 await self._sink.publish(results)
                 if self._past is not None:
                     self._past.note(results)
             if self._clock.monotonic() >= end:
                 break
+
+    def _soon_old(self) -> NDArray[np.bool_]:
+        """Which valves' newest sample will be too old before its results are replaced (M,)."""
+        then = self._ages() + self._to_publish.round_s
+        return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
     async def _feed_forward(self, valves: Times) -> None:
         """Lead each of these valves that is armed a step on, all at once."""

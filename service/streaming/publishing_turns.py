@@ -25,6 +25,8 @@ class PublishingTurns:
     ----------
     late
         Publishing does not keep up: what is published now is old before it is replaced.
+    round_s
+        So long those waited that were published last: as long, about, they are shown.
 
     Examples
     --------
@@ -37,6 +39,7 @@ class PublishingTurns:
 
     def __init__(self, share: float, stale_after_s: float) -> None:
         self.late = False
+        self.round_s = 0.0
         self._share = share
         self._stale_after_s = stale_after_s
         self._since: dict[int, float] = {}  # by valve, the oldest first
@@ -59,6 +62,7 @@ class PublishingTurns:
         """Take the valves that are published now; who was doubted in vain comes again."""
         some = list(islice(self._since, VALVES_AT_ONCE))
         waited = now - self._since[some[0]] if some else 0.0
+        self.round_s = waited
         self.late = waited > self._stale_after_s * (ON_TIME if self.late else LATE)
         for valve in some:
             del self._since[valve]
