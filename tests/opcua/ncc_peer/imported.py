@@ -10,8 +10,6 @@ import importlib
 import json
 import sys
 
-from o6_nodeset_compiler._dispatch import dispatch
-
 PACKAGE = "imported_types"
 _CLASSES = {1: "Object", 2: "Variable", 4: "Method", 8: "ObjectType"}
 _ROOT, _NAMESPACES, _HAS_MODELLING_RULE = "i=58", "i=2255", "i=37"
@@ -20,7 +18,8 @@ _WHOLE = 63  # all fields of a reference
 
 def compiled(file, folder):
     """Have a package made of a UANodeSet."""
-    done = dispatch("python", [file, "-e", "ns0", "--shortname", PACKAGE, "-o", folder])
+    compiler = importlib.import_module("o6_nodeset_compiler._dispatch")
+    done = compiler.dispatch("python", [file, "-e", "ns0", "--shortname", PACKAGE, "-o", folder])
     if done:
         sys.exit(done)
     sys.path.insert(0, folder)
