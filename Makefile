@@ -12,18 +12,22 @@ PEERS := node or compiler or milo or languages or broker or image or chromium or
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test peers hardened lint format soak bench report reference docs sbom lock clean
+.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom lock clean
 
 install: $(RUNTIME)
 
 demo: $(RUNTIME)
 	@$(BIN)/valvemap demo
 
-test: lint
+test: $(DEV)
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))"
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint waits
 	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
+
+# Tests that mostly wait: while they do, there is time for something else.
+waits: $(DEV)
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))"
 
 peers: $(DEV)
 	$(BIN)/python -m pytest -m "($(PEERS)) and not soak"
