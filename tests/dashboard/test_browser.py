@@ -171,7 +171,7 @@ async def test_an_operator_s_button_writes_the_demand_that_is_shown():
 @pytest.mark.parametrize(
     "slower",
     [
-        pytest.param(20, id="on any machine"),
+        pytest.param(10, id="on any machine"),
         pytest.param(1, id="with the machine to itself", marks=pytest.mark.soak),
     ],
 )
@@ -191,8 +191,9 @@ async def test_three_hundred_valves_scroll_sort_and_filter_smoothly(slower):
         for heading in ("Valve", "RMSE, l/min", "State"):
             await visitor.page.locator("th button", has_text=heading).click()
         await visitor.page.locator("input[type=search]").press_sequentially("valve-29", delay=40)
+        found = "document.querySelectorAll('.rows tbody tr:has(a)').length === 10"
+        await visitor.page.wait_for_function(found, timeout=30_000)
         await visitor.page.wait_for_timeout(1_500)
-        assert await visitor.page.locator(".rows tbody tr:has(a)").count() == 10
         longest = await visitor.page.evaluate("Math.max(0, ...long)")
         assert longest < slower * _LONGEST_TASK_MS
 
