@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.fleet.result_blocks import ResultsBlock
-from service.identification.samples import Codes, Floats, Times
+from service.identification.samples import Codes, Floats, Quality, Times
 from service.identification.survey import Survey
 from service.streaming.ports import AlarmReport, AlarmResults, Results, Version
 
@@ -136,10 +136,11 @@ def _at_best(results: Results, quality: int) -> Results:
         return np.maximum(found, np.uint8(quality))
 
     signals = results.signals
+    old = np.ones(len(results.valves), np.bool_) if quality == Quality.UNCERTAIN else None
     return replace(
         results,
         estimators={
-            name: replace(own, quality=no_better(own.quality))
+            name: replace(own, quality=no_better(own.quality), old=old)
             for name, own in results.estimators.items()
         },
         inverse=replace(results.inverse, quality=no_better(results.inverse.quality)),

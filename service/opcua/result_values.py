@@ -199,7 +199,10 @@ def estimator_codes(results: EstimatorResults) -> StatusCodes:
 
 def estimator_own_words(results: EstimatorResults) -> StatusCodes:
     """StatusCodes (M,) of what the service knows for certain, whatever its sensors do."""
-    return _of_estimators(_ESTIMATOR_ITSELF, results)
+    words = _of_estimators(_ESTIMATOR_ITSELF, results)
+    if results.old is None:
+        return words
+    return np.where(results.old, worse(words, _Codes.UncertainLastUsableValue), words)
 
 
 def inverse_codes(results: InverseResults) -> StatusCodes:
@@ -328,6 +331,4 @@ _SIGNAL = np.array(
     np.uint32,
 )
 _ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)
-for _status in (Status.OK, Status.FROZEN):  # uncertain for one reason only: it is old
-    _ESTIMATOR_ITSELF[0, Quality.UNCERTAIN, _status] = _Codes.UncertainLastUsableValue
 _ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)

@@ -357,11 +357,12 @@ class Identification:
         return results.one(0)
 
     def _results(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
-        places = self._member_of[valves]
+        places, is_old = self._member_of[valves], at_best == Quality.UNCERTAIN
         estimators = {
             name: replace(
                 found,
                 quality=np.maximum(found.quality, at_best),
+                old=is_old if is_old.any() else None,
                 survey=[self._surveys[valve].get(name) for valve in valves],
                 systematic_std=self._systematic_std(fleet, valves, name),
             )

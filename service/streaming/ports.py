@@ -222,7 +222,7 @@ class ValveResult:
 class EstimatorResults:
     """One estimator on M valves: the fields of :class:`EstimatorResult`, all of length M.
 
-    ``theta`` and ``std`` are of shape (M, n).
+    ``theta`` and ``std`` are of shape (M, n); ``old`` says whose newest sample is, None: nobody's.
     """
 
     t: Times
@@ -241,6 +241,7 @@ class EstimatorResults:
     lags: Sequence[tuple[float, float] | None]
     adaptation: Codes
     systematic_std: Floats
+    old: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

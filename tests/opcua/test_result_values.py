@@ -39,6 +39,17 @@ def test_a_good_result_is_good_with_the_samples_time():
     assert all((new.code, new.t) == (Codes.Good, T) for new in shown().values())
 
 
+@pytest.mark.parametrize("status", list(Status))
+def test_of_what_is_old_nothing_is_good(status):
+    results = results_of(0, {"RLS": replace(ESTIMATOR, status=status)}, INVERSE)
+    quality = np.array([Quality.UNCERTAIN], np.uint8)
+    old = replace(results.estimators["RLS"], quality=quality, old=np.array([True]))
+    columns = columns_of(replace(results, estimators={"RLS": old}), NOW)
+    codes = [c.codes[0] for c in columns if c.name.startswith("RLS.")]
+    assert len(codes) > 5
+    assert not [code for code in codes if code >> 30 == 0]
+
+
 @pytest.mark.parametrize(
     ("quality", "status", "code"),
     [

@@ -40,6 +40,7 @@ def _arrays(kind, one):
         **{
             f.name: [value] if f.name in lists else np.array([value], types.get(f.name))
             for f in fields(kind)
+            if f.name != "old"  # known of many at once only
             for value in [getattr(one, f.name)]
         }
     )
