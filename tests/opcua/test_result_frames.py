@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from asyncua import ua
-from support.results import results_of
+from support.results import ESTIMATOR, INVERSE, results_of
 
-from service.identification.samples import Quality, Status
+from service.identification.samples import Quality
 from service.opcua.result_frames import frame_names, frame_variables, frames
 from service.streaming.ports import (
     EstimatorDescription,
-    EstimatorResult,
-    InverseResult,
     SignalResults,
     ValveDescription,
 )
@@ -23,20 +21,7 @@ VALVE = ValveDescription(
         EstimatorDescription("Auto", "", (), has_forgetting_factor=True),
     ),
 )
-ESTIMATOR = EstimatorResult(
-    t=1_000,
-    quality=Quality.GOOD,
-    theta=np.array([1.0, -2.5]),
-    std=np.array([0.1, 0.2]),
-    predicted=50.0,
-    residual=0.5,
-    residual_rmse=0.4,
-    sample_count=7,
-    status=Status.OK,
-    noise_std=0.3,
-)
 OTHER = replace(ESTIMATOR, theta=np.empty(0), std=np.empty(0))
-INVERSE = InverseResult(1_000, Quality.GOOD, 42.0, 0, np.zeros((1, 1)))
 
 
 SIGNALS = SignalResults(

@@ -7,18 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pytest_asyncio
-from support.results import results_of, results_settings
+from support.results import ESTIMATOR, INVERSE, results_of, results_settings
 
 from service.errors import CommandRejected, SourceLost, SourceRejected
 from service.hardened import Limits, Role, UserStore
 from service.identification.inversion import Inversion
-from service.identification.samples import Quality, Status
+from service.identification.samples import Status
 from service.opcua.results_client import ResultsClient, SourceSettings
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
     EstimatorDescription,
-    EstimatorResult,
-    InverseResult,
     ValveDescription,
 )
 
@@ -31,20 +29,6 @@ VALVE = ValveDescription(
     map_dp=(0.0, 50.0, 200.0),
     counters=("late",),
 )
-
-RESULT = EstimatorResult(
-    t=1_000,
-    quality=Quality.GOOD,
-    theta=np.array([1.0, -2.5]),
-    std=np.array([0.1, 0.2]),
-    predicted=50.0,
-    residual=0.5,
-    residual_rmse=0.4,
-    sample_count=7,
-    status=Status.OK,
-    noise_std=0.3,
-)
-INVERSE = InverseResult(1_000, Quality.GOOD, 42.0, 0, np.zeros((1, 1)))
 
 
 class Operator:
@@ -163,7 +147,7 @@ async def test_what_is_followed_comes_by_itself_result_by_result(served, client)
     await client.follow(["V1.Frame", "V1.Diagnostics.Late", "V1.RLS.Nonsense"], 0.1)
     await changes(client, lambda id_, _: id_ == "V1.Diagnostics.Late")
     for count in range(1, 6):
-        await served[0].publish(results_of(0, {"RLS": RESULT}, INVERSE, late=count))
+        await served[0].publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, late=count))
         await asyncio.sleep(0.06)  # the server's sampling
     found = await changes(client, lambda id_, r: id_.endswith("Late") and r.value == 5)
     sequences = [r.value[0] for id_, r in found if id_ == "V1.Frame" and r.value]
@@ -175,7 +159,7 @@ async def test_whoever_follows_less_is_sent_less_and_nothing_is_left_behind(serv
     await client.follow(["V1.Frame", "V1.Diagnostics.Late"], 0.1)
     await changes(client, lambda id_, _: id_ == "V1.Diagnostics.Late")
     await client.follow(["V1.Diagnostics.Late"], 0.1)
-    await served[0].publish(results_of(0, {"RLS": RESULT}, INVERSE, late=9))
+    await served[0].publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, late=9))
     found = await changes(client, lambda _, r: r.value == 9)
     assert {id_ for id_, _ in found} == {"V1.Diagnostics.Late"}
     for _ in range(2):

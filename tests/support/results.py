@@ -5,8 +5,29 @@ from dataclasses import fields
 import numpy as np
 
 from service.hardened import ServerSettings
+from service.identification.samples import Quality, Status
 from service.opcua.results_server import NAMESPACE
-from service.streaming.ports import EstimatorResults, InverseResults, Results
+from service.streaming.ports import (
+    EstimatorResult,
+    EstimatorResults,
+    InverseResult,
+    InverseResults,
+    Results,
+)
+
+ESTIMATOR = EstimatorResult(
+    t=1_000,
+    quality=Quality.GOOD,
+    theta=np.array([1.0, -2.5]),
+    std=np.array([0.1, 0.2]),
+    predicted=50.0,
+    residual=0.5,
+    residual_rmse=0.4,
+    sample_count=7,
+    status=Status.OK,
+    noise_std=0.3,
+)
+INVERSE = InverseResult(1_000, Quality.GOOD, 42.0, 0, np.zeros((1, 1)))
 
 
 def results_of(valve, estimators, inverse, signals=None, waiting=(), **counters):
