@@ -1,158 +1,38 @@
 """`Auto`: the structure of the map chosen online, by prequential error and BIC."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import ClassVar, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification import coloured_noise, drift, jitter, lag_search
-from service.identification import fit_budget as budget
+from service.identification import auto_lags
 from service.identification.adaptation import Adaptation
+from service.identification.auto_fits import refit
+from service.identification.auto_state import (
+    CHAMPION,
+    AutoState,
+    Counts,
+    empty,
+    shape_of,
+    surface_of,
+)
 from service.identification.change import Change
-from service.identification.contents import Contents
-from service.identification.estimator import State
 from service.identification.fleet import alone, member, update_one
 from service.identification.kernels import cells as memory
-from service.identification.kernels import grid, held, ladder, lag, map_fit
+from service.identification.kernels import ladder, lag
 from service.identification.kernels import surface as kernel
-from service.identification.kernels.climb import IDLE
 from service.identification.kernels.surface import Surface
-from service.identification.map_search import (
-    RICH,
-    STARTS,
-    climb,
-    fit,
-    fresh_start,
-    is_better,
-    is_resting,
-    variety,
-)
-from service.identification.map_shapes import (
-    AXES,
-    BAND,
-    CELLS,
-    MOST,
-    MOST_S,
-    MOST_U,
-    PRESSURES,
-    Shape,
-    Variety,
-    dp_top,
-)
+from service.identification.map_shapes import Shape
 from service.identification.model_structures import FiveTerms, Structure
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
-CHAMPION, CHALLENGER, EXPLORER = 0, 1, 2
-STARTED: Final = 0
-ENOUGH_CELLS: Final = 24  # cells from which on shapes are compared
-RESTING_STEPS: Final = 2  # neighbours tried at a fit once all were tried in vain
-RESTED: Final = 60  # neighbours tried in vain from which on fits are rare
-WORSE: Final = 1.02**2  # how much larger a challenger's squares may be that becomes champion
 UNKNOWN: Final = 1e4  # variance over σ² of a map that says nothing
-SPIKE, FEW = 30.0, 3.0  # usual misfits, samples: farther off and of fewer, a cell is a spike
-NEW_START: Final = 1.25  # growth of the known cells that has the search start anew
-FIRST_LOOK: Final = lag.ROWS  # samples kept before lags are looked for
-SURE_AFTER: Final = 12_000  # samples: what changes before may still be the map itself
-AFTER_CHANGE: Final = 300  # samples in which a map follows what is no lag
-STAYS: Final = 0.5  # of the change's square: so large residuals are after one that is a lag
-LAG_MOVED: Final = 0.15, 0.004  # share, s: a lag that moves farther has the map start anew
-Counts = NDArray[np.int64]
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
-
-
-@dataclass(frozen=True)
-class AutoState(State):
-    """What `Auto` knows; arrays of constant size.
-
-    Attributes
-    ----------
-    cells : (640, 7) float32
-        Weight and means of U, s, T, direction, Q and time of the samples of each cell that has a
-        slot.
-    slots : (3264,) uint16
-        One more than the slot of each cell of the grid, see :mod:`kernels.grid`; 0 for none.
-    recent : (704, 4) float32
-        The last samples, for the search for lags, see :mod:`kernels.lag`.
-    shapes : (3, 6), top : (1,)
-        Shapes of champion, challenger and explorer, and the pressure their splines reach to, bar.
-    knots_U, knots_s, coefficients, sizes : (2, …)
-        The maps of champion and challenger, padded with 0; sizes (n_U, n_s).
-    theta : (n + 8,)
-        Parameters of the champion, padded with 0.
-    inverse, mixed, corner
-        The champion's inverse information, see :func:`kernels.map_fit.fit`; float32 but the last.
-    scalars, counters
-        See :mod:`kernels.cells`.
-    progress : (3, 2)
-        The explorer's starts so far, and of how many cells; how far challenger and explorer came
-        in trying their neighbours, see :func:`map_search.climb`.
-    """
-
-    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
-
-    cells: NDArray[np.float32]
-    slots: NDArray[np.uint16]
-    recent: NDArray[np.float32]
-    shapes: Floats
-    top: Floats
-    knots_U: Floats
-    knots_s: Floats
-    coefficients: Floats
-    sizes: Counts
-    theta: Floats
-    inverse: NDArray[np.float32]
-    mixed: NDArray[np.float32]
-    corner: Floats
-    scalars: Floats
-    counters: Counts
-    progress: Counts
-
-    def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them; places that kernels count by lie within their arrays."""
-        every, path = slice(None), memory.LAGS
-        scalars = Contents(self.scalars).within(-1.0, 1.0, memory.TOWARDS)
-        scalars.or_nan([memory.LAST_U, memory.VARIANCE, memory.LEFT_U])
-        scalars.or_nan([path + k for k in (lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED)])
-        of_noise = [memory.NOISE, memory.NOISE_WEIGHT, memory.POWER, memory.VARIANCE]
-        scalars.within(0.0, where=of_noise)
-        scalars.within(0.0, 1.0, memory.REACTS)
-        scalars.within(0.0, where=[path + lag.LAG_U, path + lag.LAG_Q])
-        counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
-        counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
-        counters.any_time([memory.LAGGING + lag.TIME, memory.LAGGING + lag.KEPT_TIME])
-        counters.any_time([memory.NEXT_LOOK, memory.NEW_CELLS, memory.SPENT])
-        counters.within(0, grid.SLOTS, memory.TAKEN)
-        shapes = Contents(self.shapes).within(0.0, CELLS[-1], (every, ladder.CELLS_OF))
-        shapes.within(0.0, len(AXES) - 1.0, (every, ladder.AXIS))
-        shapes.within(0.0, ladder.MOST_DEAD, (every, ladder.DEAD_BAND))
-        shapes.within(ladder.LEAST_FULL, 100.0, (every, ladder.SATURATION))
-        shapes.within(0.0, ladder.MOST_PLAY, (every, ladder.PLAY))
-        shapes.within(0.0, 1.0, (every, ladder.TREND))
-        shapes.or_nan((every, [ladder.DEAD_BAND, ladder.SATURATION]))
-        return {
-            "cells": Contents(self.cells).within(0.0, where=(every, grid.WEIGHT)),
-            "slots": Contents(self.slots).within(0, grid.SLOTS),
-            "shapes": shapes,
-            "top": Contents(self.top).within(PRESSURES[0], PRESSURES[-1]),
-            "sizes": Contents(self.sizes).within(0, MOST),
-            "scalars": scalars,
-            "counters": counters,
-        }
-
-    def is_coherent(self) -> bool:
-        """Whether shapes are steps of the ladder, and the maps as large as their shapes."""
-        whole = [ladder.CELLS_OF, ladder.AXIS, ladder.TREND]
-        known = (self.shapes[:, whole] == np.rint(self.shapes[:, whole])).all()
-        if not known or not np.isin(self.shapes[:, ladder.CELLS_OF], CELLS).all():
-            return False
-        return all(_is_of_its_shape(self, which) for which in (CHAMPION, CHALLENGER)) and (
-            _shape(self, EXPLORER).size <= MOST
-        )
 
 
 @dataclass(frozen=True)
@@ -161,7 +41,7 @@ class Auto:
 
     A grid of cells over (U, √dp), split by temperature and direction of U, remembers the mean of
     the samples that fell into each. To these means, weighted by their numbers, any structure is
-    fitted by least squares, eq. (16), when news and the budget
+    fitted by least squares, eq. (16), when new cells and the budget
     (:mod:`~service.identification.fit_budget`) call for it. The ladder
     (:class:`~service.identification.map_shapes.Shape`) leads from eq. (7) to cubic tensor splines
     of many cells, with a dead band, a saturation, hysteresis (U lags by half its width) and a trend
@@ -236,33 +116,7 @@ class Auto:
 
     def initial_state(self) -> AutoState:
         """State before the first sample."""
-        scalars = np.zeros(memory.SCALARS)
-        scalars[[memory.LAST_U, memory.VARIANCE, memory.LEFT_U]] = math.nan
-        path = scalars[memory.LAGS :]
-        path[lag.U_EFFECT] = path[lag.Q_METERED] = path[lag.RIVAL_METERED] = math.nan
-        path[lag.LAG_U], path[lag.LAG_Q] = self.lag_U or 0.0, self.lag_Q or 0.0
-        counters = np.zeros(memory.COUNTERS, np.int64)
-        counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = budget.FIRST_FIT
-        looked_for = self.lag_U is None or self.lag_Q is None
-        counters[memory.NEXT_LOOK] = FIRST_LOOK if looked_for else np.iinfo(np.int64).max
-        return AutoState(
-            cells=np.zeros((grid.SLOTS, len(grid.COLUMNS)), np.float32),
-            slots=np.zeros(grid.PLACES * grid.CELLS_OF_A_PLACE, np.uint16),
-            recent=np.zeros((lag.ROWS, 4), np.float32),
-            shapes=np.stack([Shape().to_array()] * 3),
-            top=np.array([dp_top(0.0)]),
-            knots_U=np.zeros((2, MOST_U + 4)),
-            knots_s=np.zeros((2, MOST_S + 4)),
-            coefficients=np.zeros((2, 2 * MOST)),
-            sizes=np.zeros((2, 2), np.int64),
-            theta=np.zeros(MOST + kernel.BORDER),
-            inverse=np.zeros((MOST, BAND), np.float32),
-            mixed=np.zeros((MOST, kernel.BORDER), np.float32),
-            corner=np.zeros((kernel.BORDER, kernel.BORDER)),
-            scalars=scalars,
-            counters=counters,
-            progress=np.zeros((3, 2), np.int64),
-        )
+        return empty(self.lag_U, self.lag_Q)
 
     def update(self, state: AutoState, samples: Samples) -> tuple[AutoState, Trace]:
         """Take N samples in, one after another."""
@@ -291,7 +145,10 @@ class Auto:
             while segment < len(segments.members):
                 segment, row = memory.run_many(segment, row, batch, *segments, longest, fleet)
                 if segment < len(segments.members):
-                    self._attend(member(states, int(segments.members[segment])))
+                    state = member(states, int(segments.members[segment]))
+                    auto_lags.attend(state, (self.lag_U, self.lag_Q))
+                    if memory.is_due(state.counters):
+                        refit(state, self.steps)
         return trace
 
     def parameters_many(self, states: AutoState) -> tuple[Floats, Floats]:
@@ -328,10 +185,10 @@ class Auto:
         self, state: AutoState, U: Floats, dp: Floats, T: Floats, direction: Floats
     ) -> tuple[Floats, Floats]:
         """Flow and standard deviation with U coming from below (1) or above (-1)."""
-        n = _shape(state, CHAMPION).size
+        n = shape_of(state, CHAMPION).size
         Q, spread = np.empty(len(U)), np.empty(len(U))
         kernel.evaluate(
-            *_surface(state, CHAMPION),
+            *surface_of(state, CHAMPION),
             state.inverse[:n].astype(np.float64),
             state.mixed[:n].astype(np.float64),
             state.corner,
@@ -350,7 +207,7 @@ class Auto:
         """Direction of U (N,) along a path of its own, for :meth:`predict_along`."""
         scalars = state.scalars.copy()
         scalars[memory.LAST_U] = math.nan
-        play = _shape(state, CHAMPION).play
+        play = shape_of(state, CHAMPION).play
         return np.array([memory.follow(u, play, scalars) for u in U], np.float64)
 
     def approached(self, state: AutoState, U: Floats) -> Floats:
@@ -359,7 +216,7 @@ class Auto:
         From where the valve stands now: through its play in the direction it has to go. Less than
         an eighth of the loop is no reason to move.
         """
-        last, play = float(state.scalars[memory.LAST_U]), _shape(state, CHAMPION).play
+        last, play = float(state.scalars[memory.LAST_U]), shape_of(state, CHAMPION).play
         if not play or math.isnan(last):
             return U
         way = U - (last - play * float(state.scalars[memory.TOWARDS]))
@@ -383,15 +240,15 @@ class Auto:
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
-        return _surface(state, CHAMPION)
+        return surface_of(state, CHAMPION)
 
     def describe(self, state: AutoState) -> str:
         """Which structure speaks now."""
-        return _shape(state, CHAMPION).describe()
+        return shape_of(state, CHAMPION).describe()
 
     def structure_now(self, state: AutoState) -> Structure | None:
         """Eq. (7), where it speaks alone; None for a spline, known only where samples were."""
-        return None if _shape(state, CHAMPION).cells else FiveTerms()
+        return None if shape_of(state, CHAMPION).cells else FiveTerms()
 
     def lags(self, state: AutoState) -> tuple[float, float]:
         """Lag of U's effect and of the flow meter, s, as they are taken into account."""
@@ -432,218 +289,6 @@ class Auto:
             size=float(state.scalars[memory.CHANGE_SIZE]),
         )
 
-    def _attend(self, state: AutoState) -> None:
-        """Do what is due of one valve; its state is written in place."""
-        kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
-        self._doubt_lags(state, kept)
-        if kept >= state.counters[memory.NEXT_LOOK]:
-            self._look_for_lags(state, kept)
-            since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-            state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
-        if memory.is_due(state.counters):
-            self._refit(state)
-
-    def _doubt_lags(self, state: AutoState, kept: int) -> None:
-        """After a change that no map follows look for lags soon, and as often as at first."""
-        counters = state.counters
-        looked_for = self.lag_U is None or self.lag_Q is None
-        at = counters[memory.CHANGE_SAMPLE]
-        is_new = AFTER_CHANGE <= counters[memory.USED] - at < lag.ROWS
-        size, variance = state.scalars[[memory.CHANGE_SIZE, memory.VARIANCE]]
-        stays = at > SURE_AFTER and variance > STAYS * size * size
-        if (
-            looked_for
-            and counters[memory.ALARMS]
-            and is_new
-            and stays
-            and counters[memory.NEXT_LOOK] > kept + lag.ROWS
-        ):
-            counters[memory.NEXT_LOOK] = kept + lag.ROWS
-            counters[memory.LAGGING + lag.LOOKED_FROM] = kept
-
-    def _look_for_lags(self, state: AutoState, kept: int) -> None:
-        """Weigh what the last samples say of the lags; where they move, the map starts anew."""
-        rows = _last_rows(state)
-        path = state.scalars[memory.LAGS :]
-        before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
-        since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-        doubted = before if since > 0 and kept - since <= lag.ROWS else None
-        given = self.lag_U, self.lag_Q
-        found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
-        share, least = LAG_MOVED
-        moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
-        path[lag.LAG_U], path[lag.LAG_Q] = found
-        if moved:
-            self._start_anew(state)
-
-    def _start_anew(self, state: AutoState) -> None:
-        """Forget the map, and keep what is known of time, lags and changes."""
-        fresh, path = self.initial_state(), state.scalars[memory.LAGS :].copy()
-        path[[lag.Q_METERED, lag.RIVAL_METERED]] = math.nan
-        kept = [
-            *(memory.USED, memory.ALARMS, memory.NEXT_LOOK, memory.TOO_FAST),
-            *(memory.CHANGE_SAMPLE, memory.CHANGE_TIME),
-            *range(memory.LAGGING, memory.COUNTERS),
-        ]
-        counters, size = fresh.counters, state.scalars[memory.CHANGE_SIZE]
-        counters[kept] = state.counters[kept]
-        counters[memory.OPENED] = counters[memory.USED]
-        counters[memory.NEXT_FIT] += counters[memory.USED]
-        for field in fields(state):
-            if field.name != "recent":
-                getattr(state, field.name)[...] = getattr(fresh, field.name)
-        state.scalars[memory.LAGS :], state.scalars[memory.CHANGE_SIZE] = path, size
-
-    def _refit(self, state: AutoState) -> None:
-        """Promote the challenger if it did well, let it climb, fit both."""
-        scalars, counters, progress = state.scalars, state.counters, state.progress
-        now = counters[memory.LAGGING + lag.TIME]
-        ahead = drift.set_clock(state.cells, scalars, 1e-9 * float(now - counters[memory.CLOCK]))
-        counters[memory.CLOCK] = now
-        if (reacts := jitter.reacts(_last_rows(state))) is not None:
-            scalars[memory.REACTS] = reacts
-        coloured_noise.reckon(state.cells, scalars)
-        points = _trusted(state, ahead)
-        if not len(points):
-            budget.next_fit(counters, 0, at_rest=False)
-            return
-        top = dp_top(float(points[:, grid.MEAN_S].max()))
-        champion, challenger, explorer = (Shape.from_array(shape) for shape in state.shapes)
-        if scalars[memory.CHALLENGER_SQUARES] <= WORSE * scalars[memory.CHAMPION_SQUARES]:
-            champion = challenger
-        if counters[memory.NEW_CELLS] <= 0:
-            progress[CHALLENGER, IDLE] = 0
-        if len(points) > NEW_START * progress[STARTED, 1]:
-            progress[STARTED] = 0, len(points)
-        if len(points) >= ENOUGH_CELLS:
-            shared = held.shared(state.slots, state.cells)
-            varied = variety(shared, points, sum(self.lags(state)))
-            least = coloured_noise.least_variance(scalars)
-            challenger, explorer = self._climb(
-                points, challenger, explorer, top, varied, state, least
-            )
-        best = fit(points, champion, top)
-        rival = best if challenger == champion else fit(points, challenger, top)
-        budget.spend(counters, 2 * _cost(points, challenger))
-        freedom = max(len(points) - best.n_effective, 1.0)
-        scalars[memory.VARIANCE] = max(
-            best.rss / freedom, scalars[memory.NOISE], scalars[memory.POWER]
-        )
-        scalars[memory.EXCITATION] = best.n_effective
-        scalars[[memory.CHAMPION_SQUARES, memory.CHALLENGER_SQUARES]] = 0.0
-        at_rest = champion == challenger and progress[CHALLENGER, IDLE] > RESTED
-        at_rest = at_rest and not drift.is_sure(scalars)
-        budget.next_fit(counters, len(points), at_rest=at_rest)
-        counters[[memory.FITTED, memory.FRESH]] = 1
-        state.shapes[:] = [x.to_array() for x in (champion, challenger, explorer)]
-        state.top[0] = top
-        n = champion.size
-        state.theta[:] = 0.0
-        state.theta[:n], state.theta[MOST:] = best.theta[:n], best.theta[n:]
-        state.inverse[:n], state.mixed[:n], state.corner[:] = best.inverse, best.mixed, best.corner
-        state.inverse[n:], state.mixed[n:] = 0.0, 0.0
-        for which, shape, found in ((CHAMPION, champion, best), (CHALLENGER, challenger, rival)):
-            write_map(state, which, shape, found.theta, top)
-
-    def _climb(
-        self,
-        points: Floats,
-        challenger: Shape,
-        explorer: Shape,
-        top: float,
-        varied: Variety,
-        state: AutoState,
-        least: float,
-    ) -> tuple[Shape, Shape]:
-        """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
-        progress, counters = state.progress, state.counters
-        rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
-        resting = is_resting(challenger, varied, progress[CHALLENGER])
-        steps = self._affordable(counters, points, challenger)
-        steps = min(steps, RESTING_STEPS) if resting else steps
-        if steps < 1:
-            return challenger, explorer
-        challenger = climb(
-            points, challenger, top, varied, steps, progress[CHALLENGER], least, rich
-        )
-        budget.spend(counters, (steps + 2) * _cost(points, challenger))
-        if not resting or progress[STARTED, 0] > len(STARTS):
-            return challenger, explorer
-        if is_resting(explorer, varied, progress[EXPLORER]) or not progress[STARTED, 0]:
-            explorer = fresh_start(progress[STARTED, 0], challenger)
-            progress[STARTED, 0] += 1
-            progress[EXPLORER] = 0
-        steps = self._affordable(counters, points, explorer)
-        if steps < 1:
-            return challenger, explorer
-        explorer = climb(
-            points, explorer, top, varied, steps, progress[EXPLORER], least, rich_elsewhere
-        )
-        budget.spend(counters, (steps + 5) * _cost(points, explorer))
-        if progress[EXPLORER, IDLE] and is_better(points, explorer, challenger, top, least, rich):
-            challenger = explorer
-            progress[CHALLENGER] = 0
-        return challenger, explorer
-
-    def _affordable(self, counters: Counts, points: Floats, shape: Shape) -> int:
-        """Steps of the ladder that the budget allows now."""
-        return budget.steps(counters, _cost(points, shape), self.steps)
-
-
-def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: float) -> None:
-    """Write the map of champion or challenger as the kernels take it."""
-    plan = shape.plan(top)
-    n_U, n_s = len(plan.sites_U), len(plan.sites_s)
-    table = np.empty((n_U, n_s, 2))
-    map_fit.coefficients(plan, theta, table)
-    state.sizes[which] = n_U, n_s
-    state.knots_U[which, : n_U + 4], state.knots_s[which, : n_s + 4] = plan.knots_U, plan.knots_s
-    state.coefficients[which, : table.size] = table.ravel()
-
-
-def _last_rows(state: AutoState) -> Floats:
-    """The last samples kept, in the order of time."""
-    kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
-    rows = np.roll(state.recent, -(kept % lag.ROWS), axis=0) if kept >= lag.ROWS else state.recent
-    return rows[:kept].astype(np.float64)
-
-
-def _is_of_its_shape(state: AutoState, which: int) -> bool:
-    n_U, n_s = state.sizes[which].tolist()
-    shape = _shape(state, which)
-    if not n_U:
-        return not n_s and not shape.size
-    plan = shape.plan(float(state.top[0]))
-    return (
-        shape.size <= MOST
-        and (n_U, n_s) == (len(plan.sites_U), len(plan.sites_s))
-        and np.array_equal(state.knots_U[which, : n_U + 4], plan.knots_U)
-        and np.array_equal(state.knots_s[which, : n_s + 4], plan.knots_s)
-    )
-
-
-def _cost(points: Floats, shape: Shape) -> int:
-    band = 3 * (len(AXES[shape.axis]) + 2) + 4
-    return budget.cost(len(points), shape.size, band)
-
-
-def _trusted(state: AutoState, ahead: float) -> Floats:
-    """Cells that hold samples, as they will be in ``ahead`` s.
-
-    But for those of a few samples far off all others: spikes.
-    """
-    points = drift.carried(held.points(state.cells), state.scalars, ahead)
-    if not state.counters[memory.FITTED] or not len(points):
-        return points
-    misfit = kernel.misfit(_surface(state, CHAMPION), points)
-    usual = max(
-        float(np.partition(misfit, len(misfit) // 2)[len(misfit) // 2]),
-        math.sqrt(state.scalars[memory.NOISE]),
-        1e-4 * float(np.abs(points[:, grid.MEAN_Q]).max()),
-    )
-    spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
-    return points[~spiked]
-
 
 def _known(
     Q: Floats,
@@ -662,21 +307,3 @@ def _known(
 @lru_cache(maxsize=1024)
 def _described(shape: bytes) -> str:
     return Shape.from_array(np.frombuffer(shape)).describe()
-
-
-def _surface(state: AutoState, which: int) -> Surface:
-    n_U, n_s = state.sizes[which].tolist()
-    if not n_U:
-        return Surface(np.zeros(8), np.zeros(8), memory.NODES_T, np.zeros((4, 4, 2)), 0.0)
-    table = state.coefficients[which, : 2 * n_U * n_s].reshape(n_U, n_s, 2)
-    return Surface(
-        state.knots_U[which, : n_U + 4],
-        state.knots_s[which, : n_s + 4],
-        memory.NODES_T,
-        table,
-        _shape(state, which).play,
-    )
-
-
-def _shape(state: AutoState, which: int) -> Shape:
-    return Shape.from_array(state.shapes[which])

@@ -8,6 +8,10 @@ sample to sample is taken off. Looks add up as information does::
     J(x) = N·ln(squares) ~ (x - x̂)ᵀ·Λ·(x - x̂),   Σ = ΣΛ,   b = ΣΛ·x̂,   x = Σ⁻¹·b
 
 A lag is claimed if without it J would be larger by CLEAR.
+
+x are the *delays* that the lags make of samples, ``step / (exp(step / lag) - 1)``, see `delay`: for
+a slow lag nearly the lag itself, for one faster than a step next to nothing. Over the lags J would
+be flat there and steep behind, and a parabola through it would claim what nobody has seen.
 """
 
 import math
@@ -25,7 +29,7 @@ from service.identification.samples import Floats
 TRIED_U: Final = (0.0, 0.03, 0.1)  # s
 TRIED_Q: Final = (0.0, 0.03, 0.08, 0.2, 0.45)  # s
 MOST: Final = 0.6  # s: slower ones are not looked for
-LEAST: Final = 0.010  # s: less is none, one sample at 100 Hz
+LEAST: Final = 0.010  # s: a shorter delay is none, one sample at 100 Hz
 FIRST_STEP: Final = 0.3  # of a lag, or LEAST_STEP: the first step
 LEAST_STEP: Final = 0.006  # s
 ROUNDS: Final = 6  # steps along either lag, halvings included
@@ -35,10 +39,12 @@ NEAR: Final = 0.004  # s: how far around a pair they look
 LEAST_BEND: Final = 1.0  # 1/s²: next to nothing, where the score does not bend upwards
 LEAST_GAIN: Final = 0.5  # in J: less is no reason for another one
 LEAST_WAY: Final = 0.3, 1.0  # ranges that U, and Q, must travel within the rows to tell a lag
+PERCENT_OF_S: Final = 7.0  # √bar that count as much as a % of U: 14 √bar are the range
+MOST_STEPS: Final = 500.0  # steps of a lag's time: what is faster comes at once
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
-WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, smoothed jitter gains up to 120
+WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, its smoothed jitter gains 120
 COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
@@ -56,18 +62,19 @@ def look(
 
     The first look searches everywhere, later ones around what is known. Where lags are ``doubted``,
     it searches everywhere again, and drops what was known of them if these rows clearly speak
-    against them, not else. Jitter of U is taken off before, as a lag would smooth it and so seem to
-    explain the flow better; what is left of it lets a look count for less.
+    against them, not else. Jitter of U and s is taken off before, as a lag would smooth it and seem
+    to explain the flow better; what is left of it lets a look count for less.
     """
-    rows, worth = np.ascontiguousarray(rows, np.float64), 1.0
-    if jitter.is_small(rows[:, kernel.LEFT_U]):
-        rows, worth = rows.copy(), WORTH_OF_JITTERY
-        rows[:, kernel.LEFT_U] = jitter.taken_off(rows[:, kernel.LEFT_U])
+    rows, worth = np.array(rows, np.float64), 1.0
+    for column, unit in ((kernel.LEFT_U, 1.0), (kernel.LEFT_S, PERCENT_OF_S)):
+        if jitter.is_small(unit * rows[:, column]):
+            rows[:, column], worth = jitter.taken_off(rows[:, column]), WORTH_OF_JITTERY
+    step = _usual_step(rows)
     squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
     if counted >= LEAST_ROWS and squares > 0.0:
 
-        def score(lags: Pair, rho: float) -> float:
-            left = kernel.misfit(rows, *lags, rho)[0]
+        def score(delays: Pair, rho: float) -> float:
+            left = kernel.misfit(rows, *_lags(delays, step), rho)[0]
             return worth * float(counted * math.log(max(left, 1e-12 * squares)))
 
         near = _resolved(known) if known[LOOKED] and doubted is None else None
@@ -78,17 +85,38 @@ def look(
         if rho:
             at = _search(partial(score, rho=rho), near, free)
         found = _bowl(partial(score, rho=rho), at, free)
-        if found is not None and worth < 1.0:
-            _claim_no_more(found, score((0.0, 0.0), rho) - score(at, rho))
+        if found is not None:
+            _claim_no_more(found, partial(score, rho=rho), at, free)
         if found is not None and doubted is not None:
-            refuted = score(doubted, rho) - score(at, rho) > CLEAR
+            before = delay(doubted[0], step), delay(doubted[1], step)
+            refuted = score(before, rho) - score(at, rho) > CLEAR
             known[:] = found if refuted else known
         elif found is not None:
             known[UU:] *= KEPT
             known += found
-    claimed = _claimed(known)
+    claimed = _claimed(known, step)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
+
+
+def delay(lag: float, step: float) -> float:
+    """By how much samples ``step`` s apart come later behind a first-order ``lag``, s.
+
+    >>> round(delay(0.2, 0.01), 3), round(delay(0.02, 0.1), 4)
+    (0.195, 0.0007)
+    """
+    return step / math.expm1(min(step / lag, MOST_STEPS)) if lag > 0.0 else 0.0
+
+
+def _lags(delays: Pair, step: float) -> Pair:
+    U, Q = (step / math.log1p(step / x) if x > 0.0 else 0.0 for x in delays)
+    return U, Q
+
+
+def _usual_step(rows: Floats) -> float:
+    steps = rows[:, kernel.STEP]
+    within = steps[(steps > 0.0) & (steps < kernel.GAP)]
+    return float(np.median(within)) if len(within) else kernel.GAP
 
 
 def _moved(rows: Floats, column: int) -> float:
@@ -99,13 +127,21 @@ def _moved(rows: Floats, column: int) -> float:
 
 
 def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool, bool]) -> Pair:
-    """The pair of the lowest score: steps along either lag from a few pairs, then Newton's.
+    """The pair of the lowest score: from what is known, or from the best of a few pairs.
 
-    The score's valley is narrow and lies askew: more of one lag stands for less of the other.
+    The score's valley is narrow and lies askew: more of one lag stands for less of the other. So
+    its ends, where one stands for both, are beginnings, too.
     """
-    if near is None:
-        tried = product(TRIED_U if free[0] else (0.0,), TRIED_Q if free[1] else (0.0,))
-        near = _stepped(score, min(tried, key=score), free)
+    if near is not None:
+        return _descended(score, near, free)
+    tried = product(TRIED_U if free[0] else (0.0,), TRIED_Q if free[1] else (0.0,))
+    near = _stepped(score, min(tried, key=score), free)
+    begun = (near, (0.0, sum(near)), (sum(near), 0.0)) if all(free) else (near,)
+    return min((_descended(score, pair, free) for pair in dict.fromkeys(begun)), key=score)
+
+
+def _descended(score: Callable[[Pair], float], near: Pair, free: tuple[bool, bool]) -> Pair:
+    """Newton's steps from a pair, as long as they lower the score."""
     least = score(near)
     for _ in range(NEWTONS):
         bowl = _bowl(score, near, free)
@@ -169,11 +205,23 @@ def _bowl(score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]) -> 
     return np.array([1.0, uu, uq, qq, b_U, b_Q])
 
 
-def _claim_no_more(found: Floats, gain: float) -> None:
-    """Have a look count for as much as J is larger without lags, where its bowl would for more."""
-    claim = float(found[B_U:] @ _resolved(found))
-    if claim > gain:
-        found[UU:] *= max(gain, LEAST_GAIN) / claim
+def _claim_no_more(
+    found: Floats, score: Callable[[Pair], float], at: Pair, free: tuple[bool, bool]
+) -> None:
+    """Have a look count for as much as J is larger elsewhere, where its bowl would for more.
+
+    Elsewhere is without lags, and at the valley's ends: of two minima the bowl sees its own alone.
+    """
+    least, here = score(at), np.array(_resolved(found))
+    both = sum(at)
+    for elsewhere in ((0.0, 0.0), (0.0, both), (both, 0.0)) if all(free) else ((0.0, 0.0),):
+        information = np.array([[found[UU], found[UQ]], [found[UQ], found[QQ]]])
+        push = information @ (elsewhere - here)
+        claim, gain = float(push @ (elsewhere - here)), max(score(elsewhere) - least, LEAST_GAIN)
+        if claim > gain:
+            information -= (1.0 - gain / claim) / claim * np.outer(push, push)
+            found[[UU, UQ, QQ]] = information[[0, 0, 1], [0, 1, 1]]
+            found[B_U:] = information @ here
 
 
 def _resolved(known: Floats) -> Pair:
@@ -190,8 +238,8 @@ def _resolved(known: Floats) -> Pair:
     return min(U, MOST), min(max(Q, 0.0), MOST)
 
 
-def _claimed(known: Floats) -> Pair:
-    """... and those of them that are clear."""
+def _claimed(known: Floats, step: float) -> Pair:
+    """The lags of those of them that are clear."""
     if not known[LOOKED]:
         return 0.0, 0.0
     _, uu, uq, qq, b_U, b_Q = known.tolist()
@@ -207,4 +255,4 @@ def _claimed(known: Floats) -> Pair:
     if -excess(*chosen) < CLEAR:
         return 0.0, 0.0
     U, Q = (min(x, MOST) if x >= LEAST else 0.0 for x in chosen)
-    return U, Q
+    return _lags((U, Q), step)

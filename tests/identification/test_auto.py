@@ -6,7 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from service.identification.auto import Auto, AutoState
+from service.identification.auto import Auto
+from service.identification.auto_state import AutoState
 from service.identification.inverse_map import invert
 from service.identification.inversion import InverseStatus
 from service.identification.map_shapes import Shape
@@ -109,10 +110,14 @@ def test_the_map_of_valves_unlike_eq_7_is_found_to_half_the_noise(valve, data, p
 @pytest.mark.parametrize("data", ["structured", "scattered"])
 def test_the_map_of_the_rigs_valve_is_found_to_half_the_noise(data):
     excitation = Structured(levels_percent=UP, sweep_s=6.0) if data == "structured" else Scattered()
-    samples, _, points = rig_block(excitation, 12_600, hysteresis=0.0)
-    auto, state, _ = learn(samples)
-    error = auto.predict(state, points.U, points.dp, points.T)[0] - points.Q
-    assert np.sqrt(np.mean(error**2)) / SIGMA <= 0.5
+    errors = []
+    for seed in range(5):
+        samples, _, points = rig_block(excitation, 12_600, hysteresis=0.0, seed=seed)
+        auto, state, _ = learn(samples)
+        error = auto.predict(state, points.U, points.dp, points.T)[0] - points.Q
+        errors.append(np.sqrt(np.mean(error**2)) / SIGMA)
+    assert np.median(errors) <= 0.5, errors
+    assert max(errors) <= 1.0, errors
 
 
 def test_levels_that_only_rise_teach_the_rising_branch_of_the_hysteresis():
@@ -233,7 +238,7 @@ def test_a_change_of_the_valve_is_found_and_followed_within_500_samples(sigma):
         return eq_7(U, dp, a4=0.126)
 
     errors = []
-    for seed in range(3):
+    for seed in range(8):
         auto, state, _ = learn(samples_of(eq_7, *scatter(5000, seed), sigma, seed=seed))
         assert state.counters[3] == 0
         after = samples_of(worn, *scatter(500, 50 + seed), sigma, seed=50 + seed)

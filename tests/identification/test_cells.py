@@ -64,3 +64,23 @@ def test_what_is_known_at_one_temperature_is_not_held_against_another():
     for T in (40.0, 60.0):
         Q, _ = auto.predict(state, U, dp, np.full(2, T))
         np.testing.assert_allclose(Q, 0.1 * U * np.sqrt(dp) * (1 + 2e-3 * (T - 40)), atol=0.15)
+
+
+def colour_of(errors):
+    scalars = np.zeros(memory.SCALARS)
+    scalars[memory.NOISE], scalars[memory.LAST_BUT_ONE] = 1.0, np.nan
+    for error in errors:
+        memory._know_colour.py_func(error, 1, scalars)
+    return memory.colour(scalars)
+
+
+def test_a_smooth_misfit_is_no_coloured_noise():
+    rng, N = np.random.default_rng(5), 6_000
+    white = rng.normal(size=N)
+    misfit = 8.0 * np.sin(np.arange(N) / 60.0)
+    noise = np.zeros(N)
+    for i in range(1, N):
+        noise[i] = 0.95 * noise[i - 1] + np.sqrt(1 - 0.95**2) * white[i]
+    assert colour_of(white) < 0.1
+    assert colour_of(white + misfit) < 0.4
+    assert colour_of(noise) > 0.92

@@ -203,3 +203,13 @@ def test_eq_7_is_the_first_rung():
     theta = fit(points, Shape(), 200.0).theta[:5] / [1, 100, 10, 1000, 100]
     np.testing.assert_allclose(theta, [1, 0.1, 2, 0.1, 0.3], atol=1e-6)
     assert isinstance(FiveTerms(), Polynomial)
+
+
+def test_a_kink_beyond_which_no_cell_lies_is_none():
+    points = cells_of(lambda U, s, _T, _direction: 9 * np.tanh(U / 45) * s, sigma=0.4)
+    points = points[(points[:, 1] > 3.0) & (points[:, 1] < 96.0)]
+    for kinks in ({"dead_band": 3.0}, {"saturation": 96.0}):
+        shape = Shape(8, 1, **kinks)
+        assert criterion.bic(points, shape.to_array(), 200.0, 0.16) == np.inf
+    seen = Shape(8, 1, dead_band=6.0, saturation=93.0)
+    assert np.isfinite(criterion.bic(points, seen.to_array(), 200.0, 0.16))

@@ -29,8 +29,9 @@ NOISE, NOISE_WEIGHT, POWER, COLOUR, LAST_RESIDUAL, LEFT_U, LEFT_S = 2, 3, 4, 5, 
 CHAMPION_SQUARES, CHALLENGER_SQUARES, EXCITATION, VARIANCE = 9, 10, 11, 12
 MORE, LESS, WILDER, SLOW, LAST_Z, SUSPECT_SUM, CHANGE_SIZE = 13, 14, 15, 16, 17, 18, 19
 RATE_WEIGHT, ERROR_Q, SQUARE_Q, GAIN_VARIANCE, STAY, RATE = 20, 21, 22, 23, 24, 25
-COLOUR_WEIGHT, RECKONED, STEADY = 26, 27, 28  # the last two: see `_news`
-REFERENCE = 29  # from here on, as wide as a cell: see `_watch`
+COLOUR_WEIGHT, RECKONED, STEADY = 26, 27, 28  # the last two: see `_worth`
+DIFFER, DIFFER_TWICE, LAST_BUT_ONE = 29, 30, 31  # see `_know_colour`
+REFERENCE = 32  # from here on, as wide as a cell: see `_watch`
 REACTS = REFERENCE + len(grid.COLUMNS)  # 1 where U reacts to the noise, see `jitter`
 LAGS = REACTS + 1  # from here on see `lag`
 SCALARS = LAGS + lag.SCALARS
@@ -56,6 +57,7 @@ NOISE_MEMORY = 1000.0  # samples over which noise is averaged
 COLOUR_MEMORY = 2000.0  # samples over which the noise's correlation is averaged
 RATE_MEMORY = 10_000.0  # samples over which a gain that drifts is looked at
 OLDEST = 600.0  # s: a cell is carried on by no more than that, a machine may have stood still
+COLOUR_DOUBT = 8.0  # 4 standard errors of a correlation that differences tell, times √samples
 MOST_COLOUR = 0.97  # correlation of successive errors, at most
 SETTLED_CELL = 4.0  # samples in a cell from which on its error tells of colour and drift
 SMOOTH_U, SMOOTH_S = 15.0, 3.0  # %, √bar: over what ways a map says the same again
@@ -229,41 +231,49 @@ def _take(
     """One sample: through the lags, against the map, into its cell; its status."""
     scalars, counters = memory.scalars, memory.counters
     path = scalars[LAGS:]
-    direction = scalars[TOWARDS]
-    if counters[FRESH] and path[lag.LAG_Q] > 0.0:  # the lagged Q is that of the map before
-        here = _of(champion, path[lag.U_METERED], path[lag.S_METERED], T, direction, scratch)
-        there = _of(challenger, path[lag.U_METERED], path[lag.S_METERED], T, direction, scratch)
-        path[lag.Q_METERED] = here + path[lag.OFFSET]
-        path[lag.RIVAL_METERED] = there + path[lag.OFFSET]
+    lags, direction = path[lag.LAG_Q] > 0.0, scalars[TOWARDS]
+    if counters[FRESH] and lags:  # what the lag shows is the map before
+        _begin_anew(champion, challenger, T, direction, path, scratch)
     counters[FRESH] = 0
     lag.follow(batch.t[i], U, s, path, counters[LAGGING:])
-    U, at_U, at_s = path[lag.U_EFFECT], path[lag.U_METERED], path[lag.S_METERED]
+    U, at_U, at_s = path[lag.U_EFFECT], path[lag.U_SMOOTH], path[lag.S_SMOOTH]
     direction = follow(U, champion.play, scalars)
     clock = 1e-9 * (batch.t[i] - counters[CLOCK])
     weight = grid.known(grid.number(U, s, T, direction), memory.slots, memory.cells)
     if counters[USED] - counters[OPENED] < YOUNG:
         weight = 0.0
     settled = lag.belongs(s, weight, path)
-    status, forecast = _WARMING_UP, 0.0
+    is_known = lag.is_known(path)
+    status, forecast, learnt = _WARMING_UP, 0.0, Q
     if counters[FITTED]:
         status = _OK if scalars[EXCITATION] >= EXCITED else _UNEXCITED
-        said = lag.metered(_of(champion, U, s, T, direction, scratch), lag.Q_METERED, path)
+        mapped = _of(champion, U, s, T, direction, scratch)
+        said = lag.metered(mapped, lag.Q_METERED, path)
         rival = lag.metered(_of(challenger, U, s, T, direction, scratch), lag.RIVAL_METERED, path)
         batch.predicted[i], batch.residual[i] = said, Q - said
-        forecast = said
-        if path[lag.LAG_Q] > 0.0:
-            forecast = _of(champion, at_U, at_s, T, direction, scratch)
-            path[lag.OFFSET] = said - forecast  # the lagged map is not the map of what lags
         if settled:
             scalars[CHAMPION_SQUARES] += (Q - said) ** 2
             scalars[CHALLENGER_SQUARES] += (Q - rival) ** 2
+        forecast = said
+        if lags:
+            forecast = _of(champion, at_U, at_s, T, direction, scratch)
+            lag.curved(mapped, forecast, path)
+            lagged = _of(champion, path[lag.U_METERED], path[lag.S_METERED], T, direction, scratch)
+            path[lag.OFFSET] = said - lagged
+            if is_known and scalars[NOISE_WEIGHT] >= NOISE_KNOWN:
+                most = CLIP * math.sqrt(max(scalars[VARIANCE], scalars[NOISE]))
+                learnt = said + min(max(Q - said, -most), most)
+            Q -= said - forecast  # as a meter without a lag would show it, were the map right
+    doubt = 0.0
+    if lags:
+        learnt = lag.uncover(learnt, path)
+        doubt = abs(path[lag.CURVED])
+        if is_known:
+            learnt -= path[lag.CURVED]
+            doubt *= OFFSET_DOUBT
     if not settled:
         counters[TOO_FAST] += 1
         return status
-    doubt = abs(path[lag.OFFSET]) if path[lag.LAG_Q] > 0.0 else 0.0
-    if path[lag.FAMILIAR] > lag.WELL_KNOWN:
-        Q -= path[lag.OFFSET]
-        doubt *= OFFSET_DOUBT
     here = grid.slot_of(
         grid.number(at_U, at_s, T, direction),
         champion.play,
@@ -274,7 +284,7 @@ def _take(
     cell = memory.cells[here]
     near = abs(T - cell[MEAN_T]) <= NEAR_T
     if counters[FITTED] and cell[WEIGHT] >= KNOWN and near:
-        Q = _compare(
+        taken = _compare(
             champion,
             cell,
             Q,
@@ -288,12 +298,13 @@ def _take(
             counters,
             scratch,
         )
+        learnt = learnt if lags else taken
     if cell[WEIGHT] < NEW:
         counters[NEW_CELLS] -= 1
-    news = _news(at_U, at_s, scalars)
+    worth = _worth(at_U, at_s, scalars)
     if doubt > 0.0 and scalars[NOISE_WEIGHT] >= NOISE_KNOWN:
-        news *= scalars[NOISE] / max(scalars[NOISE] + doubt * doubt, 1e-30)
-    grid.learn(cell, news, longest, at_U, at_s, T, direction, Q, clock)
+        worth *= scalars[NOISE] / max(scalars[NOISE] + doubt * doubt, 1e-30)
+    grid.learn(cell, worth, longest, at_U, at_s, T, direction, learnt, clock)
     return status
 
 
@@ -305,6 +316,20 @@ def follow(U: float, play: float, scalars: Floats) -> float:
     towards: float = min(max(scalars[TOWARDS] + step / max(play, LEAST_PLAY), -1.0), 1.0)
     scalars[LAST_U], scalars[TOWARDS] = U, towards
     return towards
+
+
+@inner
+def _begin_anew(
+    champion: Surface, challenger: Surface, T: float, direction: float, path: Floats,
+    scratch: Floats,
+) -> None:  # fmt: skip
+    """Have a new map stand for what the one before has shown behind the lags."""
+    U, s = path[lag.U_METERED], path[lag.S_METERED]
+    path[lag.Q_METERED] = _of(champion, U, s, T, direction, scratch) + path[lag.OFFSET]
+    path[lag.RIVAL_METERED] = _of(challenger, U, s, T, direction, scratch) + path[lag.OFFSET]
+    first = _of(champion, path[lag.U_FIRST], path[lag.S_FIRST], T, direction, scratch)
+    smooth = _of(champion, path[lag.U_SMOOTH], path[lag.S_SMOOTH], T, direction, scratch)
+    path[lag.MAP_FIRST], path[lag.MAP_SMOOTH] = first + path[lag.CURVED], smooth + path[lag.CURVED]
 
 
 @inner
@@ -330,11 +355,11 @@ def _compare(
     grown = min(clock - cell[MEAN_TIME], OLDEST) * forecast
     error = Q - (cell[MEAN_Q] + forecast - at_mean) - scalars[RATE] * grown
     whitening = math.sqrt(cell[WEIGHT] / (cell[WEIGHT] + 1.0))
-    sigma = math.sqrt(scalars[NOISE])
+    sigma, is_known = math.sqrt(scalars[NOISE]), lag.is_known(scalars[LAGS:])
     if scalars[NOISE_WEIGHT] < NOISE_KNOWN:
         _know_noise(error * whitening, NOISE_MEMORY, scalars)
         return Q
-    if counters[USED] - counters[OPENED] >= YOUNG:
+    if is_known and counters[USED] - counters[OPENED] >= YOUNG:
         _enter(cell, here, scalars, counters)
         known = scalars[REFERENCE : REFERENCE + len(cell)]
         at_known = _of(
@@ -348,7 +373,8 @@ def _compare(
             most = ALARM_LEVEL if known[WEIGHT] >= SURE else MOST_OF_A_STAY
             _watch(whitened / max(math.hypot(sigma, doubt), 1e-9), off, t, most, scalars, counters)
     calm = max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL
-    if counters[USED] - counters[OPENED] >= KNOWN_MAP and cell[WEIGHT] >= SETTLED_CELL:
+    since = counters[USED] - counters[OPENED]
+    if is_known and since >= KNOWN_MAP and cell[WEIGHT] >= SETTLED_CELL:
         _know_rate(error + scalars[RATE] * grown, grown, scalars)
         if calm and abs(cell[MEAN_Q] - at_mean) <= FITTING * sigma:  # neither change nor misfit
             _know_colour(error, counters[USED] - counters[COMPARED], scalars)
@@ -356,7 +382,6 @@ def _compare(
     bound = CLIP * sigma / whitening
     if calm:
         limit = NOISE_CLIP * sigma
-        since = counters[USED] - counters[OPENED]
         longest = min(max(0.25 * since, NOISE_KNOWN), NOISE_MEMORY)
         _know_noise(min(max(error * whitening, -limit), limit), longest, scalars)
     plain = Q - cell[MEAN_Q]  # a map that is wild between few cells must not teach them itself
@@ -383,16 +408,26 @@ def _know_noise(error: float, longest: float, scalars: Floats) -> None:
 def _know_colour(error: float, ago: int, scalars: Floats) -> None:
     """Mean square of the errors against the cells, and mean product of successive ones.
 
-    A misfit cancels in them, so what is coloured is the noise. ``ago``: samples since the one
-    before.
+    A misfit cancels in them, so what is coloured is the noise; but for a map so poor that it
+    carries a cell's mean over wrongly, which half of the mean squares of differences, of errors one
+    and two samples apart, tell: from such a misfit, which is smooth, they are free. ``ago``:
+    samples since the one before.
     """
     limit = NOISE_CLIP * math.sqrt(max(scalars[NOISE], scalars[POWER]))
     error = min(max(error, -limit), limit)
+    last = scalars[LAST_RESIDUAL]
     if ago == 1:
         scalars[COLOUR_WEIGHT] = min(scalars[COLOUR_WEIGHT] + 1.0, COLOUR_MEMORY)
         share = 1.0 / scalars[COLOUR_WEIGHT]
         scalars[POWER] += (error * error - scalars[POWER]) * share
-        scalars[COLOUR] += (error * scalars[LAST_RESIDUAL] - scalars[COLOUR]) * share
+        scalars[COLOUR] += (error * last - scalars[COLOUR]) * share
+        if math.isfinite(scalars[LAST_BUT_ONE]):
+            one, two = 0.5 * (error - last) ** 2, 0.5 * (error - scalars[LAST_BUT_ONE]) ** 2
+            scalars[DIFFER] += (one - scalars[DIFFER]) * share
+            scalars[DIFFER_TWICE] += (two - scalars[DIFFER_TWICE]) * share
+        scalars[LAST_BUT_ONE] = last
+    else:
+        scalars[LAST_BUT_ONE] = math.nan
     scalars[LAST_RESIDUAL] = error
 
 
@@ -411,12 +446,15 @@ def colour(scalars: Floats) -> float:
     """Correlation of successive residuals, 0 to .99."""
     if not scalars[POWER] > 0.0:
         return 0.0
-    rho: float = min(max(scalars[COLOUR] / scalars[POWER], 0.0), MOST_COLOUR)
-    return rho
+    rho: float = scalars[COLOUR] / scalars[POWER]
+    if scalars[DIFFER] > 0.0:  # of noise of correlation ρ, σ²·(1 - ρ), and 1 + ρ times as much
+        doubt = COLOUR_DOUBT / math.sqrt(scalars[COLOUR_WEIGHT])
+        rho = min(rho, scalars[DIFFER_TWICE] / scalars[DIFFER] - 1.0 + doubt)
+    return min(max(rho, 0.0), MOST_COLOUR)
 
 
 @inner
-def _news(U: float, s: float, scalars: Floats) -> float:
+def _worth(U: float, s: float, scalars: Floats) -> float:
     """How much of a white sample's worth a sample is: coloured noise says the same again.
 
     A direction of regressors whose correlation from sample to sample is ρₓ, under noise of

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.identification.kernels import ladder
 from service.identification.kernels.compiled import inner, kernel, spliced
-from service.identification.kernels.grid import MEAN_Q
+from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_U
 from service.identification.kernels.map_fit import fit_rows, plan_of
 from service.identification.kernels.map_rows import RowsInS, rows_in_s
 from service.identification.kernels.surface import BORDER
@@ -15,6 +15,7 @@ from service.identification.samples import Floats
 RICH_CELLS, RICH_AXIS = 20.0, 2.0  # the richest spline, whose residual is taken for the noise
 LEAST_GAIN = 0.1  # in BIC: less is rounding
 NEVER_BELOW = 1e-5  # of the largest flow: the noise of samples without any
+BEYOND = 2  # points beyond a kink, at least: of one, the flow's level there and its slope are one
 MOVE, IDLE = 0, 1
 
 
@@ -57,7 +58,10 @@ def climb(
 
 @kernel
 def bic(points: Floats, shape: Floats, top: float, sigma_2: float) -> float:
-    """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points); infinite if no number."""
+    """(Σ w·e² + penalty + fall) / σ² + n_effective · ln(points).
+
+    Infinite if no number, or if fewer than BEYOND points lie beyond a kink.
+    """
     return float(_bic(points, _of_axes(points, top), shape, top, sigma_2))
 
 
@@ -84,9 +88,26 @@ def _of_axes(points: Floats, top: float) -> list[RowsInS]:
 
 @spliced
 def _bic(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, sigma_2: float) -> float:
+    if not _is_seen(points, shape):
+        return math.inf
     rss, penalty, fall, n_effective = _fit(points, in_s, shape, top)
     criterion = (rss + penalty + fall) / sigma_2 + n_effective * math.log(len(points))
     return criterion if math.isfinite(criterion) else math.inf
+
+
+@inner
+def _is_seen(points: Floats, shape: Floats) -> bool:
+    """Whether points lie beyond the shape's kinks, by the least step of one.
+
+    A kink without any costs nothing, as no point tells anything of what lies beyond it.
+    """
+    low, high = shape[ladder.DEAD_BAND], shape[ladder.SATURATION]
+    below, above = 0, 0
+    for i in range(len(points)):
+        at = points[i, MEAN_U] - shape[ladder.PLAY] * points[i, DIRECTION]
+        below += at < low - ladder.KINK_STEPS[0]
+        above += at > high + ladder.KINK_STEPS[0]
+    return (math.isnan(low) or below >= BEYOND) and (math.isnan(high) or above >= BEYOND)
 
 
 @spliced

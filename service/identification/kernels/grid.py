@@ -67,12 +67,12 @@ def slot_of(number: int, play: float, slots: np.ndarray, cells: Floats, taken: n
 
 @inner
 def learn(
-    cell: Floats, news: float, longest: float, U: float, s: float, T: float, direction: float,
+    cell: Floats, worth: float, longest: float, U: float, s: float, T: float, direction: float,
     Q: float, t: float,
 ) -> None:  # fmt: skip
     """Take a sample into a cell, whose weight ``longest`` bounds: then its mean is exponential."""
-    weight = min(cell[WEIGHT] + news, longest)
-    share = min(news / weight, 1.0)
+    weight = min(cell[WEIGHT] + worth, longest)
+    share = min(worth / weight, 1.0)
     cell[WEIGHT] = weight
     cell[MEAN_U] += (U - cell[MEAN_U]) * share
     cell[MEAN_S] += (s - cell[MEAN_S]) * share

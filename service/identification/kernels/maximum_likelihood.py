@@ -316,8 +316,8 @@ def _look_back(memory: Memory, h: Floats, y: float, residual: float) -> float:
     if monitor[DETERMINED] > 0.0 and monitor[COUNT] % EARLIER == 0.0:
         for j in range(ns):
             early[j] = memory.theta[j]
-    told = _dot(h, early, ns)
-    return residual if np.isnan(told) else y - told
+    predicted = _dot(h, early, ns)
+    return residual if np.isnan(predicted) else y - predicted
 
 
 @inner

@@ -9,9 +9,9 @@ CELLS_U, CELLS_S = 10, 12
 WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar
 
 # Places in a cell, and in `overall`.
-WEIGHT, SQUARES, LAST, NUMBER, BEFORE, TOLD = range(6)
+WEIGHT, SQUARES, LAST, NUMBER, BEFORE, EXPECTED = range(6)
 PLACES_OF_CELL = 6
-AGES = 4  # of a cell: just now, of late, long ago, longer ago or never
+AGES = 4  # of a cell: just now, recently, long ago, longer ago or never
 COUNT, QUANTILE = 2, 3
 TIMES = QUANTILE + AGES
 PLACES_OVERALL = TIMES + AGES
@@ -21,7 +21,7 @@ BORROWED = 8.0  # samples' worth of the whole map in each cell's mean square
 BEYOND = 0.05  # share of measurements that the interval leaves out
 PACE, FIRST_PACE = 0.02, 1.0
 GAUSSIAN = 1.959963984540054
-JUST_NOW, OF_LATE, LONG_AGO = 4.0, 64.0, 2000.0  # samples
+JUST_NOW, RECENTLY, LONG_AGO = 4.0, 64.0, 2000.0  # samples
 SETTLED, LARGEST = 20.0, 16.0
 NEVER = -1e18
 EARLIER = 32  # samples after which every estimator notes its map again; a power of two
@@ -46,7 +46,7 @@ def learn(
         Against the map just before each sample, and against that of some samples before.
     every_cells : (M, 120, 6)
         Weight, mean square of the errors, time and number of the last sample of each cell; as the
-        present 32 samples began, number of the last one and what was told of the mean square.
+        present 32 samples began, number of the last one and the mean square expected.
     every_overall : (M, 11)
         The same weight and mean square over all cells; samples counted; by the cell's age, how
         many times its root mean square an error must be to belong to the outer 5 %, and from
@@ -60,12 +60,12 @@ def learn(
             if not (abs(e) < 1e100 and np.isfinite(U[i]) and np.isfinite(dp[i])):
                 continue
             c = cell_of(U[i], dp[i])
-            told = EARLIER * np.floor(overall[COUNT] / EARLIER)
-            if cells[c, NUMBER] <= told:
+            began = EARLIER * np.floor(overall[COUNT] / EARLIER)
+            if cells[c, NUMBER] <= began:
                 cells[c, BEFORE] = cells[c, NUMBER] if cells[c, NUMBER] > 0.0 else NEVER
-                cells[c, TOLD] = mean_square(cells, overall, c)
+                cells[c, EXPECTED] = mean_square(cells, overall, c)
             if abs(early[i]) < 1e100:
-                _judge(early[i] * early[i], age(told - cells[c, BEFORE]), c, cells, overall)
+                _judge(early[i] * early[i], age(began - cells[c, BEFORE]), c, cells, overall)
             cells[c, LAST] = t[i]
             overall[COUNT] += 1.0
             cells[c, NUMBER] = overall[COUNT]
@@ -75,15 +75,15 @@ def learn(
 def _judge(square: float, a: int, c: int, cells: Floats, overall: Floats) -> None:
     """Take the square of an error in: was it outside, and how far off is the map in its cell.
 
-    ``a`` is the cell's age when it was told.
+    ``a`` is the cell's age when its mean square was expected.
     """
-    told = cells[c, TOLD]
-    if overall[WEIGHT] > SETTLED and told > 0.0:
-        missed = 1.0 if square > overall[QUANTILE + a] ** 2 * told else 0.0
+    expected = cells[c, EXPECTED]
+    if overall[WEIGHT] > SETTLED and expected > 0.0:
+        missed = 1.0 if square > overall[QUANTILE + a] ** 2 * expected else 0.0
         overall[TIMES + a] += 1.0
         pace = max(PACE, min(FIRST_PACE, 2.0 / overall[TIMES + a]))
         overall[QUANTILE + a] *= np.exp(pace * (missed - BEYOND))
-        square = min(square, LARGEST * told)
+        square = min(square, LARGEST * expected)
     overall[WEIGHT] = (1.0 - 1.0 / MEMORY) * overall[WEIGHT] + 1.0
     overall[SQUARES] += (square - overall[SQUARES]) / overall[WEIGHT]
     cells[c, WEIGHT] = (1.0 - 1.0 / CELL_MEMORY) * cells[c, WEIGHT] + 1.0
@@ -101,7 +101,7 @@ def cell_of(U: float, dp: float) -> int:
 @inner
 def age(samples: float) -> int:
     """How long ago, in four steps, a cell was visited: the map may have moved meanwhile."""
-    return 0 if samples < JUST_NOW else 1 if samples < OF_LATE else 2 if samples < LONG_AGO else 3
+    return 0 if samples < JUST_NOW else 1 if samples < RECENTLY else 2 if samples < LONG_AGO else 3
 
 
 @inner

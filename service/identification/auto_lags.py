@@ -1,0 +1,99 @@
+"""The lags of one valve of `Auto`: when they are looked for, doubted, and what follows from it."""
+
+import math
+from dataclasses import fields
+from typing import Final
+
+import numpy as np
+
+from service.identification import lag_search
+from service.identification.auto_state import MAY_BE_UNKNOWN, AutoState, empty, last_rows
+from service.identification.kernels import cells as memory
+from service.identification.kernels import lag
+
+SURE_AFTER: Final = 12_000  # samples: what changes before may still be the map itself
+AFTER_CHANGE: Final = 300  # samples in which a map follows what is no lag
+STAYS: Final = 0.5  # of the change's square: so large residuals are after one that is a lag
+EARLY: Final = 4 * lag.ROWS  # rows kept until which a new start costs little
+LAG_MOVED: Final = 0.04, 0.002  # share, s: a lag that moves farther has an early map start anew ...
+LAG_LOST: Final = 0.15, 0.004  # ... and one that does so a later map, which knows more
+FEWEST_STEPS: Final = 4  # rows from which the step from sample to sample is known
+
+Given = tuple[float | None, float | None]  # lags of U and Q, s; None: looked for
+
+
+def attend(state: AutoState, given: Given) -> None:
+    """Do what is due of the lags of one valve; its state is written in place.
+
+    ``given`` are the lags of U and Q that are not looked for, s.
+    """
+    kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
+    if None in given:
+        _doubt(state, kept)
+    if kept >= state.counters[memory.NEXT_LOOK]:
+        _look(state, kept, given)
+        since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+        state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
+    path = state.scalars[memory.LAGS :]
+    if path[lag.LAG_Q] > 0.0 and path[lag.SMOOTHING] == 0.0 and kept >= FEWEST_STEPS:
+        _smooth(state)
+
+
+def _doubt(state: AutoState, kept: int) -> None:
+    """After a change that no map follows look for lags soon, and as often as at first."""
+    counters = state.counters
+    at = counters[memory.CHANGE_SAMPLE]
+    is_new = AFTER_CHANGE <= counters[memory.USED] - at < lag.ROWS
+    size, variance = state.scalars[[memory.CHANGE_SIZE, memory.VARIANCE]]
+    stays = at > SURE_AFTER and variance > STAYS * size * size
+    if (
+        counters[memory.ALARMS]
+        and is_new
+        and stays
+        and counters[memory.NEXT_LOOK] > kept + lag.ROWS
+    ):
+        counters[memory.NEXT_LOOK] = kept + lag.ROWS
+        counters[memory.LAGGING + lag.LOOKED_FROM] = kept
+
+
+def _look(state: AutoState, kept: int, given: Given) -> None:
+    """Weigh what the last samples say of the lags; where they move, the map starts anew."""
+    rows = last_rows(state)
+    path = state.scalars[memory.LAGS :]
+    before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
+    since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
+    doubted = before if since > 0 and kept - since <= lag.ROWS else None
+    found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
+    share, least = LAG_MOVED if kept - since <= EARLY else LAG_LOST
+    moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
+    path[lag.LAG_U], path[lag.LAG_Q] = found
+    if moved:
+        _start_anew(state, given)
+        _smooth(state)
+
+
+def _start_anew(state: AutoState, given: Given) -> None:
+    """Forget the map, and keep what is known of time, lags and changes."""
+    fresh, path = empty(*given), state.scalars[memory.LAGS :].copy()
+    path[MAY_BE_UNKNOWN] = math.nan
+    kept = [
+        *(memory.USED, memory.ALARMS, memory.NEXT_LOOK, memory.TOO_FAST),
+        *(memory.CHANGE_SAMPLE, memory.CHANGE_TIME),
+        *range(memory.LAGGING, memory.COUNTERS),
+    ]
+    counters, size = fresh.counters, state.scalars[memory.CHANGE_SIZE]
+    counters[kept] = state.counters[kept]
+    counters[memory.OPENED] = counters[memory.USED]
+    counters[memory.NEXT_FIT] += counters[memory.USED]
+    for field in fields(state):
+        if field.name != "recent":
+            getattr(state, field.name)[...] = getattr(fresh, field.name)
+    state.scalars[memory.LAGS :], state.scalars[memory.CHANGE_SIZE] = path, size
+
+
+def _smooth(state: AutoState) -> None:
+    """Choose the smoothing behind which the meter's lag is taken back; the signals begin anew."""
+    path = state.scalars[memory.LAGS :]
+    step = float(np.median(last_rows(state)[:, lag.STEP]))
+    path[lag.SMOOTHING] = lag.smoothing(step, path[lag.LAG_Q])
+    path[lag.U_EFFECT] = math.nan
