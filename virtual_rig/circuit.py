@@ -13,15 +13,14 @@ the valve (T2) is a choice of the scenario. The flow meter sits behind the valve
 and T2; the pump's limit is counted at tank pressure and T1.
 
 The operating point is the root, in p1, of what the valve takes minus what the supply gives; both
-are monotone, so there is exactly one, and it is bracketed from the start: scipy's ``brentq`` finds
-it, sample by sample.
+are monotone, so there is exactly one, and it is bracketed from the start: Brent's method finds it,
+sample by sample.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from virtual_rig import kernels
 from virtual_rig.kernels import Floats
@@ -135,19 +134,13 @@ def operating_point(
     >>> point.p1.round(0), point.Q.round(0)
     (array([198.,  78.]), array([102., 200.]))
     """
-    c = numbers(bench.circuit)
-    of_bench = (valve_numbers(bench.valve), oil_numbers(bench.oil), c)
-    p0, shut = bench.circuit.p0_bar, bench.circuit.p0_bar - bench.circuit.relief_override_bar
-    p1, p2 = np.empty(y.size), np.empty(y.size)
     gap = np.broadcast_to(np.asarray(gap, np.float64), y.shape)
-    columns = (column.tolist() for column in (y, p2_set, T, edge, gap))
-    samples = zip(*columns, strict=True)
-    for i, sample in enumerate(samples):
-        args = (*of_bench, *sample)
-        # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
-        low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, p0)
-        p1[i] = brentq(kernels.excess, low, high, args=args, xtol=1e-10, maxiter=1000)
-        p2[i] = kernels.load_pressure(c, p1[i], sample[1])
+    p1, p2 = kernels.settled(
+        valve_numbers(bench.valve),
+        oil_numbers(bench.oil),
+        numbers(bench.circuit),
+        *(np.ascontiguousarray(column, np.float64) for column in (y, p2_set, T, edge, gap)),
+    )
     state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge, gap)
     T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))
     return OperatingPoint(p1, p2, _metered(bench.oil, state.Q, p1, p2, T, T2), T, T2, state.x_MP)

@@ -51,6 +51,10 @@ RHO_K = 860.0  # kg/m³, the density to which the flow coefficients K belong
 NU_LEAKAGE = 46.0  # mm²/s, the viscosity to which the leakages belong
 SEAT_SINE = math.sqrt(0.5)  # gap of a 45° seat over the stroke
 
+ROOT_BAR = 1e-10  # a root in p1 is found to this …
+ROOT_SHARE = 4.0 * float(np.finfo(np.float64).eps)  # … and to this share of it
+MOST_STEPS = 1000  # of a root: a dozen is usual, halving alone takes 60
+
 
 @numba.njit(cache=True)
 def balance(
@@ -92,6 +96,83 @@ def excess(
     o, c = oil[0], circuit[0]
     Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge, gap)
     return Q * compression(p1) - c.Q_pump * supply_share(circuit, p1)
+
+
+@numba.njit(cache=True)
+def settled(
+    valve: Numbers,
+    oil: Numbers,
+    circuit: Numbers,
+    y: Floats,
+    p2_set: Floats,
+    T: Floats,
+    edge: Floats,
+    gap: Floats,
+) -> tuple[Floats, Floats]:
+    """p1 and p2 (bar) where the valve takes what the supply gives, at N points."""
+    n, c = y.size, circuit[0]
+    p1, p2 = np.empty(n), np.empty(n)
+    shut = c.p0 - c.override
+    for i in range(n):
+        sample = (y[i], p2_set[i], T[i], edge[i], gap[i])
+        # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
+        if excess(shut, valve, oil, circuit, *sample) > 0:
+            p1[i] = _supply_pressure(0.0, shut, valve, oil, circuit, sample)
+        else:
+            p1[i] = _supply_pressure(shut, c.p0, valve, oil, circuit, sample)
+        p2[i] = load_pressure(circuit, p1[i], p2_set[i])
+    return p1, p2
+
+
+@numba.njit(cache=True)
+def _supply_pressure(
+    low: N, high: N, valve: Numbers, oil: Numbers, circuit: Numbers, sample: tuple[N, N, N, N, N]
+) -> N:
+    """The root of `excess` between two pressures, by Brent's method (1973, ch. 4); NaN: none.
+
+    ``b`` is the best point, ``a`` the one before it, ``c`` the other end of the bracket.
+    """
+    a, b, c = low, high, 0.0
+    f_a = excess(a, valve, oil, circuit, *sample)
+    f_b = excess(b, valve, oil, circuit, *sample)
+    f_c = 0.0
+    if f_a == 0.0:
+        return a
+    if not f_a * f_b <= 0.0:
+        return math.nan
+    before = step = 0.0
+    for _ in range(MOST_STEPS):
+        if f_a != 0.0 and f_b != 0.0 and (f_a < 0.0) != (f_b < 0.0):
+            c, f_c = a, f_a
+            before = step = b - a
+        if abs(f_c) < abs(f_b):
+            a, b, c = b, c, b
+            f_a, f_b, f_c = f_b, f_c, f_b
+        delta = (ROOT_BAR + ROOT_SHARE * abs(b)) / 2.0
+        half = (c - b) / 2.0
+        if f_b == 0.0 or abs(half) < delta:
+            return b
+        trial = math.inf
+        if abs(before) > delta and abs(f_b) < abs(f_a):
+            trial = _trial(a, b, c, f_a, f_b, f_c)
+        if 2.0 * abs(trial) < min(abs(before), 3.0 * abs(half) - delta):
+            before, step = step, trial
+        else:
+            before = step = half
+        a, f_a = b, f_b
+        b += step if abs(step) > delta else math.copysign(delta, half)
+        f_b = excess(b, valve, oil, circuit, *sample)
+    return math.nan
+
+
+@numba.njit(cache=True)
+def _trial(a: N, b: N, c: N, f_a: N, f_b: N, f_c: N) -> N:
+    """From b to where a secant, or a parabola of p1 over the excess, meets zero; else infinity."""
+    if a == c:
+        return -f_b * (b - a) / (f_b - f_a)
+    to_a, to_c = (f_a - f_b) / (a - b), (f_c - f_b) / (c - b)
+    slope = to_c * to_a * (f_c - f_a)
+    return -f_b * (f_c * to_c - f_a * to_a) / slope if slope != 0.0 else math.inf
 
 
 @numba.njit(cache=True)

@@ -15,6 +15,7 @@ from service.hardened import (
     SystemClock,
 )
 from virtual_rig.command import Command
+from virtual_rig.excitation import External
 from virtual_rig.faults import Fault, FaultError, commanded_fault
 from virtual_rig.history import RigHistory
 from virtual_rig.information_model import (
@@ -44,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 _TICK_S = 0.02
 _AHEAD_S = 0.1  # computing a block costs much the same however long it is
+_COMMANDED_AHEAD_S = 0.02  # but a command from outside acts with the next block only
 _LATE_S = 0.1
 _REPORT_S = 1.0
 _SAMPLES_PER_TURN = 200
@@ -231,7 +233,7 @@ class RigServer(Startable):
         _log.info("%s: fault %s of size %g for %g s", valve, kind, size, duration_s)
 
     def command_U(self, valve: str, U: float) -> None:
-        """Take a control signal (%) from outside, within a tenth of a second."""
+        """Take a control signal (%) from outside, within 0.02 s where U is driven by it."""
         self._commands[valve] = self._commands[valve].written(U)
 
     def heartbeat(self, valve: str, count: int) -> None:
@@ -264,7 +266,9 @@ class RigServer(Startable):
     def _compute(self, scenario: Scenario, rate: float) -> None:
         commands = Commands(U=self._U_in_force(scenario), faults=tuple(self._faults))
         self._faults.clear()
-        n = min(max(round(rate * _AHEAD_S), 1), _SAMPLES_PER_TURN)
+        commanded = isinstance(scenario.excitation, External)
+        ahead_s = _COMMANDED_AHEAD_S if commanded else _AHEAD_S
+        n = min(max(round(rate * ahead_s), 1), _SAMPLES_PER_TURN)
         self._state, self._block = advance(scenario, self._state, n, commands)
         self._columns = columns_of(self._block, self._sequence_offset)
         self._taken = 0

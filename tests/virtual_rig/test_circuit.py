@@ -2,11 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
+from virtual_rig import kernels, oil, valvistor
 from virtual_rig.circuit import (
     Bench,
     Circuit,
     largest_drop,
+    numbers,
     operating_point,
     reachable,
     tank_temperature,
@@ -156,3 +159,21 @@ def test_every_bench_settles_somewhere_sensible(U, p2_set, T, edge, p0, pump, ov
     point = settled(U, [p2_set], Bench(circuit=circuit), T=T, edge=edge)
     assert 0 <= point.p2[0] <= point.p1[0] <= p0
     assert 0 <= point.Q[0] <= 1.03 * pump
+
+
+def test_the_supply_pressure_is_the_root_that_scipy_finds():
+    rng = np.random.default_rng(5)
+    n = 200
+    y, T, edge = rng.uniform(0, 1, n), rng.uniform(20, 80, n), rng.uniform(0.5, 1.1, n)
+    columns = (y, rng.uniform(0, 200, n), T, edge, rng.choice([0.0, 1.0], n))
+    of_bench = (valvistor.numbers(BENCH.valve), oil.numbers(BENCH.oil), numbers(CIRCUIT))
+    p1, p2 = kernels.settled(*of_bench, *columns)
+    shut = CIRCUIT.p0_bar - CIRCUIT.relief_override_bar
+    roots = []
+    for sample in zip(*(column.tolist() for column in columns), strict=True):
+        args = (*of_bench, *sample)
+        low, high = (0.0, shut) if kernels.excess(shut, *args) > 0 else (shut, CIRCUIT.p0_bar)
+        roots.append(brentq(kernels.excess, low, high, args=args, xtol=kernels.ROOT_BAR))
+    np.testing.assert_allclose(p1, roots, rtol=0.0, atol=2 * kernels.ROOT_BAR)
+    assert 20 < (p1 < shut).sum() < 180  # of both kinds
+    assert (p2 <= p1).all()

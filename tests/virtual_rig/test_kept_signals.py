@@ -70,7 +70,6 @@ async def test_a_rig_tells_again_what_it_said(tmp_path):
         application_name="valvemap rig",
         namespace_uri="urn:valvemap:rig",
         none_on_loopback=True,
-        cache=tmp_path,
     )
     scenario = BUILTIN["scattered"].model_copy(update={"duration_s": 0.5, "history_s": 0.3})
     rig = await RigServer.create(settings, scenario, on_block=blocks.append)

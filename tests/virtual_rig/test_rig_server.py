@@ -6,7 +6,7 @@ import pytest
 import pytest_asyncio
 from asyncua import Client, ua
 
-from service.hardened import Role, ServerSettings, UserStore
+from service.hardened import ManualClock, Role, ServerSettings, UserStore
 from virtual_rig.scenario import BUILTIN
 from virtual_rig.server import RigServer
 
@@ -163,6 +163,39 @@ async def test_an_operators_command_drives_the_valve_in_the_external_scenario(op
     await asyncio.sleep(0.4)
     assert await node(operator, "Valvistor.U").read_value() == pytest.approx(37.5, abs=1.0)
     await rig_object.call_method(ua.NodeId("Rig.StartScenario", NS), "demo")
+
+
+async def test_a_command_acts_within_three_samples():
+    clock, U = ManualClock(), []
+    server = await RigServer.create(
+        ServerSettings(
+            url="opc.tcp://127.0.0.1:0/valvemap/rig/",
+            application_uri="urn:test:valvemap:rig",
+            application_name="valvemap rig",
+            namespace_uri="urn:valvemap:rig",
+            users=UserStore(),
+            none_on_loopback=True,
+        ),
+        BUILTIN["external"],
+        on_block=lambda block: U.extend(block.valves["Valvistor"].U_true.tolist()),
+        clock=clock,
+    )
+    playing = asyncio.create_task(server.run())
+
+    async def played(samples):
+        while len(U) < samples:
+            await asyncio.sleep(0.001)
+            if server.samples == len(U):
+                clock.advance(1.0 / BUILTIN["external"].sample_rate_hz)
+
+    for command in (30.0, 50.0, 70.0):
+        await played(len(U) + 7)
+        server.command_U("Valvistor", command)
+        written = len(U)
+        await played(written + 4)
+        assert U[written + 3] == command
+    playing.cancel()
+    await asyncio.gather(playing, return_exceptions=True)
 
 
 async def test_a_command_out_of_range_is_refused(operator):
