@@ -206,16 +206,15 @@ def disorders(seed: int) -> Rows:
 async def lines(cuts: list[float]) -> list[tuple[str, str]]:
     """Lines that are cut, flap, stall."""
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    with tempfile.TemporaryDirectory() as cache:
-        plant = await NumberedServer.create(Path(cache), users=users, remembers=HISTORY)
-        async with plant.server:
-            served = plant, password
-            cut = [(f"line cut for {s:g} s", await line(served, "cut", s)) for s in cuts]
-            return [
-                *cut,
-                ("10 cuts in 5 s", await line(served, "flapping", 5.0)),
-                ("stall of 20 s", await line(served, "stall", 20.0)),
-            ]
+    plant = await NumberedServer.create(users=users, remembers=HISTORY)
+    async with plant.server:
+        served = plant, password
+        cut = [(f"line cut for {s:g} s", await line(served, "cut", s)) for s in cuts]
+        return [
+            *cut,
+            ("10 cuts in 5 s", await line(served, "flapping", 5.0)),
+            ("stall of 20 s", await line(served, "stall", 20.0)),
+        ]
 
 
 def whole(kills: int, seed: int) -> Rows:
@@ -258,7 +257,7 @@ def slow(seconds: float) -> Rows:
     """A disk whose every sync takes 2 s longer."""
     for valves, hz in ((1, 100.0), (1_000, 2.0)):
         found = asyncio.run(reliability_load.slow_disk(valves, hz, seconds))
-        yield f"sync + 2 s, {valves:,} valves x {hz:g} Hz", found
+        yield f"sync + 2 s, {valves:,} valves x {hz:g} Hz", str(found)
 
 
 def long(valves: int, hz: float, seconds: float, *, half: bool) -> Rows:

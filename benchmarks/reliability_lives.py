@@ -28,7 +28,7 @@ async def plant_of(*valves, before_s=0.0):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plant = await NumberedServer.create(
-            folder, users=users, remembers=HISTORY, valves=valves, shows=lively
+            users=users, remembers=HISTORY, valves=valves, shows=lively
         )
         if n := round(before_s * 1e9 / STEP_NS):
             plant.remember(n, time.time_ns() - n * STEP_NS, STEP_NS)

@@ -168,18 +168,61 @@ async def _ask_ages(read, valves, seen):
         await asyncio.sleep(AGES_EVERY_S)
 
 
-async def slow_disk(valves: int, hz: float, seconds: float, sync_s: float = 2.0) -> str:
-    """What a client saw of a service whose disk takes so long to sync; how long its end took."""
+@dataclass(frozen=True)
+class SlowDisk:
+    """What a client saw of a service whose disk is slow, s; how long its end took."""
+
+    held_s: float  # of processor time, the longest for which something held the loop
+    answer_s: float
+    gap_s: float
+    own_s: float
+    end_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"loop held for {self.held_s:.2f} s of processor time; longest answer "
+            f"{self.answer_s:.2f} s, longest without results {self.gap_s:.2f} s (the client's "
+            f"own loop stood {self.own_s:.2f} s); SIGTERM {self.end_s:.1f} s"
+        )
+
+
+@dataclass(frozen=True)
+class Run:
+    """What became of the samples of a long run, of their age, and of the service's memory."""
+
+    learnt: int
+    lost: int
+    wrong: int  # valves whose counts do not come to the span
+    valves: int
+    age_p99_s: float
+    age_s: float
+    old_and_good: int
+    memory_mb: float
+    slope_mb_h: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.lost:,} of {self.learnt + self.lost:,} lost, counted wrongly at {self.wrong} "
+            f"of {self.valves:,} valves; age p99 {self.age_p99_s:.2f} s, largest {self.age_s:.2f} "
+            f"s; something older than {STALE_S:g} s called Good {self.old_and_good} times; "
+            f"memory {self.memory_mb:.0f} MB, {self.slope_mb_h:+.1f} MB/h"
+        )
+
+
+async def slow_disk(valves: int, hz: float, seconds: float, sync_s: float = 2.0) -> SlowDisk:
+    """Watch a service whose disk takes so long to sync, and end it."""
     with service_of(valves, hz, sync_s) as service:
         async with watched(service) as seen:
             before = len(service.held())
             await asyncio.sleep(seconds)
             held = service.held()[before:]
         took = await asyncio.to_thread(service.end)
-    return (
-        f"loop held for {max(held, default=0.0):.2f} s of processor time; longest answer "
-        f"{max(seen.answers):.2f} s, longest without results {max(seen.gaps):.2f} s (the client's "
-        f"own loop stood {seen.own_s:.2f} s); SIGTERM {took:.1f} s"
+    return SlowDisk(
+        held_s=max(held, default=0.0),
+        answer_s=max(seen.answers),
+        gap_s=max(seen.gaps),
+        own_s=seen.own_s,
+        end_s=took,
     )
 
 
@@ -199,8 +242,8 @@ def account(
     return learnt, lost, wrong
 
 
-async def soak(valves: int, hz: float, seconds: float, *, half: bool = False) -> str:
-    """Figures of a service that runs for long; with ``half`` it is stopped and continued."""
+async def soak(valves: int, hz: float, seconds: float, *, half: bool = False) -> Run:
+    """Watch a service that runs for long; with ``half`` it is stopped and continued."""
     with service_of(valves, hz) as service:
         await _until_all_kept(service)
         before, memory = service.kept(), []
@@ -217,19 +260,20 @@ async def soak(valves: int, hz: float, seconds: float, *, half: bool = False) ->
                 service.process.send_signal(signal.SIGCONT)
         await asyncio.to_thread(service.end)
         learnt, lost, wrong = account(before, service.kept(), round(1e9 / hz))
-    slope = np.polyfit(*np.array(memory).T, 1)[0] * 3600.0
-    p99 = np.percentile(seen.ages, 99)
-    return (
-        f"{lost:,} of {learnt + lost:,} lost, counted wrongly at {wrong} of {valves:,} valves; "
-        f"age p99 {p99:.2f} s, largest {max(seen.ages):.2f} s; something older than {STALE_S:g} s "
-        f"called Good {seen.old_and_good} times; memory {memory[-1][1]:.0f} MB, "
-        f"{slope:+.1f} MB/h"
+    return Run(
+        *(learnt, lost, wrong, valves),
+        age_p99_s=float(np.percentile(seen.ages, 99)),
+        age_s=max(seen.ages),
+        old_and_good=seen.old_and_good,
+        memory_mb=memory[-1][1],
+        slope_mb_h=float(np.polyfit(*np.array(memory).T, 1)[0]) * 3600.0,
     )
 
 
 async def _until_all_kept(service: Service) -> None:
+    """Until a state of each valve that knows a sample is on the disk."""
     async with asyncio.timeout(START_S):
-        while len(service.kept()) < len(service.names):  # noqa: ASYNC110 - it is on the disk
+        while sum(t > 0 for t, _ in service.kept().values()) < len(service.names):  # noqa: ASYNC110
             await asyncio.sleep(1.0)
 
 

@@ -5,7 +5,7 @@ from itertools import islice
 from typing import Final
 
 VALVES_AT_ONCE: Final = 64  # 20 ms: of fewer each costs more
-SOON_S: Final = 0.7  # results wait for so long: more time goes into publishing
+SOON_S, SOON = 0.7, 0.35  # s, and share of `stale_after_s`: results that wait longer get more time
 HURRY: Final = 0.5  # share of the time then, unless samples wait, too
 LATE: Final = 0.95  # of `stale_after_s`: results that have waited for so long may get old, shown
 ON_TIME: Final = 0.85  # of it: once they wait no longer, they do not
@@ -42,6 +42,7 @@ class PublishingTurns:
         self.round_s = 0.0
         self._share = share
         self._stale_after_s = stale_after_s
+        self._soon_s = min(SOON_S, SOON * stale_after_s)
         self._since: dict[int, float] = {}  # by valve, the oldest first
         self._doubted: set[int] = set()  # published while late
         self._due = 0.0
@@ -77,6 +78,6 @@ class PublishingTurns:
     def pause(self, began: float, now: float, *, samples_wait: bool) -> None:
         """Rest after publishing from ``began`` on: samples that come in go first."""
         oldest = next(iter(self._since.values()), now)
-        hurry = now - oldest > SOON_S and not samples_wait
+        hurry = now - oldest > self._soon_s and not samples_wait
         share = max(self._share, HURRY) if hurry else self._share
         self._due = now + (now - began) * (1.0 / share - 1.0)

@@ -367,7 +367,7 @@ async def test_where_time_is_short_the_valves_shown_longest_ago_come_first(
     await live.take(batch)
     assert len(sink.published) == VALVES_AT_ONCE
     await live.tick()
-    await live.take(as_changes(plant(1, first=1)))  # V0 has news again: it waits its turn
+    await live.take(as_changes(plant(1, first=1)))  # V0 has new results again: it waits its turn
     await live.tick()
     assert [r.valve for r in sink.published] == [*range(n), 0]
     await live.tick()

@@ -5,9 +5,9 @@ from service.streaming.publishing_turns import VALVES_AT_ONCE, PublishingTurns
 STALE_S = 2.0
 
 
-def shown(valves, cost_s, seconds, *, samples_wait=False):
+def shown(valves, cost_s, seconds, *, samples_wait=False, stale_s=STALE_S):
     """Ages at which results were replaced that had been called good, s; and whether at the end."""
-    turns, now, ages = PublishingTurns(0.25, STALE_S), 0.0, []
+    turns, now, ages = PublishingTurns(0.25, stale_s), 0.0, []
     last, good = dict.fromkeys(range(valves), 0.0), dict.fromkeys(range(valves), False)
     while now < seconds:
         turns.add(range(valves), now)
@@ -37,6 +37,12 @@ def test_a_thousand_valves_are_shown_within_a_second_if_nothing_else_waits():
     assert max(ages[1_000:]) < 1.0
     unhurried, _ = shown(1_000, 0.0004, 30.0, samples_wait=True)
     assert max(unhurried[1_000:]) > 1.4
+
+
+def test_who_asks_for_fresher_results_gets_them_sooner():
+    ages, late = shown(500, 0.0004, 30.0, stale_s=0.5)
+    assert not late
+    assert max(ages[500:]) < 0.5
 
 
 def test_what_was_doubted_is_shown_again_when_all_is_well():
