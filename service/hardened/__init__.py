@@ -24,6 +24,7 @@ from service.hardened.conditions.condition import (
     ConditionClass,
     ConditionKey,
     ConditionKind,
+    event_fields,
 )
 from service.hardened.conditions.keeper import ConditionKeeper
 from service.hardened.errors import (
@@ -99,6 +100,7 @@ __all__ = [
     "add_variable",
     "caller",
     "ensure_certificate",
+    "event_fields",
     "expiry_warning",
     "load_certificate",
     "many_nodes",

@@ -41,7 +41,7 @@ from service.hardened.history.historian import Historian
 from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
 from service.hardened.logs import bounded_logger
-from service.hardened.monitoring.event_filter import event_of_asyncua
+from service.hardened.monitoring.event_filter import event_of_asyncua, filter_of_fields
 from service.hardened.security.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -368,14 +368,33 @@ class HardenedServer(Startable):
             historizing = ua.DataValue(ua.Variant(True, ua.VariantType.Boolean))  # noqa: FBT003
             attributes[ua.AttributeIds.Historizing].value = historizing
 
-    def add_event_history(self, sources: Iterable[ua.NodeId], historian: EventHistorian) -> None:
-        """Let clients read what objects have reported; called before the start."""
+    def add_event_history(
+        self, sources: Iterable[ua.NodeId], historian: EventHistorian, fields: Iterable[str]
+    ) -> None:
+        """Let clients read what objects have reported; called before the start.
+
+        Parameters
+        ----------
+        sources
+            The objects; all share the property HistoricalEventFilter (Part 11, 5.3.2).
+        historian
+            Keeps it.
+        fields
+            What is kept of an event, by browse path.
+        """
         self._has_past_events = True
+        aspace = self._inside.aspace
+        filter_ = aspace[ua.NodeId(ua.ObjectIds.HistoricalEventFilter)]
+        kept = ua.Variant(filter_of_fields(fields), ua.VariantType.ExtensionObject)
+        filter_.attributes[ua.AttributeIds.Value].value = ua.DataValue(kept)
+        scalar = ua.DataValue(ua.Variant(int(ua.ValueRank.Scalar), ua.VariantType.Int32))
+        filter_.attributes[ua.AttributeIds.ValueRank].value = scalar
+        has_property = reference(ua.NodeId(ua.ObjectIds.HasProperty), filter_, forward=True)
         for source in sources:
             self._histories.add_events(source, historian)
-            attributes = self._inside.aspace[source].attributes
+            aspace[source].references.append(has_property)
             notifier = ua.DataValue(ua.Variant(_EMITS | _REMEMBERS, ua.VariantType.Byte))
-            attributes[ua.AttributeIds.EventNotifier].value = notifier
+            aspace[source].attributes[ua.AttributeIds.EventNotifier].value = notifier
 
     def keep_conditions(self, keeper: ConditionKeeper) -> None:
         """Let clients acknowledge, confirm, comment on and refresh the conditions of a keeper."""

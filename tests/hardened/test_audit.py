@@ -202,11 +202,11 @@ async def test_sessions_are_told_from_their_beginning_to_their_end(plant, listen
 async def test_a_wrong_password_is_told_without_the_password(plant, listening):
     with pytest.raises(ua.UaStatusCodeError):
         await plant.client("oskar", "wrong").connect()
-    told = await listening.heard(Ids.AuditActivateSessionEventType, lambda event: not event.Status)
-    assert told.StatusCodeId.value == Codes.BadUserAccessDenied
-    assert told.UserIdentityToken.UserName == "oskar"
-    assert told.UserIdentityToken.Password is None
-    assert told.Severity == 500
+    event = await listening.heard(Ids.AuditActivateSessionEventType, lambda found: not found.Status)
+    assert event.StatusCodeId.value == Codes.BadUserAccessDenied
+    assert event.UserIdentityToken.UserName == "oskar"
+    assert event.UserIdentityToken.Password is None
+    assert event.Severity == 500
 
 
 async def test_a_refused_certificate_is_told_and_shown(plant, listening, tmp_path):
@@ -216,9 +216,9 @@ async def test_a_refused_certificate_is_told_and_shown(plant, listening, tmp_pat
     await client.set_security(SecurityPolicyBasic256Sha256, str(own.certificate), str(own.key))
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
         await client.connect()
-    told = await listening.heard(Ids.AuditCertificateUntrustedEventType)
-    assert told.Certificate == own.certificate.read_bytes()
-    assert told.StatusCodeId.value == Codes.BadCertificateUntrusted
+    event = await listening.heard(Ids.AuditCertificateUntrustedEventType)
+    assert event.Certificate == own.certificate.read_bytes()
+    assert event.StatusCodeId.value == Codes.BadCertificateUntrusted
 
 
 async def test_a_write_is_told_with_its_values_whether_taken_or_refused(plant, listening):
@@ -226,25 +226,25 @@ async def test_a_write_is_told_with_its_values_whether_taken_or_refused(plant, l
         node = oskar.get_node(plant.demand.id)
         before = await node.read_value()
         await node.write_value(7.5)
-        told = await listening.heard(Ids.AuditWriteUpdateEventType)
-        assert (told.OldValue, told.NewValue) == (before, 7.5)
-        assert told.SourceNode == plant.demand.id
-        assert (told.ClientUserId, told.Status) == ("oskar", True)
-        assert told.AttributeId == ua.AttributeIds.Value
+        event = await listening.heard(Ids.AuditWriteUpdateEventType)
+        assert (event.OldValue, event.NewValue) == (before, 7.5)
+        assert event.SourceNode == plant.demand.id
+        assert (event.ClientUserId, event.Status) == ("oskar", True)
+        assert event.AttributeId == ua.AttributeIds.Value
         with pytest.raises(ua.UaStatusCodeError):
             await anybody.get_node(plant.demand.id).write_value(1.0)
-        told = await listening.heard(Ids.AuditWriteUpdateEventType, lambda event: not event.Status)
-        assert told.StatusCodeId.value == Codes.BadUserAccessDenied
-        assert told.ClientUserId == "anonymous"
+        event = await listening.heard(Ids.AuditWriteUpdateEventType, lambda found: not found.Status)
+        assert event.StatusCodeId.value == Codes.BadUserAccessDenied
+        assert event.ClientUserId == "anonymous"
 
 
 async def test_a_call_is_told_with_its_arguments(plant, listening):
     async with plant.client("oskar") as oskar:
         await oskar.get_node(plant.object).call_method(plant.method, 21.0)
-    told = await listening.heard(Ids.AuditUpdateMethodEventType)
-    assert told.MethodId == plant.method
-    assert told.SourceNode == plant.object
-    assert [argument.Value for argument in told.InputArguments] == [21.0]
+    event = await listening.heard(Ids.AuditUpdateMethodEventType)
+    assert event.MethodId == plant.method
+    assert event.SourceNode == plant.object
+    assert [argument.Value for argument in event.InputArguments] == [21.0]
 
 
 async def test_what_the_client_calls_the_request_is_told(plant, listening):
@@ -257,8 +257,8 @@ async def test_what_the_client_calls_the_request_is_told(plant, listening):
             )
         ]
         await oskar.uaclient.protocol.send_request(request)
-    told = await listening.heard(Ids.AuditWriteUpdateEventType)
-    assert told.ClientAuditEntryId == "shift 7"
+    event = await listening.heard(Ids.AuditWriteUpdateEventType)
+    assert event.ClientAuditEntryId == "shift 7"
 
 
 @pytest.mark.parametrize("user", [None, "oskar"])
@@ -266,8 +266,8 @@ async def test_nobody_but_a_security_administrator_hears_of_it(plant, listening,
     async with plant.client(user) as client, plant.client("oskar") as oskar:
         eavesdropping = await listen(client)
         await oskar.get_node(plant.demand.id).write_value(8.5)
-        told = await listening.heard(Ids.AuditWriteUpdateEventType)
-        assert told.NewValue == 8.5
+        event = await listening.heard(Ids.AuditWriteUpdateEventType)
+        assert event.NewValue == 8.5
         await asyncio.sleep(0.2)
         assert eavesdropping.events == []
 
@@ -288,11 +288,10 @@ async def test_a_value_too_large_to_keep_is_left_out(plant, listening):
     async with plant.client() as anybody:
         with pytest.raises(ua.UaStatusCodeError):
             await anybody.get_node(plant.demand.id).write_value([0.5] * 50_000)
-    told = await listening.heard(Ids.AuditWriteUpdateEventType, lambda event: not event.Status)
-    assert told.NewValue is None
+    event = await listening.heard(Ids.AuditWriteUpdateEventType, lambda found: not found.Status)
+    assert event.NewValue is None
 
 
-@pytest.mark.alone
 async def test_a_flood_of_refusals_is_told_in_part_and_costs_little(plant, listening):
     lost = plant.server.counters.lost_notifications
     async with plant.client() as anybody:
@@ -300,13 +299,14 @@ async def test_a_flood_of_refusals_is_told_in_part_and_costs_little(plant, liste
             plant.demand.id, ua.AttributeIds.Value, None, ua.DataValue(ua.Variant(1.0))
         )
         request = ua.WriteParameters([wrong] * 1_000)
-        began = time.perf_counter()
+        began, spent = time.monotonic(), time.process_time()
         await anybody.uaclient.write(request)
-        assert time.perf_counter() - began < 1.0
+        assert time.process_time() - spent < 1.0
         await asyncio.sleep(0.3)
-        told = len(listening.of(Ids.AuditWriteUpdateEventType))
-        assert told <= 7 * PER_SECOND
-        assert plant.server.counters.lost_notifications - lost >= 1_000 - 7 * PER_SECOND
+        events = len(listening.of(Ids.AuditWriteUpdateEventType))
+        covered = PER_SECOND * (5.0 + time.monotonic() - began) + 1
+        assert events <= covered
+        assert plant.server.counters.lost_notifications - lost >= 1_000 - covered
         await asyncio.sleep(0.2)
         with pytest.raises(ua.UaStatusCodeError):
             await anybody.get_node(plant.demand.id).write_value(1.0)
@@ -352,9 +352,9 @@ async def test_node_opcua_receives_them(plant, request, tmp_path):
         while not any(event["NewValue"] == 9.25 for event in events):
             await asyncio.sleep(0.1)
             events += await peer.ask("events")
-        (told,) = [event for event in events if event["NewValue"] == 9.25]
-        assert told["ClientUserId"] == "oskar"
-        assert "Plant.Demand" in told["Message"]
+        (event,) = [event for event in events if event["NewValue"] == 9.25]
+        assert event["ClientUserId"] == "oskar"
+        assert "Plant.Demand" in event["Message"]
         await peer.ask("disconnect")
     finally:
         await peer.stop()

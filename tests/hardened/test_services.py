@@ -610,8 +610,8 @@ async def test_after_a_cut_what_was_lost_comes_before_the_news(server):
             assert await code_of(later.answer(ua.RepublishResponse)) == (
                 Codes.BadMessageNotAvailable
             )
-    news = (await later.answer(ua.PublishResponse)).Parameters.NotificationMessage
-    assert news.SequenceNumber == lost.SequenceNumber + 1
+    change = (await later.answer(ua.PublishResponse)).Parameters.NotificationMessage
+    assert change.SequenceNumber == lost.SequenceNumber + 1
     later.close()
     peer.close()
 

@@ -30,6 +30,7 @@ _PROFILES_OF_HISTORY = [
     "http://opcfoundation.org/UA-Profile/Server/HistoricalDataAtTime",
     "http://opcfoundation.org/UA-Profile/Server/AggregateHistorical",
 ]
+_PROFILE_OF_PAST_EVENTS = "http://opcfoundation.org/UA-Profile/Server/BaseHistoricalEvent"
 _PROFILES_OF_CONDITIONS = [
     "http://opcfoundation.org/UA-Profile/Server/ACBaseCondition",
     "http://opcfoundation.org/UA-Profile/Server/ACRefresh2",
@@ -184,6 +185,7 @@ class SelfDescription:
         profiles = [
             *_PROFILES,
             *(_PROFILES_OF_HISTORY if aggregates is not None else ()),
+            *([_PROFILE_OF_PAST_EVENTS] if past_events else ()),
             *(_PROFILES_OF_CONDITIONS if conditions else ()),
         ]
         self._set(_Ids.Server_ServerCapabilities_ServerProfileArray, profiles, _Types.String)

@@ -183,6 +183,28 @@ class Condition:
         }
 
 
+def event_fields() -> tuple[str, ...]:
+    """All fields that events of conditions have, of whatever kind, by browse path.
+
+    >>> [path for path in event_fields() if path.endswith("Limit")]
+    ['HighLimit', 'LowLimit']
+    """
+    nobody, found = ua.NodeId(), dict[str, ua.Variant]()
+    for kind in ConditionKind:
+        key = ConditionKey(nobody, "", kind, ConditionClass.PROCESS, nobody, "", ())
+        found |= Condition(
+            key,
+            active=False,
+            acked=True,
+            confirmed=True,
+            severity=1,
+            message="",
+            coming=0,
+            changed=0,
+        ).fields()
+    return tuple(found)
+
+
 def _signed(condition: ua.NodeId, content: bytes) -> bytes:
     digest = hashlib.blake2b(content, key=condition.to_string().encode()[:64])
     return content + digest.digest()[:_DIGEST_BYTES]

@@ -5,7 +5,7 @@ time, and what cannot be compared is neither true nor false (Part 4, table 121).
 """
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,6 +85,19 @@ def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event obj
         if getattr(event, name) is not None
     }
     return Event((event.emitting_node,), event.EventType, fields)
+
+
+def filter_of_fields(paths: Iterable[str]) -> ua.EventFilter:
+    """A filter that selects fields by their browse paths, and lets every event pass."""
+    clauses = [
+        ua.SimpleAttributeOperand(
+            _BASE_EVENT,
+            [ua.QualifiedName(part) for part in path.split("/")],
+            ua.AttributeIds.Value,
+        )
+        for path in paths
+    ]
+    return ua.EventFilter(SelectClauses=clauses)
 
 
 class EventFilter:
