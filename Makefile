@@ -7,7 +7,10 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or compiler or milo or languages or broker or image or chromium or tutorial
+PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or tutorial
+
+# The files that hold a marker: to collect all others, too, takes a process a quarter of a minute.
+marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -23,11 +26,11 @@ test: $(DEV)
 	$(BIN)/valvemap warm-up  # compiles once what two processes would compile twice
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not (soak or alone or waits or $(PEERS))"
 	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint waits
-	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))"
+	$(BIN)/python -m pytest -m "alone and not (soak or $(PEERS))" $(call marked,alone)
 
 # Tests that mostly wait: while they do, there is time for something else.
 waits: $(DEV)
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "waits and not (soak or $(PEERS))" $(call marked,waits)
 
 peers: $(DEV)
 	$(BIN)/python -m pytest -m "($(PEERS)) and not soak"
@@ -81,12 +84,14 @@ lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --all-extras --group dev pyproject.toml -c requirements-bench.lock -o requirements-dev.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
-	    --extra dashboard --extra plot --extra parquet pyproject.toml -c requirements-dev.lock \
+	    --extra dashboard --extra mqtt --extra plot --extra parquet pyproject.toml \
+	    -c requirements-dev.lock \
 	    -o requirements.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
-	    --extra dashboard pyproject.toml -c requirements.lock -o requirements-image.lock
+	    --extra dashboard --extra mqtt pyproject.toml -c requirements.lock \
+	    -o requirements-image.lock
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
-	    --extra dashboard --extra fleet pyproject.toml -c requirements-dev.lock \
+	    --extra dashboard --extra fleet --extra mqtt pyproject.toml -c requirements-dev.lock \
 	    -o requirements-fleet.lock
 
 clean:

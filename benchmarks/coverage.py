@@ -16,7 +16,8 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from service.identification.adaptation import Adaptation
-from service.identification.auto import Auto, AutoState
+from service.identification.auto import Auto
+from service.identification.auto_state import AutoState
 from service.identification.estimator import Estimator
 from service.identification.forgetting import Adaptive
 from service.identification.map_shapes import Shape

@@ -27,7 +27,8 @@ from service.app.build import build_identification
 from service.cli.logs import set_up_logs
 from service.config.estimators import default_estimators
 from service.config.loading import load_config
-from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
+from service.config.logs import LogConfig
+from service.config.models import Config, NodesConfig, ValveConfig
 from service.opcua.results_server import ResultsServer
 from service.streaming.ports import Results
 

@@ -50,7 +50,7 @@ async def ours(port):
     past = Past()
     server.add_history([await add_variable(server, plant, "Plant.Past", 0.0)], past)
     server.let_emit(plant, ua.NodeId(ua.ObjectIds.Server))
-    server.add_event_history([ua.NodeId(ua.ObjectIds.Server), plant], past)
+    server.add_event_history([ua.NodeId(ua.ObjectIds.Server), plant], past, ["EventId", "Time"])
     alarms = Alarms(server)
     server.keep_conditions(alarms)
 

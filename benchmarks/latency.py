@@ -8,21 +8,29 @@ import asyncio
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import live_speed
 from service.app.build import build_identification
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened import Limits
 from service.identification.samples import Quality
 from service.streaming.identification import Identification
 
 PUBLISHING_MS = 1.0
+CLIENTS = "ours", "asyncua"
 
 
-def measured(hz: float = 1_000.0, seconds: float = 20.0, *, known: bool = True) -> dict[str, float]:
+def measured(
+    hz: float = 1_000.0,
+    seconds: float = 20.0,
+    *,
+    known: bool = True,
+    clients: Sequence[str] = CLIENTS,
+) -> dict[str, float]:
     """Percentiles of the latency, ms, once the valve is ``known`` if so; what was lost."""
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
@@ -30,10 +38,12 @@ def measured(hz: float = 1_000.0, seconds: float = 20.0, *, known: bool = True) 
         command = ["service", "rig", "--under-demo", "--url", url, "--rate", str(hz)]
         command += ["--publishing-interval", str(PUBLISHING_MS)]
         with live_speed.running(command, {}):
-            return asyncio.run(_measured(Path(name), url, seconds, known=known))
+            return asyncio.run(_measured(Path(name), url, seconds, known=known, clients=clients))
 
 
-async def _measured(folder: Path, url: str, seconds: float, *, known: bool) -> dict[str, float]:
+async def _measured(
+    folder: Path, url: str, seconds: float, *, known: bool, clients: Sequence[str]
+) -> dict[str, float]:
     config = live_speed.open_config(["Valvistor"], folder, url)
     quick = config.source.model_copy(update={"publishing_interval_ms": PUBLISHING_MS})
     config = config.model_copy(update={"source": quick})
@@ -44,7 +54,7 @@ async def _measured(folder: Path, url: str, seconds: float, *, known: bool) -> d
         while not serving.done() and not _is_ready(identification, known=known):  # noqa: ASYNC110 - a state
             await asyncio.sleep(0.5)
         figures = {}
-        for whose in ("ours", "asyncua"):
+        for whose in clients:
             arguments = (whose, config.server.url, str(PUBLISHING_MS), str(seconds))
             client = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "benchmarks.latency_client"),

@@ -20,12 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
 from service.config.estimators import AnyEstimatorConfig, RlsConfig
 from service.config.loading import load_config
-from service.config.models import Config, LogConfig, NodesConfig, ValveConfig
+from service.config.logs import LogConfig
+from service.config.models import Config, NodesConfig, ValveConfig
 from service.hardened import Limits, ServerSettings
 from service.streaming.identification import Identification
 from virtual_rig.fleet import valve_names

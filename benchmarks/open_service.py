@@ -15,7 +15,7 @@ from service.app.serve import serve
 from service.app.signals import stop_on_signal
 from service.cli.logs import set_up_logs
 from service.config.loading import load_config
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened import Limits
 
 NAMED_S = 0.03

@@ -16,10 +16,11 @@ import numpy as np
 
 from benchmarks import live_speed
 from benchmarks.publish import count_changes
-from service.app.build import APPLICATION_URI, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_URI
 from service.app.warm_up import warm_up
 from service.cli.logs import set_up_logs
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened import Limits
 from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
 from service.opcua.results_server import ResultsServer
@@ -34,17 +35,21 @@ LIMITS = Limits(
 )
 
 
-def measured(valves: int = 1_000, hz: float = 70.0, seconds: float = 15.0) -> dict[str, float]:
+def measured(
+    valves: int = 1_000, hz: float = 70.0, seconds: float = 15.0, *, warm_s: float = WARM_S
+) -> dict[str, float]:
     """Notifications per second at the client, and what was lost."""
     set_up_logs(LogConfig(level="error"))
     url = live_speed.free_url("service")
     with live_speed.running(
         ["benchmarks.results_speed", "serve", url, str(valves), str(hz)], {}
     ) as pid:
-        return {"valves": valves, **asyncio.run(_read(url, valves, seconds, pid))}
+        return {"valves": valves, **asyncio.run(_read(url, valves, seconds, warm_s, pid))}
 
 
-async def _read(url: str, valves: int, seconds: float, server: int) -> dict[str, float]:
+async def _read(
+    url: str, valves: int, seconds: float, warm_s: float, server: int
+) -> dict[str, float]:
     prefix = f"nsu={APPLICATION_URI};s="
     nodes = [
         ValveNodes(
@@ -58,7 +63,7 @@ async def _read(url: str, valves: int, seconds: float, server: int) -> dict[str,
     source = OpcUaSource(SourceSettings(url, publishing_interval_ms=50.0, timeout_s=60.0), nodes)
     await source.connect()
     try:
-        await count_changes(source, WARM_S)
+        await count_changes(source, warm_s)
         served, cpu = live_speed.processor_time(server), time.process_time()
         began = time.perf_counter()
         found = await count_changes(source, seconds)

@@ -24,7 +24,7 @@ from benchmarks.speed_page import FIRST_START, MANY, START
 from service.app.serve import serve
 from service.cli.logs import set_up_logs
 from service.config.loading import load_config
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened import Limits
 from service.opcua.results_server import NAMESPACE
 

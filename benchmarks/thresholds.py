@@ -25,9 +25,9 @@ KERNELS: Final = tuple(f"kernels.{name}" for name in _LOOPS)
 # Numbers that say where something is, or how much room it has: nothing to halve or double.
 LAYOUT: Final = {
     *(f"kernels.cells.{name}" for name in ("PLAY", "REFERENCE", "LAGGING")),
-    *(f"kernels.lag.{name}" for name in ("OFFSET", "KNOWN_LAGS", "COUNTERS")),
+    *(f"kernels.lag.{name}" for name in ("OFFSET", "CURVED", "KNOWN_LAGS", "COUNTERS")),
     *(f"kernels.ladder.{name}" for name in ("BAND", "MOST_NEIGHBOURS")),
-    *("auto.STARTED", "map_search.RICH", "kernels.grid.SLOTS"),
+    *("auto_fits.STARTED", "map_search.RICH", "kernels.grid.SLOTS"),
 }
 
 

@@ -8,7 +8,8 @@ from asyncua import Client, ua
 from asyncua.common.node import Node
 
 from documentation.tables import table
-from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI
 from service.config.models import Config
 from service.hardened import ServerSettings
 from service.opcua.results_server import NAMESPACE, ResultsServer

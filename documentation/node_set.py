@@ -9,7 +9,8 @@ from xml.etree import ElementTree as ET
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeData
 
-from service.app.build import APPLICATION_URI, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_URI
 from service.config.models import Config
 from service.hardened import ServerSettings
 from service.opcua.information_model import TYPES

@@ -12,6 +12,9 @@
     │   ├── BrokerAway            worth another try: no broker can be reached
     │   └── BlockError            a message is no block that can be read
     ├── CommandRejected           an operator's command cannot be carried out
+    ├── SinkError                 the MQTT broker cannot be used
+    │   ├── SinkLost              worth another try: connection refused, cut, silent
+    │   └── SinkRejected          it answered, and refuses us; or its certificate is not trusted
     └── SourceError               the source server
         ├── SourceLost            worth another try: connection refused, cut, silent
         └── SourceRejected        another try will not help: certificate, user, node, type
@@ -64,6 +67,18 @@ class BlockError(FleetError):
 
 class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke
     """An operator's command cannot be carried out; the state is as it was."""
+
+
+class SinkError(ValvemapError):
+    """The MQTT broker cannot be used."""
+
+
+class SinkLost(SinkError):  # noqa: N818 - it says what happened
+    """The connection failed or went silent: worth another try."""
+
+
+class SinkRejected(SinkError):  # noqa: N818
+    """The broker refuses us, or cannot be trusted."""
 
 
 class SourceError(ValvemapError):

@@ -2,10 +2,9 @@
 
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT, load_users
 from service.config.estimators import AnyEstimatorConfig, Range, build_estimator
 from service.config.models import Config, SourceConfig, ValveConfig
 from service.config.secret_files import read_secret
@@ -14,16 +13,13 @@ from service.hardened import (
     Limits,
     OwnCertificate,
     Pki,
-    Product,
     ServerSettings,
-    UserStore,
     ensure_certificate,
     load_certificate,
 )
 from service.identification.estimator import Estimator
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.namespaces import SERVICE_NAMESPACE
 from service.storage.history import HistoryFile
 from service.storage.layout import Layout, ValveLayout
 from service.streaming.alignment import Alignment, AlignmentSettings
@@ -37,10 +33,6 @@ from service.streaming.sources import Part, Sources
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
-
-APPLICATION_URI = SERVICE_NAMESPACE
-APPLICATION_NAME = "valvemap service"
-PRODUCT = Product("urn:valvemap", "valvemap", version("valvemap"))
 
 _AXIS_POINTS = 21
 _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
@@ -191,21 +183,6 @@ def build_history(config: Config) -> HistoryFile | None:
     if given.file is None:
         return None
     return HistoryFile(given.file, given.keep_days * 86_400.0, given.most_mb * 1_000_000)
-
-
-def load_users(file: Path) -> UserStore:
-    """Read who may log in.
-
-    Raises
-    ------
-    ConfigurationError
-        if the file is not there: it says what makes it; or if it is wrong.
-    """
-    if not file.exists():
-        raise ConfigurationError(
-            f"{file}: no such file; `valvemap init` makes users, certificates and a configuration"
-        )
-    return UserStore.load(file)
 
 
 def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:

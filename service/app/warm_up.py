@@ -219,6 +219,7 @@ def _compile_what_auto_seldom_needs() -> None:
     scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
     rows = state.recent[:1].astype(np.float64)
     lag_search.look(rows, scalars[cells.LAGS + lag.KNOWN_LAGS :], (None, None))
+    lag.smoothing(0.01, 0.1)
     map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
     cells.colour(scalars)
     reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])

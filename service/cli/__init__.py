@@ -15,6 +15,7 @@ COMMANDS: Final[Mapping[str, str]] = {
     "rig": "rig",
     "serve": "serve",
     "dashboard": "dashboard",
+    "mqtt": "mqtt",
     "replay": "replay",
     "invert": "invert",
     "export": "invert",

@@ -102,7 +102,7 @@ def _by_the_best(
 def _settings(
     url: str, data: Path, user: str | None, security: str, *, check_host_name: bool
 ) -> "SourceSettings":
-    from service.app.build import APPLICATION_NAME, APPLICATION_URI
+    from service.app.identities import APPLICATION_NAME, APPLICATION_URI
     from service.hardened import Pki, ensure_certificate
     from service.opcua.client import Security, SourceSettings
 

@@ -7,7 +7,12 @@ from typing import Annotated
 import typer
 
 from service.cli.options import FolderOption, RevocationOption
-from service.config.secret_files import read_secret
+from service.cli.watching import (
+    HostNameOption,
+    PasswordFileOption,
+    SecurityOption,
+    watched,
+)
 from service.errors import ConfigurationError
 
 URL = "opc.tcp://127.0.0.1:4841/valvemap/service/"
@@ -35,18 +40,12 @@ def dashboard(
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="FILE.pem")] = None,
     data: FolderOption = Path("data"),
-    security: Annotated[
-        str, typer.Option(help="Basic256Sha256, Aes256Sha256RsaPss, or None.")
-    ] = "Basic256Sha256",
+    security: SecurityOption = "Basic256Sha256",
     user: Annotated[str | None, typer.Option(help="Else the one that `init` made.")] = None,
-    password_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Its first line is the user's password.")
-    ] = None,
+    password_file: PasswordFileOption = None,
     rig_url: Annotated[str | None, typer.Option(help="Of a virtual rig, to play with.")] = None,
     *,
-    check_host_name: Annotated[
-        bool, typer.Option(help="The service's certificate must name the host of its url.")
-    ] = True,
+    check_host_name: HostNameOption = True,
     require_crl: RevocationOption = True,
     under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
 ) -> None:
@@ -58,27 +57,19 @@ def dashboard(
         raise ConfigurationError(
             f"the page needs {error.name}: pip install 'valvemap[dashboard]'"
         ) from None
-    from service.app.identities import PAGE_USER
-    from service.app.page_access import Watched
     from service.app.signals import stop_on_signal, stop_with_parent
-    from service.opcua.connection import Security
 
-    if security not in set(Security):
-        raise typer.BadParameter(f"security {security!r}: allowed is one of {', '.join(Security)}")
-    address, port = _address(listen)
-    own_password = password_file or data / "dashboard-password"
-    if user is None and security != Security.NONE:
-        user = PAGE_USER
-    watched = Watched(
-        url=url,
-        security=Security(security),
-        pki=data / "pki" / "dashboard",
-        user=user,
-        password=None if user is None else read_secret(own_password),
-        rig_url=rig_url,
+    service = watched(
+        url,
+        data,
+        security,
+        user,
+        password_file,
         check_host_name=check_host_name,
         require_crl=require_crl,
+        rig_url=rig_url,
     )
+    address, port = _address(listen)
     page = PageSettings(address, port, tuple(host_name or ()), certificate, key)
 
     async def until_stopped() -> None:
@@ -86,7 +77,7 @@ def dashboard(
         if under_demo:
             stop_with_parent(stop)
         with stop_on_signal(stop):
-            await run_dashboard(watched, page, stop, _say, any_port=under_demo)
+            await run_dashboard(service, page, stop, _say, any_port=under_demo)
 
     asyncio.run(until_stopped())
 

@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI, PRODUCT, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT
 from service.app.serve import serve
 from service.app.signals import stop_on_signal
 from service.app.warm_up import warm_up
@@ -23,7 +24,8 @@ from service.cli.logs import set_up_logs
 from service.cli.under_demo import page_process, rig_process
 from service.clock import SystemClock
 from service.config.loading import load_config
-from service.config.models import Config, LogConfig, NodesConfig, StateConfig, ValveConfig
+from service.config.logs import LogConfig
+from service.config.models import Config, NodesConfig, StateConfig, ValveConfig
 from service.hardened import Role, ServerSettings, UserStore
 from service.identification.least_squares import batch_least_squares
 from service.identification.model_structures import FiveTerms

@@ -3,9 +3,10 @@
 import asyncio
 import os
 import time
+from collections.abc import Awaitable, Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,9 @@ from service.cli.logs import set_up_logs
 from service.cli.options import ConfigOption
 from service.cli.progress import bars
 from service.errors import ConfigurationError, FleetError
+
+if TYPE_CHECKING:
+    from service.fleet.settings import FleetConfig
 
 FleetOption = Annotated[
     Path,
@@ -22,6 +26,9 @@ FleetOption = Annotated[
         metavar="FILE",
         help="The fleet's configuration (TOML); VALVEMAP_FLEET_<SECTION>__<FIELD> overrides it.",
     ),
+]
+SiteArgument = Annotated[
+    str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
 ]
 CONFIG = Path("config/fleet.toml")
 
@@ -47,25 +54,13 @@ def topics(config: FleetOption = CONFIG) -> None:
 
 @fleet.command()
 def collect(
-    site: Annotated[
-        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
-    ] = None,
+    site: SiteArgument = None,
     config: FleetOption = CONFIG,
 ) -> None:
     """Send the samples of a site's sources to the workers, until Ctrl-C."""
-    from service.app.signals import stop_on_signal
     from service.fleet.collect import collect as run
-    from service.fleet.settings import load_fleet
 
-    loaded = load_fleet(config)
-    set_up_logs()
-
-    async def until_stopped() -> None:
-        stop = asyncio.Event()
-        with stop_on_signal(stop):
-            await run(loaded, site, stop)
-
-    asyncio.run(until_stopped())
+    _run_until_stopped(run, site, config)
 
 
 @fleet.command()
@@ -81,25 +76,13 @@ def work(config: FleetOption = CONFIG) -> None:
 
 @fleet.command()
 def serve(
-    site: Annotated[
-        str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
-    ] = None,
+    site: SiteArgument = None,
     config: FleetOption = CONFIG,
 ) -> None:
     """Show a site's results to any OPC UA client, until Ctrl-C."""
-    from service.app.signals import stop_on_signal
     from service.fleet.serve import serve as run
-    from service.fleet.settings import load_fleet
 
-    loaded = load_fleet(config)
-    set_up_logs()
-
-    async def until_stopped() -> None:
-        stop = asyncio.Event()
-        with stop_on_signal(stop):
-            await run(loaded, site, stop)
-
-    asyncio.run(until_stopped())
+    _run_until_stopped(run, site, config)
 
 
 @fleet.command()
@@ -152,3 +135,22 @@ def status(config: FleetOption = CONFIG) -> None:
 
     for line in lines(look(load_fleet(config)), time.time_ns()):
         typer.echo(line)
+
+
+def _run_until_stopped(
+    run: "Callable[[FleetConfig, str | None, asyncio.Event], Awaitable[None]]",
+    site: str | None,
+    config: Path,
+) -> None:
+    from service.app.signals import stop_on_signal
+    from service.fleet.settings import load_fleet
+
+    loaded = load_fleet(config)
+    set_up_logs()
+
+    async def until_stopped() -> None:
+        stop = asyncio.Event()
+        with stop_on_signal(stop):
+            await run(loaded, site, stop)
+
+    asyncio.run(until_stopped())

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import structlog
 
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened.logs import IS_ESCAPED, escaped
 
 _QUIET = ("asyncua", "numba", "matplotlib")

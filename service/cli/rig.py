@@ -5,27 +5,26 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from service.app.build import PRODUCT, load_users
+from service.app.identities import PRODUCT, RIG_NAME, RIG_URI, load_users
 from service.app.signals import stop_on_signal, stop_with_parent
 from service.cli.logs import set_up_logs
 from service.cli.options import FolderOption, RevocationOption
 from service.cli.progress import bars
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened import Limits, Pki, Role, ServerSettings, UserStore
-from service.identification.samples import Samples
-from service.opcua.namespaces import RIG_NAMESPACE
 from virtual_rig.fleet_server import FleetServer
 from virtual_rig.scenario import Fleet, Scenario, load_scenario
 from virtual_rig.server import RigServer
 from virtual_rig.simulation import RigBlock, advance, initial
 
+if TYPE_CHECKING:
+    from service.identification.samples import Samples
+
 URL = "opc.tcp://127.0.0.1:4840/valvemap/rig/"
-APPLICATION_URI = RIG_NAMESPACE
-APPLICATION_NAME = "valvemap rig"
 
 _BLOCK = 1_000
 _SENSORS: tuple[Literal["U", "p1", "p2", "Q", "T"], ...] = ("U", "p1", "p2", "Q", "T")
@@ -118,9 +117,11 @@ def record_offline(scenario: Scenario, file: Path | None) -> None:
     typer.echo(f"{file}: {state.index:,} samples of each valve")
 
 
-def _append(append: Callable[[str, Samples], None], block: RigBlock) -> None:
+def _append(append: "Callable[[str, Samples], None]", block: RigBlock) -> None:
     """Record what a client can align: a sample that lacks a signal is none."""
     import numpy as np
+
+    from service.identification.samples import Samples
 
     for name, valve in block.valves.items():
         columns = {signal: getattr(valve, signal) for signal in _SENSORS}
@@ -141,8 +142,6 @@ async def _serve(
     require_crl: bool,
     under_demo: bool,
 ) -> None:
-    from service.storage.recordings import RecordingWriter
-
     stop = asyncio.Event()
     users = UserStore()
     if under_demo:
@@ -152,9 +151,9 @@ async def _serve(
         users = load_users(data / "users.json")
     settings = ServerSettings(
         url=url,
-        application_uri=APPLICATION_URI,
-        application_name=APPLICATION_NAME,
-        namespace_uri=APPLICATION_URI,
+        application_uri=RIG_URI,
+        application_name=RIG_NAME,
+        namespace_uri=RIG_URI,
         pki=None if under_demo else Pki(data / "pki" / "rig"),
         require_crl=require_crl,
         users=users,
@@ -174,6 +173,8 @@ async def _serve(
             return
         on_block = None
         if record is not None:
+            from service.storage.recordings import RecordingWriter
+
             writer = stack.enter_context(RecordingWriter(record))
             on_block = lambda block: _append(writer.append, block)  # noqa: E731 - a tap
         server = await RigServer.create(settings, scenario, on_block=on_block)

@@ -9,9 +9,15 @@ from typing import Annotated
 import typer
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI
-from service.app.identities import PAGE_NAME, PAGE_URI, PAGE_USER
-from service.cli import rig
+from service.app.identities import (
+    APPLICATION_NAME,
+    APPLICATION_URI,
+    PAGE_NAME,
+    PAGE_URI,
+    PAGE_USER,
+    RIG_NAME,
+    RIG_URI,
+)
 from service.cli.options import FolderOption
 from service.config.template import configuration_template
 from service.errors import StorageError
@@ -57,7 +63,7 @@ def init(
         raise typer.BadParameter(f"--data {data}: it is a file, a folder is needed")
     make_users(data, operator_password)
     service = _certificate(data, "service", APPLICATION_URI, APPLICATION_NAME, service_host)
-    of_rig = _certificate(data, "rig", rig.APPLICATION_URI, rig.APPLICATION_NAME, rig_host)
+    of_rig = _certificate(data, "rig", RIG_URI, RIG_NAME, rig_host)
     _trust_each_other(data, service, of_rig)
     _make_page(data, service, of_rig)
     _make_configuration(data, service_host or [])

@@ -1,6 +1,7 @@
 """Reading a configuration file; every mistake is one line that names file, field and value."""
 
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
@@ -85,8 +86,13 @@ def _sentence(details: ErrorDetails) -> str:
     return message[:1].lower() + message[1:]
 
 
+_LOG_IN = re.compile(r"//[^/@]*@")  # of an address: somebody's password
 _FORMS = {
     "url": "allowed is opc.tcp://HOST:PORT/PATH",
+    "broker": "allowed is mqtt://HOST or mqtts://HOST, with :PORT where it is not 1883 or 8883",
+    "group": "allowed are words without / + #, a space between them, 64 characters at most",
+    "edge_node": "allowed are words without / + #, a space between them, 64 characters at most",
+    "primary_host": "allowed are words without / + #, a space between them, 64 characters at most",
     "name": "allowed is a letter, then letters, digits, _ or -, 64 at most",
 }
 _SHAPES = {
@@ -125,5 +131,7 @@ def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) ->
     if details["type"] == "missing":
         return f"{where}: {field}: this field is required"
     value = details["input"]
+    if isinstance(value, str):
+        value = _LOG_IN.sub("//***@", value)
     shown = f" = {value!r}" if isinstance(value, str | int | float | bool) else ""
     return f"{where}: {field}{shown}: {message}"

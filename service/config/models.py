@@ -15,6 +15,8 @@ from pydantic_settings import SettingsConfigDict
 
 from service.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from service.config.estimators import EstimatorConfig, default_estimators
+from service.config.logs import LogConfig
+from service.config.mqtt import MqttConfig
 from service.config.sections import Section, SettingsFile
 from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
@@ -420,17 +422,6 @@ class RecordingConfig(Section):
     quality: str | None = Field(None, min_length=1, description="column of the qualities")
 
 
-class LogConfig(Section):
-    """What is logged while the service runs."""
-
-    level: Literal["debug", "info", "warning", "error"] = Field(
-        "info", description="least severe event that is logged"
-    )
-    format: Literal["console", "json"] = Field(
-        "console", description="console: for people; json: an object a line"
-    )
-
-
 class Config(SettingsFile):
     """The whole configuration: a TOML file, overridden by ``VALVEMAP_<SECTION>__<FIELD>``."""
 
@@ -448,6 +439,7 @@ class Config(SettingsFile):
     log: LogConfig = LogConfig()
     recording: RecordingConfig = RecordingConfig()
     alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
+    mqtt: MqttConfig = MqttConfig()
     valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
 
     @field_validator("valves")

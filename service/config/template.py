@@ -45,6 +45,11 @@ file = {quoted(data / "history.sqlite")}
 keep_days = 7
 most_mb = 2000
 
+# [mqtt] # where `valvemap mqtt` sends results, as Sparkplug B: docs/mqtt.md
+# broker = "mqtts://broker.plant:8883"
+# group = "valvemap"
+# edge_node = "service"
+
 [alignment] # which signals make one sample
 # How signals come that carry no common time is found at the start; these two say it instead.
 # tolerance_ms = 6 # of the times of one sample

@@ -8,10 +8,11 @@ from service.clock import Clock, utc_ns
 from service.dashboard.layout import Valve, Variables, sort_variables
 from service.dashboard.play_out import PlayOut
 from service.dashboard.points import Points
-from service.dashboard.ports import Client, Reading, Wanted
+from service.dashboard.ports import Client, Wanted
 from service.dashboard.reading import read_all
 from service.dashboard.store import Store
 from service.errors import SourceRejected
+from service.readings import Reading
 
 TICK_S = 0.1  # of what is watched live
 _FOLLOWED_EVERY_S = 0.5  # a message costs the service more than the five results in it

@@ -7,9 +7,10 @@ from typing import TypeVar
 
 from service.clock import Clock
 from service.dashboard.layout import Valve
-from service.dashboard.ports import Client, Reading
+from service.dashboard.ports import Client
 from service.dashboard.reading import read_all
 from service.errors import ValvemapError
+from service.readings import Reading
 
 Key = TypeVar("Key")
 

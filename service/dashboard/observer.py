@@ -15,12 +15,13 @@ from service.dashboard.layout import (
     ROOT,
     Valve,
 )
-from service.dashboard.ports import Client, Reading, Wanted
+from service.dashboard.ports import Client, Wanted
 from service.dashboard.reading import read_all
 from service.dashboard.store import Store
 from service.dashboard.surface import draw_surface
 from service.dashboard.timeline import TimeLine
 from service.errors import CommandRejected, SourceLost, ValvemapError
+from service.readings import Reading
 
 _TICKS_PER_ROUND = 10  # all valves are looked at once a second
 _ROUNDS_PER_DISCOVERY = 5  # changes and actions are rare

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from service.dashboard.ports import Client, Reading
+from service.dashboard.ports import Client
+from service.readings import Reading
 
 _NODES_AT_ONCE = 200  # of one read: answers stay well within what is decoded of one
 

@@ -6,29 +6,59 @@ publishes seldom: nothing is missed, and whoever looks is a moment late.
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import count
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from asyncua import ua
 
 from service.errors import SourceError, SourceLost, SourceRejected
 from service.opcua.connection import Connection, status_name
+from service.opcua.requests import in_chunks, operation_limits
 from service.opcua.responses import decode_response
 
 _Name = TypeVar("_Name")
 
-_SAMPLING_S = 0.05  # twice as often as anybody looks: nothing that is due is thinned out
-_QUEUE = 40  # values of a variable: 2 s of them, if somebody is late
 _KEEP_ALIVES, _LIFETIME = 20, 120  # publishing intervals: of 0.5 s, 10 and 60 s
 _VALUES_PER_MESSAGE = 500
 _MOST_CHANGES = 10_000  # that nobody has taken; beyond them the oldest go
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """How a server looks for changes.
+
+    Attributes
+    ----------
+    every_s
+        How often; of the values in between the last counts.
+    queue
+        Values of a variable that it keeps if somebody is late.
+    equal_too
+        Whether an equal value with a new time is a change: it says that the valve is alive.
+    """
+
+    every_s: float
+    queue: int
+    equal_too: bool
+
+
+CLOSELY: Final = Sampling(0.05, 40, equal_too=True)
+"""Twice as often as anybody looks: nothing that is due is thinned out; 2 s of it are kept."""
+
+
 class Followed(Generic[_Name]):
-    """One subscription: made when something is first followed, deleted by :meth:`stop`."""
+    """One subscription: made when something is first followed, deleted by :meth:`stop`.
+
+    Attributes
+    ----------
+    lost : int
+        Changes that came and found no room, as nobody had taken those before.
+    """
 
     def __init__(self, connection: Connection) -> None:
+        self.lost = 0
         self._connection = connection
         self._subscription: int | None = None
         self._publishing: asyncio.Task[None] | None = None
@@ -38,7 +68,9 @@ class Followed(Generic[_Name]):
         self._changes: deque[tuple[_Name, ua.DataValue]] = deque(maxlen=_MOST_CHANGES)
         self._failure: SourceError | None = None
 
-    async def follow(self, nodes: Mapping[_Name, ua.NodeId], every_s: float) -> None:
+    async def follow(
+        self, nodes: Mapping[_Name, ua.NodeId], every_s: float, sampling: Sampling = CLOSELY
+    ) -> None:
         """Follow just these: some more than before, the others no longer.
 
         What changes comes every ``every_s``, as the first who followed something wanted it.
@@ -56,7 +88,8 @@ class Followed(Generic[_Name]):
             with self._connection.errors("following values"):
                 await self._begin(every_s)
                 await self._forget([name for name in self._items if name not in nodes])
-                await self._add({n: node for n, node in nodes.items() if n not in self._items})
+                new = {n: node for n, node in nodes.items() if n not in self._items}
+                await self._add(new, sampling)
         except SourceRejected:
             await self.stop()
             raise
@@ -118,18 +151,14 @@ class Followed(Generic[_Name]):
         self._subscription = created.SubscriptionId
         self._publishing = asyncio.create_task(self._publish(created.SubscriptionId))
 
-    async def _add(self, nodes: Mapping[_Name, ua.NodeId]) -> None:
+    async def _add(self, nodes: Mapping[_Name, ua.NodeId], sampling: Sampling) -> None:
         if not nodes:
             return
         handles = {next(self._handles): name for name in nodes}
         self._names |= handles
-        results = await self._connection.session.create_monitored_items(
-            ua.CreateMonitoredItemsParameters(
-                SubscriptionId=self._subscription,
-                TimestampsToReturn=ua.TimestampsToReturn.Source,
-                ItemsToCreate=[_item(nodes[name], handle) for handle, name in handles.items()],
-            )
-        )
+        items = [_item(nodes[name], handle, sampling) for handle, name in handles.items()]
+        limit = (await operation_limits(self._connection)).items_per_call
+        results = await in_chunks(items, limit, self._create)
         for (handle, name), result in zip(handles.items(), results, strict=True):
             code = result.StatusCode.value
             if not code >> 30:
@@ -138,6 +167,17 @@ class Followed(Generic[_Name]):
                 del self._names[handle]  # it never changes
             else:
                 raise SourceRejected(f"{self._connection.settings.url}: {status_name(code)}")
+
+    async def _create(
+        self, items: Sequence[ua.MonitoredItemCreateRequest]
+    ) -> list[ua.MonitoredItemCreateResult]:
+        return await self._connection.session.create_monitored_items(
+            ua.CreateMonitoredItemsParameters(
+                SubscriptionId=self._subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Source,
+                ItemsToCreate=list(items),
+            )
+        )
 
     async def _forget(self, names: list[_Name]) -> None:
         if not names:
@@ -172,25 +212,25 @@ class Followed(Generic[_Name]):
                     for change in changes:
                         name = self._names.get(change.ClientHandle)
                         if name is not None:
+                            self.lost += len(self._changes) == _MOST_CHANGES
                             self._changes.append((name, change.Value))
                 case ua.StatusChangeNotification(Status=status) if status.value >> 30:
                     url, why = self._connection.settings.url, status_name(status.value)
                     raise SourceLost(f"{url}: the subscription ended: {why}")
 
 
-def _item(node: ua.NodeId, handle: int) -> ua.MonitoredItemCreateRequest:
-    """Report every new result, an equal one too: its time says that the valve is alive."""
+def _item(node: ua.NodeId, handle: int, sampling: Sampling) -> ua.MonitoredItemCreateRequest:
+    trigger = ua.DataChangeTrigger.StatusValue
+    if sampling.equal_too:
+        trigger = ua.DataChangeTrigger.StatusValueTimestamp
     return ua.MonitoredItemCreateRequest(
         ItemToMonitor=ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value),
         MonitoringMode=ua.MonitoringMode.Reporting,
         RequestedParameters=ua.MonitoringParameters(
             ClientHandle=handle,
-            SamplingInterval=_SAMPLING_S * 1e3,
-            Filter=ua.DataChangeFilter(
-                Trigger=ua.DataChangeTrigger.StatusValueTimestamp,
-                DeadbandType=ua.DeadbandType.None_,
-            ),
-            QueueSize=_QUEUE,
+            SamplingInterval=sampling.every_s * 1e3,
+            Filter=ua.DataChangeFilter(Trigger=trigger, DeadbandType=ua.DeadbandType.None_),
+            QueueSize=sampling.queue,
             DiscardOldest=True,
         ),
     )

@@ -18,12 +18,19 @@ from service.opcua.connection import (
     open_connection,
     status_name,
 )
-from service.opcua.followed import Followed
-from service.opcua.requests import children_of, in_chunks, namespaces_of, read_values
+from service.opcua.followed import CLOSELY, Followed, Sampling
+from service.opcua.requests import (
+    children_of,
+    in_chunks,
+    namespaces_of,
+    read_attributes,
+    read_values,
+)
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
 _METHODS_AT_ONCE = 50  # of one request: others want their turn
+_LATE = 10  # values of a variable that is watched which the server keeps if we are late
 
 
 @dataclass(frozen=True)
@@ -107,19 +114,47 @@ class ResultsClient:
         ------
         SourceLost, SourceRejected
         """
+        (children,) = await self.browse_each([id])
+        return children
+
+    async def browse_each(self, ids: Sequence[str | None]) -> list[list[Child]]:
+        """The same of several nodes in few requests.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
         connection = self._connected()
-        start = ua.NodeId(ua.ObjectIds.ObjectsFolder) if id is None else self._node(id)
-        with connection.errors(f"browsing {id or 'Objects'}"):
-            (references,) = await children_of(connection, [start])
+        objects = ua.NodeId(ua.ObjectIds.ObjectsFolder)
+        nodes = [objects if id_ is None else self._node(id_) for id_ in ids]
+        with connection.errors(f"browsing {ids[0] or 'Objects'}"):
+            found = await children_of(connection, nodes)
         return [
-            Child(
-                str(reference.NodeId.Identifier),
-                reference.NodeClass == ua.NodeClass.Variable,
-                reference.NodeClass == ua.NodeClass.Method,
-            )
-            for reference in references
-            if reference.NodeId.NamespaceIndex == self._index
+            [
+                Child(
+                    str(reference.NodeId.Identifier),
+                    reference.NodeClass == ua.NodeClass.Variable,
+                    reference.NodeClass == ua.NodeClass.Method,
+                )
+                for reference in references
+                if reference.NodeId.NamespaceIndex == self._index
+            ]
+            for references in found
         ]
+
+    async def scalar_types(self, ids: Sequence[str]) -> list[str | None]:
+        """Names of the standard's types of variables; None of arrays, and of what has none.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        wanted = (ua.AttributeIds.DataType, ua.AttributeIds.ValueRank)
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading types"):
+            answers = await read_attributes(connection, nodes, wanted)
+        return [_type_name(*answer) for answer in answers]
 
     async def read(self, ids: Sequence[str | int]) -> list[Reading]:
         """Values of variables, one reading each; what cannot be read has a Bad ``code``.
@@ -139,15 +174,26 @@ class ResultsClient:
     async def follow(self, ids: Collection[str], every_s: float) -> None:
         """Be sent what changes of just these variables, so often; of none: end that.
 
+        An equal value with a new time is a change.
+
         Raises
         ------
         SourceRejected
             if the server has no room for that; nothing is followed then.
         SourceLost
         """
-        if self._followed is None:
-            raise self._not_connected()
-        await self._followed.follow({id_: self._node(id_) for id_ in ids}, every_s)
+        await self._follow(ids, every_s, CLOSELY)
+
+    async def watch(self, ids: Collection[str], every_s: float) -> None:
+        """Like :meth:`follow`; of the values since the last time the last one is sent at least.
+
+        Raises
+        ------
+        SourceRejected
+            if the server has no room for that; nothing is followed then.
+        SourceLost
+        """
+        await self._follow(ids, every_s, Sampling(every_s, _LATE, equal_too=False))
 
     def changes(self) -> list[tuple[str, Reading]]:
         """Take what was sent of the variables that are followed, in its order.
@@ -159,6 +205,11 @@ class ResultsClient:
         if self._followed is None:
             raise self._not_connected()
         return [(id_, _reading(value)) for id_, value in self._followed.take()]
+
+    @property
+    def lost(self) -> int:
+        """Changes that were sent over this connection and not taken in time."""
+        return 0 if self._followed is None else self._followed.lost
 
     async def call(
         self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
@@ -213,6 +264,11 @@ class ResultsClient:
             )
         _check(id, status.value)
 
+    async def _follow(self, ids: Collection[str], every_s: float, sampling: Sampling) -> None:
+        if self._followed is None:
+            raise self._not_connected()
+        await self._followed.follow({id_: self._node(id_) for id_ in ids}, every_s, sampling)
+
     async def _find_namespace(self, connection: Connection) -> int:
         namespaces = await namespaces_of(connection)
         if self._namespace not in namespaces:
@@ -238,6 +294,14 @@ def _reading(answer: ua.DataValue) -> Reading:
     code = answer.StatusCode.value if answer.StatusCode is not None else 0
     time = answer.SourceTimestamp
     return Reading(value, int(code), 0 if time is None else utc_ns(time))
+
+
+def _type_name(type_: ua.DataValue, rank: ua.DataValue) -> str | None:
+    is_scalar = rank.Value is not None and rank.Value.Value == ua.ValueRank.Scalar
+    node = type_.Value.Value if is_scalar and type_.Value is not None else None
+    if not isinstance(node, ua.NodeId) or node.NamespaceIndex != 0:
+        return None
+    return ua.ObjectIdNames.get(node.Identifier)
 
 
 def _variant(value: float | str) -> ua.Variant:

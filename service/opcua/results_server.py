@@ -26,6 +26,7 @@ from service.hardened import (
     add_property,
     add_variable,
     caller,
+    event_fields,
     many_nodes,
 )
 from service.hardened import CommandRejected as Refused
@@ -233,7 +234,8 @@ class ResultsServer(Startable):
             owners = [*(valve.name for valve in self._valves), SERVICE, ROOT]
             emitters = [ua.NodeId(owner, server.namespace_index) for owner in owners]
             past = AlarmsPast(self._store, self._alarms.event_of)
-            server.add_event_history([ua.NodeId(ua.ObjectIds.Server), *emitters], past)
+            sources = [ua.NodeId(ua.ObjectIds.Server), *emitters]
+            server.add_event_history(sources, past, event_fields())
         await server.start()
         self._server = server
 

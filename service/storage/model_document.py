@@ -8,7 +8,8 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from service.identification.auto import Auto, AutoState, write_map
+from service.identification.auto import Auto
+from service.identification.auto_state import AutoState, write_map
 from service.identification.estimator import Estimator
 from service.identification.kernels import cells as auto_memory
 from service.identification.kernels import lack_of_fit

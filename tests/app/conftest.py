@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import pytest
 from support.processes import free_port, rig_url, running, wait_for
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI
 from service.config.loading import load_config
 from service.hardened import ServerSettings
 

@@ -25,7 +25,7 @@ async def served(tmp_path):
     plan = ValvePlan(VALVE, QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
     identification = Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    settings = results_settings(users=users, none_on_loopback=True, cache=tmp_path)
+    settings = results_settings(users=users, none_on_loopback=True)
     described = identification.descriptions()
     async with ResultsServer(settings, described, identification) as server:
 

@@ -9,13 +9,15 @@ from support.processes import rig_url
 from service.app.build import build_identification
 from service.app.serve import serve
 
+pytestmark = pytest.mark.waits
+
 RATE_HZ = 100
 
 
 @pytest.mark.parametrize(
     "seconds",
     [
-        pytest.param(20, id="20 s"),
+        pytest.param(10, id="10 s"),
         pytest.param(600, id="10 min", marks=[pytest.mark.soak, pytest.mark.timeout(900)]),
     ],
 )

@@ -11,6 +11,8 @@ from service.app.serve import serve
 from service.config.estimators import RlsConfig
 from service.config.models import NodesConfig, ValveConfig
 
+pytestmark = pytest.mark.waits
+
 TWO_VALVES = """
 name = "two"
 time_factor = 10

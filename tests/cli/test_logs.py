@@ -7,7 +7,7 @@ import pytest
 import structlog
 
 from service.cli.logs import set_up_logs
-from service.config.models import LogConfig
+from service.config.logs import LogConfig
 from service.hardened.logs import audit_logger, bounded_logger
 
 FORGED = "2026-11-22T00:00:00Z [info     ] session activated by anna"

@@ -1,7 +1,10 @@
+from pathlib import Path
+
 import pytest
 
 from service.app.build import build_plans
 from service.config.loading import load_config
+from service.config.mqtt import MqttConfig
 from service.errors import ConfigurationError
 from service.identification.sensor_accuracy import SensorAccuracy
 
@@ -170,3 +173,31 @@ def test_sources_that_do_not_fit_are_refused_in_a_line(tmp_path, before, after, 
 
 def test_a_source_named_without_sources_is_refused(tmp_path):
     assert "there are no [[sources]]" in complaint(tmp_path, "[[valves]]\nsource = 'x'\n")
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ('broker = "broker.plant:1883"', "mqtt.broker = 'broker.plant:1883': allowed is mqtt://"),
+        ('broker = "mqtt://a:b@host"', "mqtt.broker = 'mqtt://***@host': allowed is mqtt://"),
+        ('broker = "mqtt://host:70000"', "its port must be 1 to 65535"),
+        ('group = "a/b"', "mqtt.group = 'a/b': allowed are words without / + #"),
+        ('edge_node = ""', "mqtt.edge_node = '': allowed are words"),
+        ('user = "u"', "user and password_file belong together"),
+        ('broker = "mqtts://h"\ncertificate_file = "c"', "certificate_file and key_file belong"),
+        ('ca_file = "c"', "ca_file and certificate_file need broker = mqtts://"),
+        ('broker = "mqtt://h"\nuser = "u"\npassword_file = "p"', "mqtts:// is needed"),
+        ("variables = []", "mqtt.variables"),
+        ("interval = 1", "mqtt.interval: there is no such field; is interval_s meant?"),
+    ],
+)
+def test_a_mistake_in_mqtt_is_one_line_that_says_what_is_allowed(tmp_path, section, said):
+    line = complaint(tmp_path, f"[mqtt]\n{section}\n")
+    assert len(line.splitlines()) == 1
+    assert said in line
+
+
+def test_a_password_may_travel_in_the_clear_on_this_machine_alone():
+    of = {"user": "u", "password_file": Path("p")}
+    assert MqttConfig(broker="mqtt://127.0.0.1:1883", **of).address == ("127.0.0.1", 1883)
+    assert MqttConfig(broker="mqtts://[2001:db8::1]", **of).address == ("2001:db8::1", 8883)

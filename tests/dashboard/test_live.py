@@ -10,6 +10,8 @@ from support.shown_service import Read, ShownService
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+pytestmark = pytest.mark.waits
+
 WATCH = {"watch": {"valve": "V1", "estimator": None, "overview": True}}
 
 

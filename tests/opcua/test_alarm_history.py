@@ -167,3 +167,23 @@ async def test_the_server_says_that_events_are_remembered(listener):
     assert await said.read_value() is True
     server = client.get_node(SERVER)
     assert ua.EventNotifier.HistoryRead in await server.read_event_notifier()
+
+
+async def test_whoever_remembers_says_which_fields_and_every_one_of_them_is_read(
+    standing, listener
+):
+    await a_life(standing, listener)
+    client = listener.client
+    index = await client.get_namespace_index(NAMESPACE)
+    for node in (SERVER, ua.NodeId("Valvistor", index), ua.NodeId("Service", index)):
+        kept = await client.get_node(node).get_child("0:HistoricalEventFilter")
+        filter_ = await kept.read_value()
+        assert isinstance(filter_, ua.EventFilter)
+    paths = ["/".join(name.Name for name in c.BrowsePath) for c in filter_.SelectClauses]
+    assert set(FIELDS) <= set(paths)
+    result = await answered(client, SERVER, EVER, filter_=filter_)
+    values = [[field.Value for field in e.EventFields] for e in result.HistoryData.Events]
+    read = [dict(zip(paths, each, strict=True)) for each in values]
+    assert read
+    assert all(event["ConditionName"] for event in read)
+    assert all(any(event[path] is not None for event in read) for path in FIELDS)

@@ -25,15 +25,10 @@ CUT_S = 1.6
 AT_ONCE = SupervisorSettings(pauses=lambda: repeat(0.1))
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
 @asynccontextmanager
-async def plant(cache, limits, remembers=100_000):
+async def plant(limits, remembers=100_000):
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    made = await NumberedServer.create(cache, users=users, limits=limits, remembers=remembers)
+    made = await NumberedServer.create(users=users, limits=limits, remembers=remembers)
     async with made.server:
         yield made, password
 
@@ -51,9 +46,9 @@ async def all_in_order(served, collector):
     [(SHORT, False), (FORGETFUL, False), (FORGETFUL, True)],
     ids=["queue too short", "subscription gone", "subscription of a user gone"],
 )
-async def test_a_cut_longer_than_the_source_holds_costs_nothing(cache, limits, named):
+async def test_a_cut_longer_than_the_source_holds_costs_nothing(limits, named):
     async with (
-        plant(cache, limits) as served,
+        plant(limits) as served,
         watching(served, named=named, supervision=AT_ONCE) as (proxy, source, collector),
     ):
         await proxy.cut_for(CUT_S)
@@ -63,9 +58,9 @@ async def test_a_cut_longer_than_the_source_holds_costs_nothing(cache, limits, n
         assert source.counters.from_history < 2 * asked  # it is asked for what is missing alone
 
 
-async def test_a_cut_while_the_past_is_read_costs_nothing(cache):
+async def test_a_cut_while_the_past_is_read_costs_nothing():
     async with (
-        plant(cache, FORGETFUL) as served,
+        plant(FORGETFUL) as served,
         watching(served, supervision=AT_ONCE) as (proxy, source, collector),
     ):
         proxy.refuses = True
@@ -78,9 +73,9 @@ async def test_a_cut_while_the_past_is_read_costs_nothing(cache):
         await all_in_order(served, collector)
 
 
-async def test_without_history_what_is_lost_is_counted_to_the_sample(cache):
+async def test_without_history_what_is_lost_is_counted_to_the_sample():
     async with (
-        plant(cache, FORGETFUL, remembers=0) as served,
+        plant(FORGETFUL, remembers=0) as served,
         watching(served, supervision=AT_ONCE) as (proxy, source, collector),
     ):
         await proxy.cut_for(CUT_S)
@@ -95,9 +90,9 @@ async def test_without_history_what_is_lost_is_counted_to_the_sample(cache):
         assert source.counters.from_history == 0
 
 
-async def test_what_a_short_history_has_no_more_is_counted_to_the_sample(cache):
+async def test_what_a_short_history_has_no_more_is_counted_to_the_sample():
     async with (
-        plant(cache, FORGETFUL, remembers=50) as served,
+        plant(FORGETFUL, remembers=50) as served,
         watching(served, supervision=AT_ONCE) as (proxy, source, collector),
     ):
         await proxy.cut_for(CUT_S)
@@ -110,9 +105,9 @@ async def test_what_a_short_history_has_no_more_is_counted_to_the_sample(cache):
         assert 0 < source.counters.from_history <= 50 * SIGNALS_PER_VALVE
 
 
-async def test_who_does_not_want_history_does_not_get_it(cache):
+async def test_who_does_not_want_history_does_not_get_it():
     async with (
-        plant(cache, FORGETFUL) as served,
+        plant(FORGETFUL) as served,
         watching(served, supervision=AT_ONCE, history_s=0.0) as (proxy, source, collector),
     ):
         await proxy.cut_for(CUT_S)
@@ -121,8 +116,8 @@ async def test_who_does_not_want_history_does_not_get_it(cache):
         assert source.counters.from_history == 0
 
 
-async def test_five_minutes_at_100_hz_are_caught_up_at_more_than_20_times_real_time(cache):
-    async with plant(cache, FORGETFUL) as served:
+async def test_five_minutes_at_100_hz_are_caught_up_at_more_than_20_times_real_time():
+    async with plant(FORGETFUL) as served:
         made, stop, collector = served[0], asyncio.Event(), Collector()
         settings = SourceSettings(f"opc.tcp://127.0.0.1:{made.port}/plant/")
         source = OpcUaSource(settings, [NODES])

@@ -108,27 +108,21 @@ async def plant_on(settings, password=""):
     return Plant(server, variables, password)
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-def open_settings(cache, **more):
+def open_settings(**more):
     return ServerSettings(
         url="opc.tcp://127.0.0.1:0/plant/",
         application_uri="urn:test:plant",
         application_name="plant",
         namespace_uri="urn:plant",
         none_on_loopback=True,
-        cache=cache,
         **more,
     )
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(cache):
+async def served():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    plant = await plant_on(open_settings(cache, users=users), password)
+    plant = await plant_on(open_settings(users=users), password)
     async with plant.server:
         yield plant
 
@@ -322,8 +316,8 @@ async def test_another_kind_of_server_is_a_loss_in_bounded_time(answer):
     await server.wait_closed()
 
 
-async def test_a_server_that_ends_is_a_loss_after_the_last_changes(cache):
-    plant = await plant_on(open_settings(cache))
+async def test_a_server_that_ends_is_a_loss_after_the_last_changes():
+    plant = await plant_on(open_settings())
     await plant.server.start()
     source = OpcUaSource(anonymous(plant.settings), [replace(NODES, required_U=None)])
     await source.connect()
@@ -452,8 +446,8 @@ async def test_a_full_buffer_holds_the_server_back_and_the_rest_comes_later(plan
     await source.close()
 
 
-async def test_items_are_created_in_as_many_calls_as_the_server_wants(cache):
-    plant = await plant_on(open_settings(cache, limits=Limits(operations=7)))
+async def test_items_are_created_in_as_many_calls_as_the_server_wants():
+    plant = await plant_on(open_settings(limits=Limits(operations=7)))
     valves = [replace(NODES, valve=f"V{k}", required_U=None) for k in range(5)]
     async with plant.server:
         source = OpcUaSource(anonymous(plant.settings), valves)
@@ -467,7 +461,7 @@ async def test_items_are_created_in_as_many_calls_as_the_server_wants(cache):
 
 
 @pytest.mark.parametrize("security", [Security.BASIC256_SHA256, Security.AES256_SHA256_RSA_PSS])
-async def test_a_secured_connection_needs_trust_on_both_sides(tmp_path, cache, security):
+async def test_a_secured_connection_needs_trust_on_both_sides(tmp_path, security):
     server_pki, client_pki = Pki(tmp_path / "server"), Pki(tmp_path / "client")
     own = ensure_certificate(client_pki, "urn:test:client", ("localhost",), "client")
     users, password = UserStore.one_time("operator", Role.OPERATOR)
@@ -479,7 +473,6 @@ async def test_a_secured_connection_needs_trust_on_both_sides(tmp_path, cache, s
             namespace_uri="urn:plant",
             users=users,
             pki=server_pki,
-            cache=cache,
         ),
         password,
     )

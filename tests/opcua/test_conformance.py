@@ -92,6 +92,7 @@ async def server():
         required=Role.OBSERVER,
     )
     made.add_history([made.flow], Remembered())
+    made.add_event_history([folder], NothingHappened(), ["EventId", "Time"])
     made.keep_conditions(Nothing())
     async with made:
         yield made
@@ -103,6 +104,13 @@ class Remembered:
     def raw(self, variable, span, skip, most):
         at = np.array([span.low, span.high])
         return Records(np.ones(2), np.zeros(2, np.uint32), at, at)
+
+
+class NothingHappened:
+    """Fulfils EventHistorian: there are no events."""
+
+    async def events(self, emitter, span, skip, most):
+        return []
 
 
 @pytest_asyncio.fixture(loop_scope="module")
@@ -362,6 +370,35 @@ async def test_profiles_are_announced_as_the_page_says(peer):
     assert set(announced) == {
         PROFILE + plain(row["URI"]) for row in rows if row["announced"] == "yes"
     }
+
+
+async def test_what_remembers_events_says_which_fields_of_them(server, peer):
+    request = ua.BrowseRequest()
+    has_property = ua.NodeId(ua.ObjectIds.HasProperty)
+    wanted = ua.BrowseDescription(server.folder, ReferenceTypeId=has_property, ResultMask=63)
+    request.Parameters.NodesToBrowse = [wanted]
+    (found,) = (await peer.call(request, ua.BrowseResponse)).Results[0].References
+    assert found.BrowseName == ua.QualifiedName("HistoricalEventFilter")
+    (kept,) = await values_of(peer, ["HistoricalEventFilter"])
+    assert [clause.BrowsePath[0].Name for clause in kept.SelectClauses] == ["EventId", "Time"]
+
+
+async def test_models_of_others_are_there_or_not_as_the_page_says(peer):
+    (namespaces,) = await values_of(peer, ["Server_NamespaceArray"])
+    rows = table("model or type")
+    models = {plain(row["URI or id"]): row["there"] for row in rows if "http" in row["URI or id"]}
+    assert len(models) == 2
+    assert {uri for uri, there in models.items() if there == "yes"} == models.keys() & {*namespaces}
+    (changes,) = (row for row in rows if "GeneralModelChange" in row["model or type"])
+    assert changes["there"] == "no"
+    assert re.findall(r"i=(\d+)", changes["URI or id"]) == [
+        str(ua.ObjectIds.GeneralModelChangeEventType),
+        str(ua.ObjectIds.SemanticChangeEventType),
+    ]
+    for node_set in ("service/opcua/valvemap.NodeSet2.xml", "virtual_rig/rig.NodeSet2.xml"):
+        text = (HERE.parents[1] / node_set).read_text(encoding="utf-8")
+        assert "NodeVersion" not in text
+        assert not any(uri in text for uri in models)
 
 
 async def test_limits_are_announced_as_the_page_says(peer):

@@ -89,11 +89,9 @@ class Operator:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def client(tmp_path_factory):
+async def client():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    settings = results_settings(
-        users=users, none_on_loopback=True, cache=tmp_path_factory.mktemp("cache")
-    )
+    settings = results_settings(users=users, none_on_loopback=True)
     async with ResultsServer(settings, VALVES, Operator(), TurnedClock(T)) as server:
         for number in range(len(VALVES)):
             await server.publish(result(number))
@@ -222,7 +220,7 @@ async def test_a_node_that_no_valve_has_is_unknown(client):
     assert (await value(client, "V"))[1] == Codes.BadNodeIdUnknown
 
 
-async def test_a_thousand_valves_are_served_before_their_nodes_are_made(tmp_path, monkeypatch):
+async def test_a_thousand_valves_are_served_before_their_nodes_are_made(monkeypatch):
     made = []
     add = ResultsServer._add_valve
 
@@ -231,7 +229,7 @@ async def test_a_thousand_valves_are_served_before_their_nodes_are_made(tmp_path
         await add(self, server, folder, number)
 
     monkeypatch.setattr(ResultsServer, "_add_valve", counted)
-    settings = results_settings(none_on_loopback=True, cache=tmp_path)
+    settings = results_settings(none_on_loopback=True)
     valves = [ValveDescription(f"V{k}", (RLS,), counters=("late",)) for k in range(1_000)]
     async with (
         ResultsServer(settings, valves, Operator(), TurnedClock(T)) as server,

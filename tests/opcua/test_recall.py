@@ -17,21 +17,16 @@ from service.errors import SourceRejected
 from service.hardened import Role, UserStore
 from service.storage.recordings import read_recording
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.waits
 
 STEP_NS = 10_000_000
 SIGNALS = ("U", "p1", "p2", "Q", "T", "sequence")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
 @asynccontextmanager
-async def plant(cache, remembers):
+async def plant(remembers):
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    made = await NumberedServer.create(cache, users=users, remembers=remembers)
+    made = await NumberedServer.create(users=users, remembers=remembers)
     async with made.server:
         yield made, password
 
@@ -58,9 +53,9 @@ def valve_samples(n, seed=1):
     return np.column_stack([U, np.full(n, 200.0), 200.0 - dp, Q, np.full(n, 40.0)])
 
 
-async def test_what_a_source_remembers_is_recorded_whole_and_exact(cache, tmp_path):
+async def test_what_a_source_remembers_is_recorded_whole_and_exact(tmp_path):
     n = 3_000
-    async with plant(cache, 10_000) as served:
+    async with plant(10_000) as served:
         made, _ = served
         t0, signals = time.time_ns() - n * STEP_NS, valve_samples(n)
         made.remember(n + 1, t0, STEP_NS, signals)
@@ -75,9 +70,9 @@ async def test_what_a_source_remembers_is_recorded_whole_and_exact(cache, tmp_pa
         np.testing.assert_array_equal(getattr(samples, name), column)
 
 
-async def test_a_recording_and_the_history_of_the_same_span_give_the_same_bits(cache, tmp_path):
+async def test_a_recording_and_the_history_of_the_same_span_give_the_same_bits(tmp_path):
     live, past = tmp_path / "live.csv", tmp_path / "past.csv"
-    async with plant(cache, 10_000) as served:
+    async with plant(100_000) as served:
         made, _ = served
         config, stop = config_of(served), asyncio.Event()
         playing = asyncio.create_task(made.play(100))
@@ -92,20 +87,23 @@ async def test_a_recording_and_the_history_of_the_same_span_give_the_same_bits(c
     assert as_json(replay([past], config)) == as_json(replay([live], config))
 
 
-async def test_a_source_without_history_says_what_helps(cache, tmp_path):
-    async with plant(cache, 0) as served:
+async def test_a_source_without_history_says_what_helps(tmp_path):
+    async with plant(0) as served:
         served[0].publish(time.time_ns())
         with pytest.raises(SourceRejected, match=r"keeps no history of these .*valvemap record"):
             await record_history(config_of(served), tmp_path / "x.csv", 0, time.time_ns())
 
 
-async def test_a_first_start_begins_with_what_the_source_remembers(cache):
-    n = 2_000
-    async with plant(cache, 10_000) as served:
+async def test_a_first_start_begins_with_what_the_source_remembers():
+    n, back_s = 2_000, 15.0
+    async with plant(10_000) as served:
         made, _ = served
-        made.remember(n, time.time_ns() - n * STEP_NS, STEP_NS)
-        async with watching(served, named=True, warm_start_s=15.0) as (_, _, collector):
+        began = time.time_ns()
+        made.remember(n, began - n * STEP_NS, STEP_NS)
+        async with watching(served, named=True, warm_start_s=back_s) as (_, _, collector):
+            waited = (time.time_ns() - began) // STEP_NS
             await until(lambda: len(collector.numbers) > 1_600)
     numbers = collector.numbers
-    assert 450 < numbers[0] < 550  # 15 s ago
+    first = n - round(1e9 * back_s / STEP_NS)
+    assert first <= numbers[0] <= first + waited + 1
     assert numbers == list(range(numbers[0], numbers[-1] + 1))

@@ -16,9 +16,9 @@ pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
+async def served():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    plant = await NumberedServer.create(tmp_path_factory.mktemp("cache"), users=users)
+    plant = await NumberedServer.create(users=users)
     async with plant.server:
         yield plant, password
 

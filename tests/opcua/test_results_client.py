@@ -49,10 +49,9 @@ class Operator:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
+async def served():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    cache = tmp_path_factory.mktemp("cache")
-    settings = results_settings(users=users, none_on_loopback=True, cache=cache)
+    settings = results_settings(users=users, none_on_loopback=True)
     async with ResultsServer(settings, (VALVE,), Operator()) as server:
         yield server, password
 
@@ -170,9 +169,9 @@ async def test_whoever_follows_less_is_sent_less_and_nothing_is_left_behind(serv
     await changes(client, lambda _, r: r.value == 9)
 
 
-async def test_a_server_without_room_refuses_and_is_read_as_before(tmp_path):
+async def test_a_server_without_room_refuses_and_is_read_as_before():
     limits = Limits(subscriptions=0)
-    settings = results_settings(none_on_loopback=True, cache=tmp_path, limits=limits)
+    settings = results_settings(none_on_loopback=True, limits=limits)
     async with ResultsServer(settings, (VALVE,), Operator()) as server:
         client = ResultsClient(SourceSettings(url=server.url), NAMESPACE)
         await client.connect()
@@ -183,8 +182,8 @@ async def test_a_server_without_room_refuses_and_is_read_as_before(tmp_path):
         await client.close()
 
 
-async def test_a_server_that_goes_while_it_is_followed_is_a_loss(tmp_path):
-    settings = results_settings(none_on_loopback=True, cache=tmp_path)
+async def test_a_server_that_goes_while_it_is_followed_is_a_loss():
+    settings = results_settings(none_on_loopback=True)
     async with ResultsServer(settings, (VALVE,), Operator()) as server:
         client = ResultsClient(SourceSettings(url=server.url), NAMESPACE)
         await client.connect()
@@ -206,3 +205,25 @@ async def test_a_server_that_is_not_there_is_worth_another_try(client, unused_tc
         await other.connect()
     with pytest.raises(SourceLost, match="not connected"):
         await other.read(["V1.Frame"])
+
+
+async def test_types_are_those_of_scalars_alone(client):
+    ids = ["V1.RLS.Residual", "V1.RLS.Status", "V1.Diagnostics.Late", "V1.FrameNames", "V1.Nowhere"]
+    assert await client.scalar_types(ids) == ["Double", "Int32", "UInt64", None, None]
+
+
+async def test_several_nodes_are_browsed_together(client):
+    together = await client.browse_each(["Identification", "V1.RLS", "V1.Nowhere"])
+    assert together[:2] == [await client.browse("Identification"), await client.browse("V1.RLS")]
+    assert together[2] == []
+
+
+async def test_what_is_watched_comes_when_it_changes_and_an_equal_value_does_not(served, client):
+    await client.watch(["V1.RLS.NoiseStd", "V1.Diagnostics.Late"], 0.05)
+    await served[0].publish(results_of(0, {"RLS": ESTIMATOR}, INVERSE, late=21))
+    await changes(client, lambda _, r: r.value == 21)
+    later = replace(ESTIMATOR, t=ESTIMATOR.t + 1_000)
+    await served[0].publish(results_of(0, {"RLS": later}, INVERSE, late=22))
+    found = await changes(client, lambda _, r: r.value == 22)
+    assert "V1.RLS.NoiseStd" not in {id_ for id_, _ in found}
+    assert client.lost == 0

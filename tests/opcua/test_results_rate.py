@@ -43,8 +43,8 @@ def clock():
 
 
 @pytest.fixture
-async def server(clock, tmp_path):
-    settings = results_settings(none_on_loopback=True, cache=tmp_path)
+async def server(clock):
+    settings = results_settings(none_on_loopback=True)
     operator = Mock(**{"alarms.return_value": ()})
     async with ResultsServer(settings, [VALVE], operator, clock, scalars_interval_s=1.0) as server:
         yield server

@@ -115,47 +115,47 @@ ALARMS_OF_A_VALVE = (CHANGED, LAG_FOUND)
 
 
 class Operator:
-    """Remembers what it was told."""
+    """Remembers what it was asked."""
 
     def __init__(self):
-        self.told = []
+        self.calls = []
 
     def reset(self, valve, estimator):
-        self.told.append(("reset", valve, estimator))
+        self.calls.append(("reset", valve, estimator))
 
     def freeze(self, valve, estimator):
-        self.told.append(("freeze", valve, estimator))
+        self.calls.append(("freeze", valve, estimator))
 
     def resume(self, valve, estimator):
-        self.told.append(("resume", valve, estimator))
+        self.calls.append(("resume", valve, estimator))
 
     def set_forgetting_factor(self, valve, estimator, lam):
         if estimator == "RBF":
             raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
-        self.told.append(("forget", valve, estimator, lam))
+        self.calls.append(("forget", valve, estimator, lam))
 
     def predict(self, valve, estimator, U, dp, T):
-        self.told.append(("predict", valve, estimator, U, dp, T))
+        self.calls.append(("predict", valve, estimator, U, dp, T))
         return 10.0 * U, 0.1, Status.UNEXCITED
 
     def predict_measurement(self, valve, estimator, U, dp, T):
         return 10.0 * U, 10.0 * U - 1.0, 10.0 * U + 1.0, Status.OK
 
     def invert(self, valve, Q, dp, T):
-        self.told.append(("invert", valve, Q, dp, T))
+        self.calls.append(("invert", valve, Q, dp, T))
         columns = (np.array([x]) for x in (Q / 2, Q / 2 - 1, Q / 2 + 1))
         return Inversion(*columns, np.array([1], np.uint8))
 
     def demand(self, valve, Q, dp):
-        self.told.append(("demand", valve, Q, dp))
+        self.calls.append(("demand", valve, Q, dp))
 
     def arm(self, valve):
         if valve != "Valvistor":
             raise CommandRejected(f"{valve}: nodes.required_U is not configured")
-        self.told.append(("arm", valve))
+        self.calls.append(("arm", valve))
 
     def disarm(self, valve):
-        self.told.append(("disarm", valve))
+        self.calls.append(("disarm", valve))
 
     def alarms(self, valve):
         return ALARMS_OF_A_VALVE if valve else ()
@@ -163,18 +163,16 @@ class Operator:
     def acknowledge(self, valve, alarm, remark):
         if alarm != "Changed":
             raise CommandRejected(f"{valve}.{alarm}: there is nothing to acknowledge")
-        self.told.append(("acknowledge", valve, alarm, remark))
+        self.calls.append(("acknowledge", valve, alarm, remark))
 
     def confirm(self, valve, alarm, remark):
-        self.told.append(("confirm", valve, alarm, remark))
+        self.calls.append(("confirm", valve, alarm, remark))
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def served(tmp_path_factory):
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    settings = results_settings(
-        users=users, none_on_loopback=True, cache=tmp_path_factory.mktemp("cache")
-    )
+    settings = results_settings(users=users, none_on_loopback=True)
     operator = Operator()
     async with ResultsServer(settings, VALVES, operator, TurnedClock(T)) as server:
         yield server, operator, password
@@ -187,7 +185,7 @@ async def server(served):
 
 @pytest_asyncio.fixture(loop_scope="module")
 async def operator(served):
-    served[1].told.clear()
+    served[1].calls.clear()
     return served[1]
 
 
@@ -423,7 +421,7 @@ async def test_everyone_may_predict_and_invert(observer, operator):
     assert answer == [500.0, 499.0, 501.0, 0]
     answer = await called(observer, "Valvistor.Inverse", "Invert", 80.0, 100.0, 40.0)
     assert answer == [40.0, 39.0, 41.0, 1]
-    assert operator.told == [
+    assert operator.calls == [
         ("predict", "Valvistor", "RLS", 50.0, 100.0, 40.0),
         ("invert", "Valvistor", 80.0, 100.0, 40.0),
     ]
@@ -432,14 +430,14 @@ async def test_everyone_may_predict_and_invert(observer, operator):
 @pytest.mark.parametrize("method", ["Reset", "Freeze", "Resume"])
 async def test_commands_reach_the_operator_port(client, operator, method):
     await called(client, "Valvistor.RBF", method)
-    assert operator.told == [(method.lower(), "Valvistor", "RBF")]
+    assert operator.calls == [(method.lower(), "Valvistor", "RBF")]
 
 
 @pytest.mark.parametrize("method", ["Reset", "Freeze", "Resume"])
 async def test_an_observer_commands_nothing(observer, operator, method):
     with pytest.raises(ua.uaerrors.BadUserAccessDenied):
         await called(observer, "Valvistor.RLS", method)
-    assert operator.told == []
+    assert operator.calls == []
 
 
 async def test_arming_is_the_operators_and_shows_at_once(client, observer, operator):
@@ -447,11 +445,11 @@ async def test_arming_is_the_operators_and_shows_at_once(client, observer, opera
     for method, armed in (("Arm", True), ("Disarm", False)):
         with pytest.raises(ua.uaerrors.BadUserAccessDenied):
             await called(observer, "Valvistor.Inverse", method)
-        assert operator.told == []
+        assert operator.calls == []
         await called(client, "Valvistor.Inverse", method)
-        assert operator.told == [(method.lower(), "Valvistor")]
+        assert operator.calls == [(method.lower(), "Valvistor")]
         assert (await value(observer, "Valvistor.Inverse.Armed"))[0] is armed
-        operator.told.clear()
+        operator.calls.clear()
     with pytest.raises(ua.uaerrors.BadInvalidState):
         await called(client, "V2.Inverse", "Arm")
     assert (await value(observer, "V2.Inverse.Armed"))[0] is False
@@ -475,7 +473,7 @@ async def test_why_nothing_is_written_is_good_though_the_sensors_are_lost(server
 
 async def test_a_forgetting_factor_is_checked_and_passed_on(client, operator):
     await called(client, "Valvistor.RLS", "SetForgettingFactor", 0.99)
-    assert operator.told == [("forget", "Valvistor", "RLS", 0.99)]
+    assert operator.calls == [("forget", "Valvistor", "RLS", 0.99)]
     for lam in (0.0, -0.5, 1.01):
         with pytest.raises(ua.uaerrors.BadOutOfRange):
             await called(client, "Valvistor.RLS", "SetForgettingFactor", lam)
@@ -483,7 +481,7 @@ async def test_a_forgetting_factor_is_checked_and_passed_on(client, operator):
         await called(client, "Valvistor.RBF", "SetForgettingFactor", 0.99)
     with pytest.raises(ua.uaerrors.BadInvalidArgument):
         await called(client, "Valvistor.RLS", "SetForgettingFactor", "much")
-    assert len(operator.told) == 1
+    assert len(operator.calls) == 1
 
 
 @pytest.mark.parametrize(
@@ -499,24 +497,24 @@ async def test_a_forgetting_factor_is_checked_and_passed_on(client, operator):
 async def test_wrong_arguments_are_refused_by_name(observer, operator, arguments, error):
     with pytest.raises(error):
         await called(observer, "Valvistor.RLS", "Predict", *arguments)
-    assert operator.told == []
+    assert operator.calls == []
 
 
 async def test_an_unknown_temperature_is_nan(observer, operator):
     await called(observer, "Valvistor.RLS", "Predict", 50.0, 100.0, float("nan"))
-    *_, T = operator.told[-1]
+    *_, T = operator.calls[-1]
     assert np.isnan(T)
 
 
 async def test_a_demand_is_taken_back_by_nan(client, operator):
     await (await node(client, "V2.Inverse.FlowDemand")).write_value(float("nan"))
-    assert np.isnan(operator.told[-1][2])
+    assert np.isnan(operator.calls[-1][2])
 
 
 async def test_flow_and_pressure_make_a_demand_together(client, operator):
     await (await node(client, "V2.Inverse.FlowDemand")).write_value(80.0)
     await (await node(client, "V2.Inverse.PressureDrop")).write_value(120.0)
-    (_, valve, Q, dp), last = operator.told
+    (_, valve, Q, dp), last = operator.calls
     assert (valve, Q) == ("V2", 80.0)
     assert np.isnan(dp)
     assert last == ("demand", "V2", 80.0, 120.0)
@@ -541,7 +539,7 @@ async def test_what_was_done_last_is_shown_with_who_did_it(client, observer, ope
 async def test_a_demand_beyond_the_range_is_refused(client, operator):
     with pytest.raises(ua.uaerrors.BadOutOfRange):
         await (await node(client, "V2.Inverse.FlowDemand")).write_value(500.0)
-    assert operator.told == []
+    assert operator.calls == []
 
 
 async def test_an_observer_demands_nothing_and_nobody_writes_results(observer, client, operator):
@@ -549,7 +547,7 @@ async def test_an_observer_demands_nothing_and_nobody_writes_results(observer, c
         await (await node(observer, "V2.Inverse.FlowDemand")).write_value(80.0)
     with pytest.raises(ua.uaerrors.BadNotWritable):
         await (await node(client, "V2.Inverse.RequiredU")).write_value(80.0)
-    assert operator.told == []
+    assert operator.calls == []
 
 
 async def test_a_subscriber_sees_every_result_with_its_time(server, observer):
@@ -579,7 +577,6 @@ async def test_a_port_in_use_is_named(served, tmp_path):
         application_name="other",
         namespace_uri=NAMESPACE,
         none_on_loopback=True,
-        cache=tmp_path,
     )
     other = ResultsServer(settings, [], Operator())
     with pytest.raises(ServerError, match="cannot listen"):
@@ -664,7 +661,7 @@ async def test_operators_acknowledge_and_observers_do_not(client, observer, oper
         await called(observer, "Valvistor.Alarms.Changed", "Acknowledge", comment)
     await called(client, "Valvistor.Alarms.Changed", "Acknowledge", comment)
     said = Remark("seen", "operator", T)
-    assert operator.told == [("acknowledge", "Valvistor", "Changed", said)]
+    assert operator.calls == [("acknowledge", "Valvistor", "Changed", said)]
     said = (await value(observer, "Valvistor.Diagnostics.LastAction"))[0]
     assert said == "operator: Alarms.Changed Acknowledge 'seen'"
     with pytest.raises(ua.uaerrors.BadInvalidState):

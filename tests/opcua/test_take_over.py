@@ -15,10 +15,9 @@ SOON_S = 9.0  # after the line is back data are there again
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def served(tmp_path_factory):
+async def served():
     users, password = UserStore.one_time("operator", Role.OPERATOR)
-    cache = tmp_path_factory.mktemp("cache")
-    plant = await NumberedServer.create(cache, users=users)
+    plant = await NumberedServer.create(users=users)
     async with plant.server:
         yield plant, password
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from pydantic import SecretStr
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI, build_identification
+from service.app.build import build_identification
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI
 from service.app.serve import serve
 from service.cli.feedforward import commission
 from service.config.estimators import AutoConfig

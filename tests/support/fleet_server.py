@@ -4,7 +4,7 @@ import asyncio
 import sys
 from pathlib import Path
 
-from service.app.build import APPLICATION_NAME, APPLICATION_URI
+from service.app.identities import APPLICATION_NAME, APPLICATION_URI
 from service.app.signals import stop_on_signal
 from service.cli.logs import set_up_logs
 from service.fleet.serve import serve

@@ -48,7 +48,7 @@ class NumberedServer:
         self.pace_ns = 0  # from sample to sample; 0: as time goes on
 
     @classmethod
-    async def create(cls, cache, *, remembers=0, valves=("V1",), shows=saw, **more):
+    async def create(cls, *, remembers=0, valves=("V1",), shows=saw, **more):
         server = await HardenedServer.create(
             ServerSettings(
                 url="opc.tcp://127.0.0.1:0/plant/",
@@ -56,7 +56,6 @@ class NumberedServer:
                 application_name="plant",
                 namespace_uri="urn:plant",
                 none_on_loopback=True,
-                cache=cache,
                 **more,
             )
         )

@@ -1,0 +1,29 @@
+"""How the broker is reached."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class BrokerSettings:
+    """One MQTT broker, and who we are there.
+
+    Without ``ca_file`` the system's list says whom to trust. Files are PEM.
+    """
+
+    host: str
+    port: int
+    client_id: str
+    tls: bool = False
+    ca_file: Path | None = None
+    certificate_file: Path | None = None
+    key_file: Path | None = None
+    user: str | None = None
+    password: str | None = field(default=None, repr=False)
+    keep_alive_s: int = 30
+    timeout_s: float = 10.0
+
+    @property
+    def url(self) -> str:
+        """Where it is."""
+        return f"mqtt{'s' if self.tls else ''}://{self.host}:{self.port}"

@@ -1,0 +1,155 @@
+"""A broker and a service without a network, for the tests of what goes between them."""
+
+import asyncio
+import json
+from dataclasses import dataclass, field
+
+from service.errors import SinkLost, SourceLost, SourceRejected
+from service.sparkplug.edge_node import Message
+from service.sparkplug.schema import Payload
+
+
+@dataclass
+class FakeSession:
+    """Fulfils `service.sparkplug.ports.Session`: notes what is published."""
+
+    broker: "FakeBroker"
+    pending: list = field(default_factory=list)
+    asked: list = field(default_factory=list)
+    closed: bool = False
+
+    def publish(self, message):
+        self._check()
+        self.pending.append(message)
+
+    async def confirm(self):
+        self._check()
+        await self.broker.answers.wait()
+        self._check()
+        self.broker.said += self.pending
+        self.pending = []
+
+    def received(self):
+        self._check()
+        taken, self.asked = self.asked, []
+        return taken
+
+    async def close(self):
+        self.closed = True
+
+    def _check(self):
+        if not self.broker.up:
+            raise SinkLost("mqtt://fake: the connection broke")
+
+
+class FakeBroker:
+    """Fulfils `service.sparkplug.ports.Broker`; ``said`` is what surely arrived."""
+
+    url = "mqtt://fake:1"
+
+    def __init__(self):
+        self.up = True
+        self.answers = asyncio.Event()
+        self.answers.set()
+        self.said, self.wills, self.sessions = [], [], []
+
+    async def connect(self, will, topics):
+        self.wills.append(will)
+        self.topics = list(topics)
+        if not self.up:
+            raise SinkLost("mqtt://fake: connection refused")
+        self.sessions.append(FakeSession(self))
+        return self.sessions[-1]
+
+    def ask(self, name="Node Control/Rebirth", payload=None):
+        """Send a command to who is connected."""
+        if payload is None:
+            message = Payload()
+            message.metrics.add(name=name, boolean_value=True)
+            payload = message.SerializeToString()
+        self.sessions[-1].asked.append(Message(self.topics[0], payload))
+
+    def say_state(self, online, timestamp):
+        """Say what a primary host says of itself."""
+        payload = json.dumps({"online": online, "timestamp": timestamp}).encode()
+        self.sessions[-1].asked.append(Message(self.topics[1], payload))
+
+    def verbs(self):
+        return [message.topic.split("/")[2] for message in self.said]
+
+    def metrics(self, *verbs):
+        """All metrics of messages of some verbs, in their order."""
+        return [
+            metric
+            for message in self.said
+            if message.topic.split("/")[2] in verbs
+            for metric in Payload.FromString(message.payload).metrics
+        ]
+
+
+@dataclass(frozen=True)
+class Read:
+    value: object
+    code: int = 0
+    t: int = 1_790_000_000_000_000_000
+
+
+@dataclass(frozen=True)
+class Node:
+    id: str
+    is_variable: bool = False
+    is_method: bool = False
+
+
+class FakeService:
+    """Fulfils `service.sparkplug.ports.Service`: ``variables`` by id, each (type, Read)."""
+
+    url = "opc.tcp://fake:1/service/"
+
+    def __init__(self, variables):
+        self.variables = dict(variables)
+        self.up, self.has_room, self.lost = True, True, 0
+        self.sent, self.watched, self.browsed = [], (), []
+
+    async def connect(self):
+        self._check()
+        self.lost = 0
+
+    async def close(self):
+        pass
+
+    async def browse_each(self, ids):
+        self._check()
+        self.browsed += ids
+        return [self._below(id_) for id_ in ids]
+
+    def _below(self, id_):
+        start = "" if id_ == "Identification" else f"{id_}."
+        found = {}
+        for whole in self.variables:
+            if whole.startswith(start):
+                name = start + whole[len(start) :].partition(".")[0]
+                found[name] = Node(name, is_variable=name in self.variables)
+        return [*found.values(), Node(f"{start}Reset", is_method=True)]
+
+    async def scalar_types(self, ids):
+        return [self.variables[id_][0] for id_ in ids]
+
+    async def read(self, ids):
+        self._check()
+        return [Read(0) if isinstance(id_, int) else self.variables[id_][1] for id_ in ids]
+
+    async def watch(self, ids, _every_s):
+        self._check()
+        if not self.has_room:
+            raise SourceRejected("opc.tcp://fake: BadTooManyMonitoredItems")
+        self.watched = tuple(ids)
+
+    def changes(self):
+        self._check()
+        taken, self.sent = self.sent, []
+        return taken
+
+    def _check(self):
+        if not self.up:
+            raise SourceLost("opc.tcp://fake: gone")
