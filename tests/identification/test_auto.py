@@ -15,6 +15,7 @@ from service.identification.model_structures import FiveTerms
 from service.identification.samples import Quality, Samples, Status
 from virtual_rig import simulation
 from virtual_rig.excitation import Scattered, Structured
+from virtual_rig.faults import Fault, FaultKind
 from virtual_rig.scenario import Scenario, ValveBench, verification_points
 from virtual_rig.sensors import Sensor, Sensors
 from virtual_rig.valvistor import Valvistor
@@ -247,6 +248,19 @@ def test_a_change_of_the_valve_is_found_and_followed_within_500_samples(sigma):
         state, _ = auto.update(state, after[100:])
         errors.append(map_error(auto, state, worn) * SIGMA)
     assert np.mean(errors) <= 0.35
+
+
+@pytest.mark.parametrize("seed", [10, 13, 20, 31])
+def test_on_a_bench_that_holds_each_point_damage_is_a_change_and_a_young_map_is_none(seed):
+    damage = Fault(kind=FaultKind.DAMAGE, start_s=90, size=-20)
+    scenario = Scenario(seed=seed, excitation=Scattered(hold_s=0.4), faults=(damage,))
+    _, block = simulation.advance(scenario, simulation.initial(scenario, start_ns=0), 11_500)
+    (valve,) = block.valves.values()
+    samples = Samples.of(valve.t, valve.U, valve.p1, valve.p2, valve.Q, valve.T)
+    auto, state, _ = learn(samples[:9_000])
+    assert auto.last_change(state) is None
+    state, _ = auto.update(state, samples[9_000:])
+    assert auto.last_change(state).count == 1
 
 
 @pytest.mark.soak

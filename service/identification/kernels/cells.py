@@ -65,6 +65,8 @@ KNOWN_MAP = 256  # samples from which on a map says enough to tell the colour of
 YOUNG = 1000  # samples for which a map is too young to say what the meter's lag makes of it
 PLAIN_S = 0.7  # √bar: below it the map is too steep in s for a cell to tell a change
 FITTING = 4.0  # σ that a cell may lie off the map and still tell a change or the noise's colour
+CARRIED = 0.5  # share of the way from a cell's mean to a sample that a poor map may have wrong
+FOLLOWED = 0.5  # ... and share of what a cell lies off the map, where that is more than FITTING
 OFFSET_DOUBT = 0.1  # share of what the map says of the meter's lag that may be wrong
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
@@ -365,12 +367,17 @@ def _compare(
         at_known = _of(
             model, known[MEAN_U], known[MEAN_S], known[MEAN_T], known[DIRECTION], scratch
         )
-        fits = abs(known[MEAN_Q] - at_known) <= FITTING * sigma
-        if s >= PLAIN_S and known[WEIGHT] >= KNOWN and fits:
-            off = Q - (known[MEAN_Q] + forecast - at_known)
+        if s >= PLAIN_S and known[WEIGHT] >= KNOWN:
+            carried, astray = forecast - at_known, abs(known[MEAN_Q] - at_known)
+            poor = max(1.0 - scalars[NOISE] / max(scalars[VARIANCE], 1e-30), 0.0)
+            doubt = math.hypot(doubt, CARRIED * poor * carried)
+            sure = known[WEIGHT] >= SURE
+            if astray > FITTING * sigma:  # the map has followed a change already, or never fitted
+                doubt, sure = math.hypot(doubt, FOLLOWED * astray), False
+            off = Q - (known[MEAN_Q] + carried)
             off -= scalars[RATE] * min(clock - known[MEAN_TIME], OLDEST) * forecast
             whitened = off * math.sqrt(known[WEIGHT] / (known[WEIGHT] + 1.0))
-            most = ALARM_LEVEL if known[WEIGHT] >= SURE else MOST_OF_A_STAY
+            most = ALARM_LEVEL if sure else MOST_OF_A_STAY
             _watch(whitened / max(math.hypot(sigma, doubt), 1e-9), off, t, most, scalars, counters)
     calm = max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL
     since = counters[USED] - counters[OPENED]
