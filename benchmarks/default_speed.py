@@ -42,9 +42,9 @@ Sections = Mapping[str, Figures]
 Ages = NDArray[np.float32]
 
 
-def measured(seconds: float = 30.0) -> Sections:
-    """Replay, every fleet live, memory."""
-    return {REPLAY: replayed(), **lived(seconds), MEMORY: memory()}
+def measured() -> Sections:
+    """Replay, memory."""
+    return {REPLAY: replayed(), MEMORY: memory()}
 
 
 def replayed() -> Figures:
