@@ -71,7 +71,7 @@ OFFSET_DOUBT = 0.1  # share of what the map says of the meter's lag that may be 
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
 SLOW_MEMORY = 1000.0  # samples: what lies off for so long is drift, not a change
-MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm ...
+MOST_OF_A_STAY = 30.0  # σ that a stay in one cell may add: two of them make an alarm ...
 LONG_STAY = 256  # samples of a stay after which what the cell holds now is taken for known
 SURE = 12.0  # samples in a cell from which on one stay may do so
 SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0  # σ: slack of the CUSUMs, cut, alarm
@@ -371,7 +371,7 @@ def _compare(
             carried, astray = forecast - at_known, abs(known[MEAN_Q] - at_known)
             poor = max(1.0 - scalars[NOISE] / max(scalars[VARIANCE], 1e-30), 0.0)
             doubt = math.hypot(doubt, CARRIED * poor * carried)
-            sure = known[WEIGHT] >= SURE
+            sure = known[WEIGHT] >= SURE and CARRIED * abs(carried) <= sigma
             if astray > FITTING * sigma:  # the map has followed a change already, or never fitted
                 doubt, sure = math.hypot(doubt, FOLLOWED * astray), False
             off = Q - (known[MEAN_Q] + carried)
