@@ -14,9 +14,11 @@ from service.identification.kernels import lag
 SURE_AFTER: Final = 12_000  # samples: what changes before may still be the map itself
 AFTER_CHANGE: Final = 300  # samples in which a map follows what is no lag
 STAYS: Final = 0.5  # of the change's square: so large residuals are after one that is a lag
-EARLY: Final = 4 * lag.ROWS  # rows kept until which a new start costs little
-LAG_MOVED: Final = 0.04, 0.002  # share, s: a lag that moves farther has an early map start anew ...
-LAG_LOST: Final = 0.15, 0.004  # ... and one that does so a later map, which knows more
+MOVED: Final = (  # rows kept; share, s: how far a lag may lie off the one that the map began with
+    (4 * lag.ROWS, 0.02, 0.003),  # a new start costs little
+    (8 * lag.ROWS, 0.06, 0.006),
+    (math.inf, 0.15, 0.008),
+)
 FEWEST_STEPS: Final = 4  # rows from which the step from sample to sample is known
 
 Given = tuple[float | None, float | None]  # lags of U and Q, s; None: looked for
@@ -33,7 +35,9 @@ def attend(state: AutoState, given: Given) -> None:
     if kept >= state.counters[memory.NEXT_LOOK]:
         _look(state, kept, given)
         since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-        state.counters[memory.NEXT_LOOK] = kept + max(since, lag.ROWS)
+        lags = state.scalars[memory.LAGS + lag.LAG_U], state.scalars[memory.LAGS + lag.LAG_Q]
+        rest = lag.ROWS if max(lags) > 0.0 else max(since, lag.ROWS)
+        state.counters[memory.NEXT_LOOK] = kept + rest
     path = state.scalars[memory.LAGS :]
     if path[lag.LAG_Q] > 0.0 and path[lag.SMOOTHING] == 0.0 and kept >= FEWEST_STEPS:
         _smooth(state)
@@ -64,10 +68,11 @@ def _look(state: AutoState, kept: int, given: Given) -> None:
     since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
     doubted = before if since > 0 and kept - since <= lag.ROWS else None
     found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
-    share, least = LAG_MOVED if kept - since <= EARLY else LAG_LOST
-    moved = any(abs(b - a) > max(least, share * a) for a, b in zip(before, found, strict=True))
     path[lag.LAG_U], path[lag.LAG_Q] = found
-    if moved:
+    began = float(path[lag.BEGAN_U]), float(path[lag.BEGAN_Q])
+    share, least = next(how_far for rows_, *how_far in MOVED if kept - since <= rows_)
+    if any(abs(b - a) > max(least, share * a) for a, b in zip(began, found, strict=True)):
+        path[lag.BEGAN_U], path[lag.BEGAN_Q] = found
         _start_anew(state, given)
         _smooth(state)
 

@@ -35,6 +35,7 @@ MAY_BE_UNKNOWN: Final = [  # places in the path of the lags: before the first sa
     *(lag.U_EFFECT, lag.Q_METERED, lag.RIVAL_METERED),
     *(lag.Q_FIRST, lag.Q_SMOOTH, lag.MAP_FIRST, lag.MAP_SMOOTH),
 ]
+LAGS_KEPT: Final = lag.LAG_U, lag.LAG_Q, lag.BEGAN_U, lag.BEGAN_Q, lag.SMOOTHING
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
-    state_version: ClassVar[int] = 5  # 4: learnt behind the meter's lag, rather than without it
+    state_version: ClassVar[int] = 6  # 5: did not know the lags that the map began with
 
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]
@@ -94,7 +95,7 @@ class AutoState(State):
         of_noise += [memory.DIFFER, memory.DIFFER_TWICE]
         scalars.within(0.0, where=of_noise)
         scalars.within(0.0, 1.0, memory.REACTS)
-        scalars.within(0.0, where=[path + k for k in (lag.LAG_U, lag.LAG_Q, lag.SMOOTHING)])
+        scalars.within(0.0, where=[path + k for k in LAGS_KEPT])
         counters = Contents(self.counters).within(0, 1, [memory.FITTED, memory.FRESH])
         counters.any_time([memory.SUSPECT_TIME, memory.CHANGE_TIME, memory.CLOCK])
         counters.any_time([memory.LAGGING + lag.TIME, memory.LAGGING + lag.KEPT_TIME])
@@ -135,7 +136,7 @@ def empty(lag_U: float | None, lag_Q: float | None) -> AutoState:
     scalars[unknown] = math.nan
     path = scalars[memory.LAGS :]
     path[MAY_BE_UNKNOWN] = math.nan
-    path[lag.LAG_U], path[lag.LAG_Q] = lag_U or 0.0, lag_Q or 0.0
+    path[lag.LAG_U], path[lag.LAG_Q] = path[[lag.BEGAN_U, lag.BEGAN_Q]] = lag_U or 0.0, lag_Q or 0.0
     counters = np.zeros(memory.COUNTERS, np.int64)
     counters[[memory.NEXT_FIT, memory.NEW_CELLS]] = budget.FIRST_FIT
     looked_for = lag_U is None or lag_Q is None

@@ -64,6 +64,7 @@ SMOOTH_U, SMOOTH_S = 15.0, 3.0  # %, √bar: over what ways a map says the same 
 KNOWN_MAP = 256  # samples from which on a map says enough to tell the colour of noise
 YOUNG = 1000  # samples for which a map is too young to say what the meter's lag makes of it
 PLAIN_S = 0.7  # √bar: below it the map is too steep in s for a cell to tell a change
+STEEP = 0.4  # ... and so it is where it changes by more than that share of the flow: closing edges
 FITTING = 4.0  # σ that a cell may lie off the map and still tell a change or the noise's colour
 CARRIED = 0.5  # share of the way from a cell's mean to a sample that a poor map may have wrong
 FOLLOWED = 0.5  # ... and share of what a cell lies off the map, where that is more than FITTING
@@ -71,7 +72,7 @@ OFFSET_DOUBT = 0.1  # share of what the map says of the meter's lag that may be 
 CLIP = 8.0  # σ at which an outlier is cut before it is taken in
 NOISE_CLIP = 3.0  # σ at which it is cut before it counts as noise
 SLOW_MEMORY = 1000.0  # samples: what lies off for so long is drift, not a change
-MOST_OF_A_STAY = 20.0  # σ that a stay in one cell may add: three of them make an alarm ...
+MOST_OF_A_STAY = 30.0  # σ that a stay in one cell may add: two of them make an alarm ...
 LONG_STAY = 256  # samples of a stay after which what the cell holds now is taken for known
 SURE = 12.0  # samples in a cell from which on one stay may do so
 SHIFT, WILD, FAR, ALARM_LEVEL = 1.5, 2.25, 5.0, 50.0  # σ: slack of the CUSUMs, cut, alarm
@@ -367,11 +368,12 @@ def _compare(
         at_known = _of(
             model, known[MEAN_U], known[MEAN_S], known[MEAN_T], known[DIRECTION], scratch
         )
-        if s >= PLAIN_S and known[WEIGHT] >= KNOWN:
-            carried, astray = forecast - at_known, abs(known[MEAN_Q] - at_known)
+        carried, astray = forecast - at_known, abs(known[MEAN_Q] - at_known)
+        steep = abs(carried) > STEEP * max(abs(known[MEAN_Q]), abs(forecast))
+        if s >= PLAIN_S and known[WEIGHT] >= KNOWN and not steep:
             poor = max(1.0 - scalars[NOISE] / max(scalars[VARIANCE], 1e-30), 0.0)
             doubt = math.hypot(doubt, CARRIED * poor * carried)
-            sure = known[WEIGHT] >= SURE
+            sure = known[WEIGHT] >= SURE and CARRIED * abs(carried) <= sigma
             if astray > FITTING * sigma:  # the map has followed a change already, or never fitted
                 doubt, sure = math.hypot(doubt, FOLLOWED * astray), False
             off = Q - (known[MEAN_Q] + carried)

@@ -26,7 +26,8 @@ SMOOTHING, SHARE_S = 11, 12  # of S: time constant of either stage, s; share of 
 U_FIRST, S_FIRST, Q_FIRST, MAP_FIRST = 13, 14, 15, 16  # after the first stage of S
 U_SMOOTH, S_SMOOTH, Q_SMOOTH, MAP_SMOOTH = 17, 18, 19, 20  # after the second
 CURVED = 21  # the map behind S less the map at what S makes of U and s, l/min
-KNOWN_LAGS = 22  # estimates of the lags, s, and the information behind them: see `lag_search`
+BEGAN_U, BEGAN_Q = 22, 23  # s: the lags that the map began with
+KNOWN_LAGS = 24  # estimates of the lags, s, and the information behind them: see `lag_search`
 SCALARS = KNOWN_LAGS + 6
 
 # Places in this part of `counters`.
