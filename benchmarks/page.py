@@ -1,7 +1,7 @@
 """What the live page costs: its memory and CPU, and what its viewers cost the service.
 
-``python -m benchmarks.page`` runs a demo with one and with twenty viewers of a valve at 10 Hz, three
-and six times, each between two stretches without any (so that a machine whose pace drifts is
+``python -m benchmarks.page`` runs a demo with one and with twenty viewers of a valve at 10 Hz,
+three and six times, each between two stretches without any (so that a machine whose pace drifts is
 compared with itself), and writes ``benchmarks/results/page.json``. Eleven minutes.
 """
 
