@@ -17,8 +17,9 @@ STAYS: Final = 0.5  # of the change's square: so large residuals are after one t
 MOVED: Final = (  # rows kept; share, s: how far a lag may lie off the one that the map began with
     (4 * lag.ROWS, 0.02, 0.003),  # a new start costs little
     (8 * lag.ROWS, 0.06, 0.006),
-    (math.inf, 0.15, 0.008),
+    (math.inf, 0.15, 0.015),
 )
+OFTEN: Final = 32 * lag.ROWS  # rows for which a lag that is there is looked for every ROWS
 FEWEST_STEPS: Final = 4  # rows from which the step from sample to sample is known
 
 Given = tuple[float | None, float | None]  # lags of U and Q, s; None: looked for
@@ -36,8 +37,8 @@ def attend(state: AutoState, given: Given) -> None:
         _look(state, kept, given)
         since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
         lags = state.scalars[memory.LAGS + lag.LAG_U], state.scalars[memory.LAGS + lag.LAG_Q]
-        rest = lag.ROWS if max(lags) > 0.0 else max(since, lag.ROWS)
-        state.counters[memory.NEXT_LOOK] = kept + rest
+        often = max(lags) > 0.0 and since < OFTEN
+        state.counters[memory.NEXT_LOOK] = kept + (lag.ROWS if often else max(since, lag.ROWS))
     path = state.scalars[memory.LAGS :]
     if path[lag.LAG_Q] > 0.0 and path[lag.SMOOTHING] == 0.0 and kept >= FEWEST_STEPS:
         _smooth(state)

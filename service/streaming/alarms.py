@@ -184,7 +184,14 @@ class Alarms:
         )
         shares = np.empty(kernel.CAUSES)
         kernel.watch(
-            seen, self._patient, self._limits, self._conditions, self._senses, segments, shares
+            seen,
+            self._patient,
+            self._limits,
+            self._conditions,
+            self._senses,
+            segments,
+            self._Q_span,
+            shares,
         )
 
     def be_patient(self, chosen: Times, patient: Flags) -> None:

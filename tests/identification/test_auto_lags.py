@@ -220,5 +220,5 @@ def test_after_a_doubt_lags_are_looked_for_as_often_as_at_first_and_where_there_
     for first in range(5 * kernel.ROWS, len(samples), kernel.ROWS // 2):
         state, _ = auto.update(state, samples[first : first + kernel.ROWS // 2])
         looks.append(int(state.counters[memory.NEXT_LOOK] - state.counters[at]) // kernel.ROWS)
-    assert sorted(set(looks) - {0}) == ([*range(1, 8)] if lag_Q else [1, 2, 4, 8])
+    assert sorted(set(looks) - {0}) == ([*range(1, 9)] if lag_Q else [1, 2, 4, 8])
     assert auto.lags(state)[1] == pytest.approx(lag_Q, rel=0.2)

@@ -28,6 +28,7 @@ PLACE_MEMORY = 1_000.0  # samples of one place
 KNOWN_PLACE = 50.0  # samples from which on a place's usual residual is known
 OUTLIER = 25.0  # squares: more is not taken for usual
 LARGEST = 400.0  # squares: more does not count, or one spike would be an alarm for seconds
+NEGLIGIBLE = 0.0025  # of the flow's range: residuals that grew by less are no alarm
 CONFIRMED = 1.6  # times the usual: residuals that confirm a change
 USUAL_SAMPLES = 5_000.0  # memory of the usual mean square, over all places
 STILL_TIMES = 10.0  # so many times its longest standstill a signal stands still when it is dead
@@ -126,12 +127,15 @@ def watch(
     conditions: Conditions,
     senses: Senses,
     segments: Segments,
+    Q_span: float,
     shares: Floats,
 ) -> None:
     """Take N samples in.
 
     Parameters
     ----------
+    Q_span
+        Range of the flow, l/min.
     shares : (CAUSES,)
         To calculate with.
     patient : (M,)
@@ -149,7 +153,7 @@ def watch(
             _look_for_losses(m, i, seen, rules, conditions, senses)
             _look_for_standstills(m, i, seen, rules, conditions, senses)
             _look_at_excitation(m, i, seen, rules, conditions, senses)
-            _look_at_residual(m, i, seen, rules, conditions, senses, shares)
+            _look_at_residual(m, i, seen, rules, conditions, senses, Q_span, shares)
 
 
 @lean_kernel
@@ -295,6 +299,7 @@ def _look_at_residual(
     rules: Floats,
     conditions: Conditions,
     senses: Senses,
+    Q_span: float,
     shares: Floats,
 ) -> None:
     """How many times the residual, averaged over a few samples, is what it usually is.
@@ -332,7 +337,9 @@ def _look_at_residual(
                 times[LARGE_SINCE] = times[LARGE_SINCE] if memory[RATIO] > CONFIRMED else t
                 times[LARGE_UNTIL] = t
             memory[RATIO] = ratio
-            if _step(m, RESIDUAL, t, t, ratio, rules, conditions):
+            more = memory[SQUARES] - memory[USUAL_SQUARE]
+            matters = more >= (NEGLIGIBLE * Q_span) ** 2
+            if _step(m, RESIDUAL, t, t, ratio if matters else 0.0, rules, conditions):
                 conditions.detail[m, RESIDUAL, 0] = np.sqrt(memory[SQUARES])
                 _name_causes(m, RESIDUAL, conditions, senses, shares)
     if usual_now:
