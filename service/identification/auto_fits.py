@@ -39,6 +39,7 @@ STARTED: Final = 0
 ENOUGH_CELLS: Final = 24  # cells from which on shapes are compared
 RESTING_STEPS: Final = 2  # neighbours tried at a fit once all were tried in vain
 RESTED: Final = 60  # neighbours tried in vain from which on fits are rare
+POOR: Final = 3.0  # times the noise's variance that a poor map leaves
 WORSE: Final = 1.02**2  # how much larger a challenger's squares may be that becomes champion
 SPIKE, FEW = 30.0, 3.0  # usual misfits, samples: farther off and of fewer, a cell is a spike
 NEW_START: Final = 1.25  # growth of the known cells that has the search start anew
@@ -52,6 +53,7 @@ class Ground(NamedTuple):
     varied: Variety
     least: float  # σ² at least, (l/min)²
     most_steps: int  # of a climb
+    is_poor: bool  # whether the map leaves far more than the noise
 
 
 def refit(state: AutoState, most_steps: int) -> None:
@@ -73,7 +75,9 @@ def refit(state: AutoState, most_steps: int) -> None:
         path = scalars[memory.LAGS :]
         shared = held.shared(state.slots, state.cells)
         varied = variety(shared, points, float(path[lag.LAG_U] + path[lag.LAG_Q]))
-        ground = Ground(points, top, varied, coloured_noise.least_variance(scalars), most_steps)
+        least = coloured_noise.least_variance(scalars)
+        is_poor = bool(scalars[memory.VARIANCE] > POOR * scalars[memory.NOISE])
+        ground = Ground(points, top, varied, least, most_steps, is_poor)
         challenger, explorer = _climbed(state, ground, challenger, explorer)
     best = fit(points, champion, top)
     rival = best if challenger == champion else fit(points, challenger, top)
@@ -119,11 +123,11 @@ def _climbed(
     state: AutoState, ground: Ground, challenger: Shape, explorer: Shape
 ) -> tuple[Shape, Shape]:
     """Let the challenger climb; once it rests on a summit, the explorer, from other starts."""
-    points, top, varied, least, most_steps = ground
+    points, top, varied, least, most_steps, is_poor = ground
     progress, counters = state.progress, state.counters
     rich, rich_elsewhere = np.zeros((2, RICH))  # of these points, nothing is known yet
     resting = is_resting(challenger, varied, progress[CHALLENGER])
-    steps = budget.steps(counters, _cost(points, challenger), most_steps)
+    steps = budget.steps(counters, _cost(points, challenger), most_steps, poor=is_poor)
     steps = min(steps, RESTING_STEPS) if resting else steps
     if steps < 1:
         return challenger, explorer
@@ -135,7 +139,7 @@ def _climbed(
         explorer = fresh_start(progress[STARTED, 0], challenger)
         progress[STARTED, 0] += 1
         progress[EXPLORER] = 0
-    steps = budget.steps(counters, _cost(points, explorer), most_steps)
+    steps = budget.steps(counters, _cost(points, explorer), most_steps, poor=False)
     if steps < 1:
         return challenger, explorer
     explorer = climb(

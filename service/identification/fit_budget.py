@@ -27,6 +27,8 @@ TRIAL: Final = 512  # samples between fits at most while shapes compete
 LONGEST: Final = 2_048  # the same at rest: 20 s at 100 Hz, in which a map that drifts stands still
 REPAIR_NS: Final = 500_000  # ns that must be left for residuals to ask for a fit
 REPAIR_SHARE: Final = 64  # ... and the samples must have grown by that share
+ON_CREDIT: Final = 3  # steps that a poor map may try though nothing is left for them ...
+DEBT: Final = 2_000_000  # ... while it owes less than that, ns: 3 s of 100 Hz
 PARTS: Final = 64  # in which samples are cut, see `scattered`
 FEWEST_NEW: Final = 8  # new cells that call for a fit ...
 NEW_SHARE: Final = 16  # ... or that share of those known
@@ -57,9 +59,11 @@ def left(counters: Counts) -> int:
     return int(granted - counters[memory.SPENT])
 
 
-def steps(counters: Counts, each: int, most: int) -> int:
-    """How many steps of the ladder may be tried now."""
-    return int(min(most, left(counters) // each - OVERHEAD))
+def steps(counters: Counts, each: int, most: int, *, poor: bool) -> int:
+    """How many steps of the ladder may be tried now; where the map is poor, some on credit."""
+    spare = left(counters)
+    owed = ON_CREDIT if poor and spare > -DEBT else 0
+    return int(min(most, max(spare // each - OVERHEAD, owed)))
 
 
 def spend(counters: Counts, ns: int) -> None:
