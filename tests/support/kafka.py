@@ -5,6 +5,12 @@ import time
 from confluent_kafka import Consumer, KafkaError, KafkaException, TopicPartition
 from confluent_kafka.admin import AdminClient
 
+_MOVING = {
+    KafkaError.COORDINATOR_LOAD_IN_PROGRESS,
+    KafkaError.COORDINATOR_NOT_AVAILABLE,
+    KafkaError.NOT_COORDINATOR,
+}
+
 
 def everything(broker, topic):
     """All committed messages of a topic, in the order of each partition."""
@@ -40,7 +46,7 @@ def members(broker, group):
     try:
         found = admin.describe_consumer_groups([group])[group].result().members
     except KafkaException as error:
-        if error.args[0].code() == KafkaError.COORDINATOR_LOAD_IN_PROGRESS:
-            return 0  # the group's broker has only just begun
+        if error.args[0].code() in _MOVING:
+            return 0  # the group's broker has only just begun, or is another one now
         raise
     return sum(bool(one.assignment.topic_partitions) for one in found)
