@@ -3,7 +3,6 @@
 Prints the figures of docs/accuracy.md and writes them to benchmarks/results/accuracy.json.
 """
 
-import json
 import platform
 import sys
 from importlib.metadata import version
@@ -13,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import measured_data, peers
+from benchmarks import measured_data, peers, results_file
 from benchmarks.certified import digits_of_std, digits_of_theta, strucchange_errors
 from benchmarks.recordings import (
     COOLING_CIRCUIT,
@@ -80,14 +79,13 @@ def main() -> int:
     for name, title, form, measure in SECTIONS:
         figures[name] = measure(list(there))
         console.print(_table(title, form, figures[name]))
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
     record = {
         "python": platform.python_version(),
         "versions": used,
         "not_installed": absent,
         **figures,
     }
-    RESULTS.write_text(json.dumps(record, indent=2, ensure_ascii=False) + "\n", "utf-8")
+    results_file.keep(RESULTS, record)
     return 0
 
 

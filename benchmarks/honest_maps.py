@@ -16,9 +16,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from benchmarks import changes, coverage, lag, measured_data, outside, plants, tracking
+from benchmarks import (
+    changes,
+    coverage,
+    lag,
+    measured_data,
+    outside,
+    plants,
+    results_file,
+    tracking,
+)
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.recordings import one_step_ahead
 from service.identification.forgetting import Adaptive
@@ -93,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed in range(wanted.first, wanted.first + min(wanted.seeds, cell.seeds)):
             if str(seed) not in of["seeds"]:
                 of["seeds"][str(seed)] = cell.one(seed)
-                _keep(kept)
+                results_file.keep(RESULTS, kept)
         told = cell.judge(list(of["seeds"].values()))
         took = time.perf_counter() - began
         print(f"{name}: {told.figure} [{'met' if told.met else 'MISSED'}] {took:.0f} s", flush=True)
@@ -137,18 +144,6 @@ def _page(kept: Mapping[str, Any], code: str) -> str:
 
 def _kept() -> dict[str, Any]:
     return json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {}
-
-
-def _keep(kept: Mapping[str, Any]) -> None:
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    beside = RESULTS.with_suffix(".part")
-    beside.write_text(json.dumps(kept, default=_plain) + "\n", "utf-8")
-    beside.replace(RESULTS)
-
-
-def _plain(number: Any) -> int | float:
-    assert isinstance(number, np.generic)  # noqa: S101 - nothing else is left to JSON
-    return number.item()
 
 
 def _code() -> str:

@@ -19,6 +19,7 @@ from statistics import median
 
 from websockets.asyncio.client import connect
 
+from benchmarks import results_file
 from service.opcua.results_client import ResultsClient, SourceSettings
 from service.opcua.results_server import NAMESPACE
 
@@ -36,9 +37,7 @@ def main() -> None:
     found = figures()
     for name, value in found.items():
         print(f"{name:45s} {value:10.1f}")
-    target = Path(__file__).parent / "results" / "page.json"
-    target.parent.mkdir(exist_ok=True)
-    target.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    results_file.keep(Path(__file__).parent / "results" / "page.json", found)
 
 
 def figures() -> dict[str, float]:

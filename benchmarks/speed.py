@@ -27,6 +27,7 @@ from benchmarks import (
     live_speed,
     peers,
     pipeline_speed,
+    results_file,
     results_speed,
     speed_page,
     start_up,
@@ -114,12 +115,6 @@ def measured(names: Sequence[str], seconds: float, before: Mapping[str, Any]) ->
     }
 
 
-def _keep(record: Mapping[str, Any]) -> None:
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(record, indent=2, ensure_ascii=False, default=lambda number: number.item())
-    RESULTS.write_text(text + "\n", "utf-8")
-
-
 def _ratios(values: Mapping[str, float]) -> dict[str, float]:
     """How many times the first."""
     first = next(iter(values.values()))
@@ -143,9 +138,9 @@ def main(arguments: Sequence[str]) -> int:
     wanted = asked.part or list(parts())
     for name in (name for name in parts() if name in wanted):
         record = measured([name], asked.seconds, record)
-        _keep(record)  # what took half an hour is not lost with a part that fails
+        results_file.keep(RESULTS, record)  # what took long is not lost with a part that fails
     record = {**record, "bars": speed_page.bars(record)}
-    _keep(record)
+    results_file.keep(RESULTS, record)
     page = speed_page.page(record)
     PAGE.write_text(page, "utf-8")
     speed_page.draw(record, PAGE.with_name(speed_page.PICTURE))
