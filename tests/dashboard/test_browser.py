@@ -5,8 +5,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 from support.browser import Visit, axe, chromium
+from support.readings import Read
 from support.served_page import served
-from support.shown_service import Read, ShownService
+from support.shown_service import ShownService
 
 pytestmark = pytest.mark.chromium
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from support.shown_service import FRAME, Read, ShownService
+from support.readings import Read
+from support.shown_service import FRAME, ShownService
 
 from service.clock import ManualClock
 from service.dashboard.close_up import CloseUp

@@ -5,8 +5,9 @@ import json
 import struct
 
 import pytest
+from support.readings import Read
 from support.served_page import served
-from support.shown_service import Read, ShownService
+from support.shown_service import ShownService
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 

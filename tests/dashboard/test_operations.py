@@ -5,7 +5,8 @@ import math
 
 import httpx
 from asyncua import ua
-from support.shown_service import Read, ShownService
+from support.readings import Read
+from support.shown_service import ShownService
 
 from service.clock import ManualClock, SystemClock
 from service.dashboard.figures import SERVICE, SUMMARY, Figures

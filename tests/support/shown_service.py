@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, field
 
+from support.readings import Node, Read
+
 from service.errors import SourceLost, SourceRejected
 
 FRAME = (
@@ -21,20 +23,6 @@ FRAME = (
     "Signals.Q",
 )
 SIGNALS = (40.0, 100.0, 60.0)
-
-
-@dataclass(frozen=True)
-class Read:
-    value: object
-    code: int = 0
-    t: int = 0
-
-
-@dataclass(frozen=True)
-class Node:
-    id: str
-    is_variable: bool = False
-    is_method: bool = False
 
 
 @dataclass

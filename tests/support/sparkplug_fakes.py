@@ -4,6 +4,8 @@ import asyncio
 import json
 from dataclasses import dataclass, field
 
+from support import readings
+
 from service.errors import SinkLost, SourceLost, SourceRejected
 from service.sparkplug.edge_node import Message
 from service.sparkplug.schema import Payload
@@ -88,17 +90,8 @@ class FakeBroker:
 
 
 @dataclass(frozen=True)
-class Read:
-    value: object
-    code: int = 0
+class Read(readings.Read):
     t: int = 1_790_000_000_000_000_000
-
-
-@dataclass(frozen=True)
-class Node:
-    id: str
-    is_variable: bool = False
-    is_method: bool = False
 
 
 class FakeService:
@@ -129,8 +122,8 @@ class FakeService:
         for whole in self.variables:
             if whole.startswith(start):
                 name = start + whole[len(start) :].partition(".")[0]
-                found[name] = Node(name, is_variable=name in self.variables)
-        return [*found.values(), Node(f"{start}Reset", is_method=True)]
+                found[name] = readings.Node(name, is_variable=name in self.variables)
+        return [*found.values(), readings.Node(f"{start}Reset", is_method=True)]
 
     async def scalar_types(self, ids):
         return [self.variables[id_][0] for id_ in ids]
