@@ -33,13 +33,12 @@ def attend(state: AutoState, given: Given) -> None:
     kept = int(state.counters[memory.LAGGING + lag.KEPT_ROWS])
     if None in given:
         _doubt(state, kept)
+    path = state.scalars[memory.LAGS :]
     if kept >= state.counters[memory.NEXT_LOOK]:
         _look(state, kept, given)
         since = kept - int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-        lags = state.scalars[memory.LAGS + lag.LAG_U], state.scalars[memory.LAGS + lag.LAG_Q]
-        often = max(lags) > 0.0 and since < OFTEN
+        often = max(path[lag.LAG_U], path[lag.LAG_Q]) > 0.0 and since < OFTEN
         state.counters[memory.NEXT_LOOK] = kept + (lag.ROWS if often else max(since, lag.ROWS))
-    path = state.scalars[memory.LAGS :]
     if path[lag.LAG_Q] > 0.0 and path[lag.SMOOTHING] == 0.0 and kept >= FEWEST_STEPS:
         _smooth(state)
 
@@ -62,7 +61,7 @@ def _doubt(state: AutoState, kept: int) -> None:
 
 
 def _look(state: AutoState, kept: int, given: Given) -> None:
-    """Weigh what the last samples say of the lags; where they move, the map starts anew."""
+    """Weigh what the last samples say of the lags; a map that began with others starts anew."""
     rows = last_rows(state)
     path = state.scalars[memory.LAGS :]
     before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
@@ -71,7 +70,7 @@ def _look(state: AutoState, kept: int, given: Given) -> None:
     found = lag_search.look(rows, path[lag.KNOWN_LAGS :], given, doubted)
     path[lag.LAG_U], path[lag.LAG_Q] = found
     began = float(path[lag.BEGAN_U]), float(path[lag.BEGAN_Q])
-    share, least = next(how_far for rows_, *how_far in MOVED if kept - since <= rows_)
+    share, least = next(how_far for until, *how_far in MOVED if kept - since <= until)
     if any(abs(b - a) > max(least, share * a) for a, b in zip(began, found, strict=True)):
         path[lag.BEGAN_U], path[lag.BEGAN_Q] = found
         _start_anew(state, given)

@@ -41,7 +41,7 @@ LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
 ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
 SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # of a change, by residuals
 CLEAR_CHANGE = 2.5  # of the usual residual: a smaller change is one of the map
-LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # from so much on `Auto` begins its map anew
+LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # from so much on residuals are others than they were
 DAY_S = 86_400.0
 
 
@@ -228,7 +228,7 @@ class Alarms:
     def note_lags(self, chosen: Times, lags: Floats) -> None:
         """Take up the largest lag of K valves, s; NaN where none is looked for.
 
-        Where it moves the map starts anew, and what residuals usually are with it.
+        Where it moves, what residuals usually are is found anew: the map may start anew, too.
         """
         before = self._senses.memory[chosen, kernel.LAG_BEFORE]
         moved = np.abs(lags - before) > np.maximum(LAG_MOVED_S, LAG_MOVED_SHARE * before)

@@ -350,7 +350,7 @@ def _compare(
 
     The model only carries the cell's mean over to the sample's point, and a known drift to its
     time, so what it cannot represent cancels (and where it is far off, as in a region that is new
-    to it, no change is looked for).
+    to it, that is doubt: a change must be larger).
     What is taken in is clipped at 8 σ; a cell that stands farther off the model than the
     sample does was spoilt itself, and starts afresh.
     """
