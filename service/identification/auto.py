@@ -140,10 +140,13 @@ class Auto:
         )
         fleet = memory.Fleet(*(getattr(states, name) for name in memory.Fleet._fields))
         longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
+        scratch = np.empty((4, 4))
         segment, row = 0, int(segments.starts[0]) if len(segments.starts) else 0
         with np.errstate(all="ignore"):
             while segment < len(segments.members):
-                segment, row = memory.run_many(segment, row, batch, *segments, longest, fleet)
+                segment, row = memory.run_many(
+                    segment, row, batch, *segments, longest, fleet, scratch
+                )
                 if segment < len(segments.members):
                     state = member(states, int(segments.members[segment]))
                     auto_lags.attend(state, (self.lag_U, self.lag_Q))

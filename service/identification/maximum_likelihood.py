@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from service.identification.adaptation import Adaptation
 from service.identification.contents import Contents
 from service.identification.estimator import State
-from service.identification.fleet import alone, update_one
+from service.identification.fleet import alone, member, repeated, update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels import reaction
 from service.identification.kernels.factors import covariance
@@ -181,29 +181,15 @@ class MaximumLikelihood:
         X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
         rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
-        values, posterior, early, share = np.empty((4, int(good.sum())))
-        codes = np.empty(len(values), np.uint8)
-        kernel.run_fleet(
-            _memory(states),
-            rule,
-            self._orders(),
-            X[good],
-            samples.U[good],
-            samples.Q[good],
-            values,
-            posterior,
-            early,
-            share,
-            codes,
-            segments.among(good),
-        )
+        where = samples.U[good], samples.Q[good], segments.among(good)
+        run = _run(states, rule, self._orders(), X[good], *where)
         # Where the samples so far tell nothing, nothing can be said.
         with np.errstate(invalid="ignore"):
-            known = np.where(share <= kernel.UNDETERMINED, values, np.nan)
+            known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
         predicted, behind = np.full((2, len(samples)), np.nan)
-        predicted[good], behind[good] = known, early
+        predicted[good], behind[good] = known, run.early
         status = np.full(len(samples), Status.REJECTED, np.uint8)
-        status[good] = codes
+        status[good] = run.status
         return Trace(predicted, samples.Q - predicted, behind, status)
 
     def predict(
@@ -395,58 +381,64 @@ def recursive_maximum_likelihood(
     use &= np.isfinite(output)
     history = np.empty((len(output), n))
     rule = kernel.Rule(kernel.EXPONENTIAL, float(forgetting), float(radius))
-    run = _run(state, rule, orders, X, output, use.astype(np.uint8), history)
+    fleet, whole = repeated(state, 1), Segments.one(len(output))
+    no_U = np.zeros(len(output))
+    run = _run(fleet, rule, orders, X, no_U, output, whole, use.astype(np.uint8), history)
+    state = member(fleet, 0)
     return MaximumLikelihoodResult(
-        theta=run.state.theta,
+        theta=state.theta,
         theta_history=history,
         innovations=output - run.predicted,
         residuals=run.posterior,
-        covariance=_parameter_covariance(run.state),
+        covariance=_parameter_covariance(state),
         root_margin=root_margins(np.ascontiguousarray(history[:, n - nd :])),
         status=run.status,
-        restarts=int(run.state.monitor[kernel.RESTARTS]),
+        restarts=int(state.monitor[kernel.RESTARTS]),
     )
 
 
 @dataclass(frozen=True)
 class _Run:
-    state: MaximumLikelihoodState
     predicted: Floats
     posterior: Floats
+    early: Floats
     share: Floats
     status: Codes
 
 
 def _run(
-    state: MaximumLikelihoodState,
+    states: MaximumLikelihoodState,
     rule: kernel.Rule,
     orders: kernel.Orders,
     X: Floats,
+    U: Floats,
     y: Floats,
+    segments: Segments,
     use: Codes | None = None,
     history: Floats | None = None,
 ) -> _Run:
-    """Run the kernel on copies of the state's arrays."""
-    memory = kernel.Memory(*(np.array(getattr(state, name)) for name in kernel.Memory._fields))
-    N = len(y)
-    predicted, posterior, early, share = np.empty((4, N))
-    status = np.empty(N, np.uint8)
+    """Run the kernel; the states' arrays, with a leading axis, are written in place."""
+    N, n = len(y), states.theta.shape[1]
+    values, status = np.empty((4, N)), np.empty(N, np.uint8)
+    found = _Run(values[0], values[1], values[2], values[3], status)
     kernel.run(
-        memory,
+        _memory(states),
         rule,
         orders,
         np.ascontiguousarray(X),
+        U,
         np.ascontiguousarray(y),
         np.ones(N, np.uint8) if use is None else use,
-        predicted,
-        posterior,
-        early,
-        share,
-        status,
-        np.empty((0, len(memory.theta))) if history is None else history,
+        found.predicted,
+        found.posterior,
+        found.early,
+        found.share,
+        found.status,
+        np.empty((0, n)) if history is None else history,
+        segments,
+        np.zeros((kernel.SCRATCH, n)),
     )
-    after = MaximumLikelihoodState(**memory._asdict())
-    return _Run(after, predicted, posterior, share, status)
+    return found
 
 
 def _memory(state: MaximumLikelihoodState) -> kernel.Memory:

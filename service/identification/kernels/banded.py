@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import Index, inner
+from service.identification.kernels.compiled import Index, inner, maker
 from service.identification.samples import Floats
 
 
-@inner
+@maker
 def factorise(A: Floats, n: int, band: int) -> bool:
     """Cholesky's factor in place; False where the matrix is not positive."""
     column = np.empty(band)
@@ -53,7 +53,7 @@ def substitute(L: Floats, band: int, Y: Floats) -> None:
             y[j] = left / L[at]
 
 
-@inner
+@maker
 def invert_band(L: Floats, n: int, band: int, Z: Floats) -> None:
     """Elements of (L·Lᵀ)⁻¹ within the band: Takahashi's equations.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.identification.kernels import grid, lag
-from service.identification.kernels.compiled import inner, kernel, spliced
+from service.identification.kernels.compiled import inner, lean_kernel, spliced
 from service.identification.kernels.grid import (
     DIRECTION,
     MEAN_Q,
@@ -124,12 +124,15 @@ class Batch(NamedTuple):
     status: np.ndarray
 
 
-@kernel
+@lean_kernel
 def run_many(
     segment: int, row: int, batch: Batch, members: Times, starts: Times, stops: Times,
-    longest: float, fleet: Fleet,
+    longest: float, fleet: Fleet, scratch: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Take samples of many valves in, from ``row`` of a segment on, until one of them is due.
+
+    ``longest`` bounds the weight of a cell: then its mean is exponential, λ = 1 - 1/longest.
+    ``scratch`` is (4, 4).
 
     Returns
     -------
@@ -150,13 +153,14 @@ def run_many(
             memory,
             champion,
             challenger,
+            scratch,
         )
         if is_due(memory.counters):
             return k, row
     return len(members), 0
 
 
-@inner
+@spliced
 def surface(fleet: Fleet, m: int, which: int) -> Surface:
     """The map of a valve's champion (0) or challenger (1)."""
     n_U, n_s = fleet.sizes[m, which, 0], fleet.sizes[m, which, 1]
@@ -172,14 +176,10 @@ def surface(fleet: Fleet, m: int, which: int) -> Surface:
 @spliced
 def run(
     start: int, stop: int, batch: Batch, longest: float, memory: Memory, champion: Surface,
-    challenger: Surface,
+    challenger: Surface, scratch: Floats,
 ) -> int:  # fmt: skip
-    """Take samples ``start`` … ``stop`` - 1 in until a fit or a look is due; give the next one.
-
-    ``longest`` bounds the weight of a cell: then its mean is exponential, λ = 1 - 1/longest.
-    """
+    """Take samples ``start`` … ``stop`` - 1 in until a fit or a look is due; give the next one."""
     scalars, counters = memory.scalars, memory.counters
-    scratch = np.empty((4, 4))
     for i in range(start, stop):
         U, dp, Q = batch.U[i], batch.dp[i], batch.Q[i]
         batch.predicted[i] = batch.residual[i] = math.nan
@@ -207,7 +207,7 @@ def run(
     return stop
 
 
-@kernel
+@lean_kernel
 def is_due(counters: np.ndarray) -> bool:
     """Whether a new fit is due, or a look at the lags."""
     return bool(
@@ -311,7 +311,7 @@ def _take(
     return status
 
 
-@kernel
+@lean_kernel
 def follow(U: float, play: float, scalars: Floats) -> float:
     """Direction of U from -1 (falling) to 1 (rising); to turn it takes a way of twice the play."""
     last: float = scalars[LAST_U]
@@ -450,7 +450,7 @@ def _know_rate(error: float, grown: float, scalars: Floats) -> None:
     scalars[SQUARE_Q] += (grown * grown - scalars[SQUARE_Q]) / scalars[RATE_WEIGHT]
 
 
-@kernel
+@lean_kernel
 def colour(scalars: Floats) -> float:
     """Correlation of successive residuals, 0 to .99."""
     if not scalars[POWER] > 0.0:

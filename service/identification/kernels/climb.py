@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.kernels import ladder
-from service.identification.kernels.compiled import inner, kernel, spliced
+from service.identification.kernels.compiled import inner, kernel, maker, spliced
 from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_U
 from service.identification.kernels.map_fit import fit_rows, plan_of
 from service.identification.kernels.map_rows import RowsInS, rows_in_s
@@ -75,7 +75,7 @@ def noise(points: Floats, shape: Floats, top: float, rich: Floats) -> float:
     return float(_noise(points, _of_axes(points, top), shape, top, rich))
 
 
-@inner
+@maker
 def _of_axes(points: Floats, top: float) -> list[RowsInS]:
     """What hangs on s alone, for the shapes of each axis."""
     shape = np.array([1.0, 0.0, math.nan, math.nan, 0.0, 0.0])

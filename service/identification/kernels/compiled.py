@@ -9,10 +9,10 @@ import hashlib
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -27,12 +27,38 @@ _STAMP = hashlib.sha256(b"".join(s for s in _SOURCES if b"kernels.compiled" in s
 
 def kernel(function: F) -> F:
     """Compile a function that Python calls."""
-    return _compile(function, nogil=True, no_cfunc_wrapper=True)
+    return _compile(function, nogil=True, no_cfunc_wrapper=True, _nrt=True)
+
+
+def lean_kernel(function: F) -> F:
+    """`kernel`, for what makes no array: references to those that it is handed are not counted.
+
+    Each call that hands on a tuple of thirty arrays counts sixty times, which costs a microsecond.
+    """
+    return _compile(function, nogil=True, no_cfunc_wrapper=True, _nrt=False)
 
 
 def inner(function: F) -> F:
-    """Compile a function that only kernels call: no wrappers, a third less to compile."""
-    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """Compile a function that only kernels call: no wrappers, and no reference is counted.
+
+    It makes no array and hands none back: see `maker`. Private seam of numba: the option ``_nrt``.
+    """
+    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+
+
+def maker(function: F) -> F:
+    """`inner` for what makes arrays or hands them back."""
+    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=True)
+
+
+def inlined(function: F) -> F:
+    """`inner`, compiled into every kernel that calls it: what is constant there is constant here.
+
+    Only for what few kernels call: each gets a copy.
+    """
+    return _compile(
+        function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, _nrt=False
+    )
 
 
 def spliced(function: F) -> F:
@@ -42,30 +68,6 @@ def spliced(function: F) -> F:
     has one caller; what has more is written into each.
     """
     return _compile(function, inline="always")
-
-
-def inlined(function: F) -> F:
-    """Compile a function into every kernel that calls it: what is constant there is constant here.
-
-    Only for what few kernels call: each gets a copy.
-    """
-    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-
-
-def lean_kernel(function: F) -> F:
-    """`kernel`, for what makes no array: references to those that it is handed are not counted.
-
-    Each call that hands on a tuple of thirty arrays counts sixty times, which costs a microsecond.
-    What it calls should be `lean_inlined`. Private seam of numba: the option ``_nrt``.
-    """
-    return _compile(function, nogil=True, no_cfunc_wrapper=True, _nrt=False)
-
-
-def lean_inlined(function: F) -> F:
-    """`inlined` for `lean_kernel`."""
-    return _compile(
-        function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, _nrt=False
-    )
 
 
 def was_warmed_up() -> bool:
@@ -102,7 +104,22 @@ def _nothing() -> None:
 def _compile(function: F, **options: bool | str) -> F:
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
     compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]
+    _once_for_all_numbers(compiled)
     return compiled
+
+
+def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's dispatcher
+    """Have it compiled once, not once for each constant that a kernel calls it with.
+
+    Constants still reach what is inlined. Private seam of numba: ``get_call_template``.
+    """
+    find = compiled.get_call_template
+    plain: Callable[[Any], Any] = types.unliteral
+
+    def find_for_any_number(args: Any, kws: Any) -> Any:  # noqa: ANN401
+        return find(tuple(map(plain, args)), {name: plain(kind) for name, kind in kws.items()})
+
+    compiled.get_call_template = find_for_any_number
 
 
 _load_numba_without_scipy()

@@ -7,7 +7,7 @@ asymmetric or indefinite. All loops run in a fixed order: the same samples give 
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.samples import Floats
 
 EPSILON = 2.0**-52
@@ -68,7 +68,7 @@ def back_substitute(R: Floats, z: Floats, theta: Floats) -> None:
         theta[i] = total / R[i, i] if R[i, i] != 0.0 else 0.0
 
 
-@inner
+@maker
 def is_estimable(R: Floats, X: Floats, i: int, scale: Floats) -> bool:
     """Whether the samples in R fix xᵀtheta although not theta; x is row i of X."""
     n = len(R)
@@ -149,8 +149,15 @@ def rank_one(ut: Floats, f: Floats, k: Floats, alpha: float, weight: float, grow
 @kernel
 def covariance(ut: Floats) -> Floats:
     """P itself, one triangle computed and mirrored."""
+    P = np.empty_like(ut)
+    write_covariance(ut, P)
+    return P
+
+
+@inner
+def write_covariance(ut: Floats, P: Floats) -> None:
+    """`covariance` into ``P`` (n, n)."""
     n = len(ut)
-    P = np.empty((n, n))
     for i in range(n):
         for k in range(i, n):
             total = 0.0
@@ -160,4 +167,3 @@ def covariance(ut: Floats) -> Floats:
                 total += left * ut[j, j] * right
             P[i, k] = total
             P[k, i] = total
-    return P

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import kernel, maker
 from service.identification.kernels.factors import (
     back_substitute,
     independence,
@@ -29,7 +29,7 @@ _OK = int(Status.OK)
 _WARMING_UP = int(Status.WARMING_UP)
 
 
-@inner
+@maker
 def warm_up(
     s: Floats,
     R: Floats,
@@ -108,7 +108,7 @@ def determine(s: Floats, R: Floats, rhs: Floats, counters: Counts, kind: int) ->
     return True
 
 
-@inner
+@maker
 def settle(s: Floats, R: Floats) -> None:
     """Write U and D of P = (RᵀR)⁻¹, and its trace in units of the scales, into the row ``s``."""
     n = len(R)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.identification.inversion import InverseStatus
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.kernels.spline import basis, hats
 from service.identification.samples import Floats
 
@@ -131,7 +131,7 @@ def variances(
         out[i] = total
 
 
-@inner
+@maker
 def _section(
     knots_s: Floats, nodes_T: Floats, theta: Floats, dp: float, T: float, along: Floats
 ) -> float:
@@ -152,7 +152,7 @@ def _section(
     return size
 
 
-@inner
+@maker
 def _power_forms(knots: Floats) -> tuple[Floats, np.ndarray]:
     """For each span that is not empty: the matrix (4, 4) from its coefficients to powers of t."""
     n = len(knots) - 4

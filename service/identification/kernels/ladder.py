@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.samples import Floats
 
 CELLS_OF, AXIS, DEAD_BAND, SATURATION, PLAY, TREND = 0, 1, 2, 3, 4, 5
@@ -68,7 +68,7 @@ def neighbours(shape: Floats, least_play: float, trends: int, found: Floats) -> 
     return _offer_kink(shape, SATURATION, SATURATIONS, found, count)
 
 
-@inner
+@maker
 def _offer_cells(shape: Floats, found: Floats, count: int) -> int:
     """Offer other numbers of cells, the nearest first."""
     offered = np.zeros(len(CELLS), np.bool_)
@@ -83,7 +83,7 @@ def _offer_cells(shape: Floats, found: Floats, count: int) -> int:
     return count
 
 
-@inner
+@maker
 def _offer_play(shape: Floats, change: float, found: Floats, count: int) -> int:
     """More or less play: about the same middle, the same rising or the same falling branch."""
     kinked = not (math.isnan(shape[DEAD_BAND]) and math.isnan(shape[SATURATION]))
@@ -109,7 +109,7 @@ def _offer_kink(shape: Floats, place: int, first: Floats, found: Floats, count: 
     return _offer_one(shape, place, math.nan, found, count)
 
 
-@inner
+@maker
 def _offer_one(shape: Floats, place: int, number: float, found: Floats, count: int) -> int:
     at = shape.copy()
     at[place] = number

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import Index, inner, kernel
+from service.identification.kernels.compiled import Index, inner, kernel, lean_kernel
 from service.identification.kernels.spline import basis
 from service.identification.samples import Floats
 
@@ -55,7 +55,7 @@ def share(step: float, tau: float) -> float:
     return 1.0 - math.exp(-step / tau) if tau > 0.0 else 1.0
 
 
-@kernel
+@lean_kernel
 def smoothing(step: float, lag_Q: float) -> float:
     """Time constant of S's stages, s: the shortest with which S·f is no noisier than Q.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from service.identification.kernels import ladder
 from service.identification.kernels.banded import factorise, invert, invert_band, substitute
-from service.identification.kernels.compiled import Index, inner, kernel
+from service.identification.kernels.compiled import Index, inner, kernel, maker
 from service.identification.kernels.grid import MEAN_Q, WEIGHT
 from service.identification.kernels.map_rows import (
     ORDER,
@@ -92,7 +92,7 @@ def plan_of(shape: Floats, top: float) -> Plan:
     )
 
 
-@inner
+@maker
 def _over(values: Floats, unit: float) -> Floats:
     """Quotients, as a loop: an expression of arrays takes a second to compile."""
     found = np.empty(len(values))
@@ -241,7 +241,7 @@ def _add_prior(A: Floats, band: int, rough_U: Floats, rough_s: Floats) -> None:
                 A[here + k - j] += rough_s[j, k]
 
 
-@inner
+@maker
 def _prior_terms(
     plan: Plan, theta: Floats, Z: Floats, band: int, mixed: Floats, corner: Floats
 ) -> tuple[float, float]:
@@ -290,7 +290,7 @@ def _inverse_at(
     return total
 
 
-@inner
+@maker
 def _solve(
     A: Floats,
     band: int,

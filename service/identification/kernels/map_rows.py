@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels.compiled import Index, inner
+from service.identification.kernels.compiled import Index, inner, maker
 from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_S, MEAN_T, MEAN_U, WEIGHT
 from service.identification.kernels.spline import basis
 from service.identification.kernels.surface import BORDER
@@ -56,7 +56,7 @@ class Rows(NamedTuple):
     border: Floats
 
 
-@inner
+@maker
 def rows_in_s(points: Floats, knots_s: Floats) -> RowsInS:
     """Values of a spline in s at points, and their products."""
     N = len(points)
@@ -71,7 +71,7 @@ def rows_in_s(points: Floats, knots_s: Floats) -> RowsInS:
     return RowsInS(values, first)
 
 
-@inner
+@maker
 def rows(
     points: Floats, in_s: RowsInS, knots_U: Floats, n_s: int, play: float, first: int, last: int
 ) -> Rows:
@@ -89,7 +89,7 @@ def rows(
     return Rows(in_U, at, in_s, border)
 
 
-@inner
+@maker
 def gather(
     points: Floats, rows: Rows, n_s: int, band: int, A: Floats, C: Floats, rhs: Floats
 ) -> None:

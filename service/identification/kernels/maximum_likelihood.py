@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels import filtered_scores, reaction
-from service.identification.kernels.compiled import inner, kernel, spliced
-from service.identification.kernels.factors import covariance, project, rank_one
+from service.identification.kernels.compiled import inner, kernel, lean_kernel, maker, spliced
+from service.identification.kernels.factors import project, rank_one, write_covariance
 from service.identification.kernels.residual_spread import EARLIER
-from service.identification.kernels.stability import is_stable
+from service.identification.kernels.stability import lies_inside
 from service.identification.samples import Codes, Floats, Segments, Status
 
 Orders = NDArray[np.int64]
@@ -25,6 +25,7 @@ DIRECTIONAL = 1
 RAMP, COUNT, SINCE, RESTARTS, DETERMINED, WEIGHT, VARIANCE = range(7)
 POWER, RLS_POWER, OUTPUT_POWER = range(7, 10)
 PLACES = 10
+SCRATCH = 6  # vectors of one step
 
 RAMP_START = 0.95  # the ramp's factor at the first sample; it tends to 1
 RAMP_RATE = 0.99
@@ -79,7 +80,7 @@ class Rule(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Vectors of one step, allocated once per batch."""
+    """Vectors of one step."""
 
     h: Floats
     hf: Floats
@@ -89,12 +90,13 @@ class _Scratch(NamedTuple):
     work: Floats
 
 
-@kernel
+@lean_kernel
 def run(
-    memory: Memory,
+    fleet: Memory,
     rule: Rule,
     orders: Orders,
     X: Floats,
+    U: Floats,
     y: Floats,
     use: Codes,
     predicted: Floats,
@@ -103,17 +105,23 @@ def run(
     share: Floats,
     status: Codes,
     history: Floats,
+    segments: Segments,
+    scratch: Floats,
 ) -> None:
-    """Take N samples in, one after another.
+    """Take the samples of many models in, each its own stretch of them, one after another.
 
     Parameters
     ----------
-    memory, rule
-        State, written in place; settings.
+    fleet
+        The states' arrays, each with a leading axis M; written in place.
+    rule
+        Settings of all of them.
     orders : (channels,)
         Lags of the output, of each input, of the noise.
     X : (N, inputs)
         Row t is what the inputs were *before* y(t): u(t-1) of an ARMAX model, X(t) of a static map.
+    U : (N,)
+        Opening, %; it may react to the noise.
     y, use : (N,)
         Output; where ``use`` is 0 theta is held and a y that is missing becomes its prediction.
     predicted, posterior, early, share, status : (N,)
@@ -122,49 +130,17 @@ def run(
         that before any sample, status.
     history : (N, n) or (0, n)
         Written if it has rows: theta after each sample.
-    """
-    scratch = _scratch(len(memory.theta))
-    _span(
-        memory, rule, orders, scratch, X, np.zeros(len(y)), y, use, predicted, posterior, early,
-        share, status, history, 0, len(y),
-    )  # fmt: skip
-
-
-@kernel
-def run_fleet(
-    fleet: Memory,
-    rule: Rule,
-    orders: Orders,
-    X: Floats,
-    U: Floats,
-    y: Floats,
-    predicted: Floats,
-    posterior: Floats,
-    early: Floats,
-    share: Floats,
-    status: Codes,
-    segments: Segments,
-) -> None:
-    """Take the samples of many models in, each its own stretch of them.
-
-    Parameters
-    ----------
-    fleet
-        The states' arrays, each with a leading axis M; written in place.
-    rule, orders, X, y, predicted, posterior, early, share, status
-        As for one model; the samples of all models one after another, all of them to be used.
-    U : (N,)
-        Opening, %; it may react to the noise.
     segments
         Which samples are whose.
+    scratch : (6, n)
+        Overwritten.
     """
     (
         theta, factor, spread, prior, rls_theta, rls_factor, raw, filtered, monitor, before,
         omega, moments, blocks, colour,
     ) = fleet  # fmt: skip
     members, starts, stops = segments
-    scratch, history = _scratch(theta.shape[1]), np.empty((0, theta.shape[1]))
-    use = np.ones(len(y), np.uint8)
+    vectors = _rows(scratch)
     for s in range(len(members)):
         m = members[s]
         memory = Memory(
@@ -172,7 +148,7 @@ def run_fleet(
             filtered[m], monitor[m], before[m], omega[m], moments[m], blocks[m], colour[m],
         )  # fmt: skip
         _span(
-            memory, rule, orders, scratch, X, U, y, use, predicted, posterior, early, share,
+            memory, rule, orders, vectors, X, U, y, use, predicted, posterior, early, share,
             status, history, starts[s], stops[s],
         )  # fmt: skip
 
@@ -275,9 +251,14 @@ def evaluate(memory: Memory, X: Floats, values: Floats, variances: Floats, share
             variances[t] = _widened(memory, scratch.Ph, variances[t], held)
 
 
-@inner
+@maker
 def _scratch(n: int) -> _Scratch:
-    return _Scratch(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+    return _rows(np.zeros((SCRATCH, n)))
+
+
+@spliced
+def _rows(scratch: Floats) -> _Scratch:
+    return _Scratch(scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5])
 
 
 @inner
@@ -392,7 +373,7 @@ def _step(
     for _ in range(HALVINGS):
         for j in range(n):
             new[j] = theta[j] + step * Ph[j]
-        if is_stable(new[ns:], rule.radius):
+        if lies_inside(new[ns:], rule.radius, scratch.Sh):
             for j in range(n):
                 theta[j] = new[j]
             break
@@ -403,7 +384,7 @@ def _step(
     if monitor[DETERMINED] > 0.0:
         q = _spread_along(memory.spread, hf, scratch.Sh)
         if not q <= 1.01 * r:  # it never exceeds P but by rounding
-            _take(memory.spread, covariance(memory.factor))
+            write_covariance(memory.factor, memory.spread)
             q = _spread_along(memory.spread, hf, scratch.Sh)
         _update_spread(memory.spread, Ph, scratch.Sh, gain, q)
     monitor[WEIGHT] = ramp * lam * monitor[WEIGHT] + 1.0
@@ -435,7 +416,7 @@ def _step(
     if not known or rule.lam < 1.0:  # with lam = 1 nothing is ever unlearnt
         known = monitor[SINCE] > settled and _largest_share(memory, ns) <= UNDETERMINED
     if known and monitor[DETERMINED] == 0.0:
-        _take(memory.spread, covariance(memory.factor))
+        write_covariance(memory.factor, memory.spread)
         monitor[DETERMINED] = 1.0
     if monitor[DETERMINED] == 0.0:
         return _WARMING_UP
@@ -462,7 +443,7 @@ def _draw_noise_in(memory: Memory, scratch: _Scratch, ns: int, variance: float) 
         scratch.work[j] = 1.0
         project(memory.factor, scratch.work, scratch.f, scratch.Ph)
         rank_one(memory.factor, scratch.f, scratch.work, 1.0, information, 1.0)
-    _take(memory.spread, covariance(memory.factor))
+    write_covariance(memory.factor, memory.spread)
 
 
 @inner

@@ -21,7 +21,7 @@ each place counts with what it showed last, and none is lost.
 
 import numpy as np
 
-from service.identification.kernels.compiled import inlined, inner
+from service.identification.kernels.compiled import inlined, maker
 from service.identification.kernels.factors import back_substitute, independence, rotate_in
 from service.identification.kernels.information_form import INDEPENDENT, settle
 from service.identification.kernels.row_layout import (
@@ -352,7 +352,7 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
     s[g + VISIT_SQUARES] = 0.0
 
 
-@inner
+@maker
 def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: float) -> None:
     """Theta and P = U·D·Uᵀ by least squares from the flows of all nodes, each as far as known.
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.samples import Floats
 
 FACTORS = ("U", "s", "|s|", "dp", "|dp|", "T", "nu")
@@ -39,7 +39,7 @@ def products(
     return rows
 
 
-@inner
+@maker
 def _spelt_out(exponents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where each term's factors start, which factors they are, and 1 or -1 to multiply or divide.
 

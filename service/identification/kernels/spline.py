@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, lean_kernel
 from service.identification.samples import Floats
 
 
-@kernel
+@lean_kernel
 def basis(knots: Floats, x: float, value: Floats, slope: Floats) -> int:
     """Fill ``value`` and ``slope`` (4,) and give the index of the first of the four functions.
 
@@ -54,7 +54,7 @@ def _slopes(knots: Floats, span: int, quadratic: Floats, slope: Floats) -> None:
     slope[3] = before
 
 
-@kernel
+@lean_kernel
 def hats(nodes: Floats, x: float, value: Floats) -> int:
     """Fill ``value`` (2,) for linear interpolation between nodes; extrapolated along the ends."""
     n = len(nodes)

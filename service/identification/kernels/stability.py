@@ -2,19 +2,24 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import kernel
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 
 @kernel
 def is_stable(d: Floats, radius: float) -> bool:
     """Whether all roots of zᵐ + d1·zᵐ⁻¹ + … + dm lie inside ``radius`` (Schur and Cohn)."""
+    return lies_inside(d, radius, np.empty(len(d)))
+
+
+@inner
+def lies_inside(d: Floats, radius: float, a: Floats) -> bool:
+    """`is_stable`; ``a`` (m or more,) is scratch."""
     m = len(d)
     if m == 0:
         return True
     if m == 1:
         return bool(abs(d[0]) < radius)
-    a = np.empty(m)
     shrink = 1.0
     for i in range(m):
         shrink /= radius

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.kernels.covariance_form import note
 from service.identification.kernels.factors import back_substitute, independence, rotate_in
 from service.identification.kernels.information_form import settle
@@ -104,7 +104,7 @@ def _push(window: Floats, counters: Counts, X: Floats, y: Floats, i: int) -> boo
     return bool(counters[HEAD] == 0)
 
 
-@inner
+@maker
 def _factor_anew(s: Floats, R: Floats, rhs: Floats, window: Floats, counters: Counts) -> None:
     """Factor the full window, once per turn: rounding cannot add up."""
     n = len(rhs)

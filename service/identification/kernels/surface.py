@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, lean_kernel
 from service.identification.kernels.spline import basis, hats
 from service.identification.samples import Floats, Times
 
@@ -30,7 +30,7 @@ class Surface(NamedTuple):
     play: float
 
 
-@kernel
+@lean_kernel
 def value(
     knots_U: Floats,
     knots_s: Floats,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.compiled import inner, kernel, maker
 from service.identification.kernels.places import PROVEN
 from service.identification.kernels.row_layout import (
     BLOCKS,
@@ -119,7 +119,7 @@ def _long_run(s: Floats, at: Places, P: Floats, A: Floats, C: Floats) -> None:
             C[i, k] *= samples
 
 
-@inner
+@maker
 def _add_reaction(s: Floats, at: Places, P: Floats, C: Floats) -> None:
     """Add the square of what regressors that react to the noise make of theta, N·P·Γ."""
     n = len(C)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.kernels.compiled import lean_inlined, lean_kernel
+from service.identification.kernels.compiled import inlined, lean_kernel
 from service.identification.samples import Floats, Segments, Times
 
 Flags = NDArray[np.bool_]
@@ -172,7 +172,7 @@ def move_on(
         came[k] = _step(valves[k], alarm, t[k], began[k], x[k], rules, conditions)
 
 
-@lean_inlined
+@inlined
 def _step(
     m: int, a: int, t: int, began: int, x: float, rules: Floats, conditions: Conditions
 ) -> bool:
@@ -206,7 +206,7 @@ def _step(
     return True
 
 
-@lean_inlined
+@inlined
 def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses) -> None:
     """Begin waiting anew where the clock went back, or nobody looked; follow the oil slowly."""
     times, newest, memory = senses.times[m], senses.times[m, NEWEST], senses.memory[m]
@@ -228,7 +228,7 @@ def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses)
     times[NEWEST] = t
 
 
-@lean_inlined
+@inlined
 def _look_for_losses(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -240,7 +240,7 @@ def _look_for_losses(
         _step(m, SENSOR_LOST, t, t, 0.0, rules, conditions)
 
 
-@lean_inlined
+@inlined
 def _look_for_standstills(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -279,7 +279,7 @@ def _look_for_standstills(
         conditions.detail[m, SENSOR_FROZEN, 0] = dead
 
 
-@lean_inlined
+@inlined
 def _look_at_excitation(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
@@ -291,7 +291,7 @@ def _look_at_excitation(
     _step(m, UNEXCITED, t, times[EXCITED], held, rules, conditions)
 
 
-@lean_inlined
+@inlined
 def _look_at_residual(
     m: int,
     i: int,
@@ -355,7 +355,7 @@ def _look_at_residual(
     memory[Q_BEFORE] = predicted
 
 
-@lean_inlined
+@inlined
 def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
     """End a block: what residuals are now, and usually are; whether this one is as usual."""
     mean = memory[BLOCK_SUM] / memory[BLOCK_N]
@@ -372,7 +372,7 @@ def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numb
     return bool(new < AS_USUAL * memory[USUAL])
 
 
-@lean_inlined
+@inlined
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
     """Sum up how the residual goes with what each cause would do to it."""
     memory, sums = senses.memory[m], senses.sums[m]
@@ -397,7 +397,7 @@ def name_causes(
         _name_causes(valves[k], alarm, conditions, senses, shares)
 
 
-@lean_inlined
+@inlined
 def _name_causes(
     m: int, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
 ) -> None:
@@ -429,7 +429,7 @@ def _name_causes(
         shares[chosen] = 0.0
 
 
-@lean_inlined
+@inlined
 def _explained(sums: Floats, j: int, k: int) -> float:
     """Share of the residual's squares that two directions together explain."""
     e, squares = DIRECTIONS, sums[DIRECTIONS, DIRECTIONS]
