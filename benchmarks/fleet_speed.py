@@ -33,7 +33,8 @@ from service.fleet.topics import create_or_check
 
 GROUPS, VALVES, SAMPLES = 8, 50, 20  # 400 valves; a block is 1,000 samples
 KINDS = {"rls": ("RLS",), "three": ("RLS", "RML", "RBF"), "default": ("RLS", "RML", "RBF", "Auto")}
-BLOCKS = {"rls": 150, "three": 50, "default": 10}  # of each group
+BLOCKS = {"rls": 300, "three": 150, "default": 500}  # of each group: 10,000 samples a valve of all
+COMMIT_S, QUICK_COMMIT_S = 1.0, 0.1  # s between commits: where much is learnt, where results hurry
 WARM = 3  # blocks of each group before anything is measured
 CACHE = Path.home() / ".cache" / "valvemap" / "kafka"
 BARS = {"rls": 500_000, "three": 180_000, "default": 40_000, "two": 800_000}
@@ -55,7 +56,14 @@ class Plant:
         return f"{self.config.topics.prefix}.{kind}"
 
 
-def set_up(folder: Path, broker: str, name: str, kind: str, results_s: float = 1.0) -> Plant:
+def set_up(
+    folder: Path,
+    broker: str,
+    name: str,
+    kind: str,
+    results_s: float = 1.0,
+    commit_s: float = COMMIT_S,
+) -> Plant:
     own = folder / name
     own.mkdir()
     estimators = "".join(f"[[valves.estimators]]\nkind = '{one}'\n" for one in KINDS[kind])
@@ -64,7 +72,7 @@ def set_up(folder: Path, broker: str, name: str, kind: str, results_s: float = 1
     (own / "fleet.toml").write_text(
         f"[broker]\naddresses = ['{broker}']\n[topics]\nprefix = '{name}'\npartitions = {GROUPS}\n"
         f"replication = 1\n[catalogue]\nvalves_per_group = {VALVES}\nsites = {{s = 'site.toml'}}\n"
-        f"[work]\nresults_s = {results_s}\ntakeover_s = 6\n",
+        f"[work]\nresults_s = {results_s}\ncommit_s = {commit_s}\ntakeover_s = 6\n",
         encoding="utf-8",
     )
     config = load_fleet(own / "fleet.toml")
@@ -196,7 +204,7 @@ def speed(folder: Path, broker: str, kind: str, workers: int) -> dict[str, float
 
 def latency(folder: Path, broker: str) -> dict[str, float]:
     """From a block sent to its results received, a result with every block."""
-    plant = set_up(folder, broker, "latency", "rls", results_s=0.0)
+    plant = set_up(folder, broker, "latency", "rls", 0.0, QUICK_COMMIT_S)
     feeder, sent = Feeder(plant), {}
     reader = Consumer({"bootstrap.servers": broker, "group.id": "latency.reader"})
     topic = plant.topic("results")
@@ -227,7 +235,7 @@ def latency(folder: Path, broker: str) -> dict[str, float]:
 
 def takeover(folder: Path, broker: str) -> dict[str, float]:
     """kill -9 one of two workers while samples come: until every group is learnt again."""
-    plant = set_up(folder, broker, "takeover", "rls", results_s=0.0)
+    plant = set_up(folder, broker, "takeover", "rls", 0.0, QUICK_COMMIT_S)
     feeder = Feeder(plant)
     with worker(plant, 1) as one, worker(plant, 2):
         feeder.send(5)

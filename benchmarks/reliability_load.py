@@ -83,15 +83,19 @@ class Service:
 
 
 @contextmanager
-def service_of(valves: int, hz: float, sync_s: float = 0.0) -> Iterator[Service]:
-    """A rig of so many valves and ``serve`` in its default configuration, once it shows results."""
+def service_of(valves: int, hz: float, sync_s: float = 0.0, more: str = "") -> Iterator[Service]:
+    """A rig of so many valves and ``serve`` in its default configuration, once it shows results.
+
+    ``more`` are further sections of the configuration.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder, source, url = Path(name), free_url("rig"), free_url("service")
         names = names_of(valves)
         file, log = folder / "service.toml", folder / "log"
         file.write_text(
             f'[source]\nurl = "{source}"\nsecurity = "None"\nstartup_timeout_s = 600.0\n'
-            f'timeout_s = 60.0\n[server]\nurl = "{url}"\n[state]\nfile = "{folder}/state.sqlite"\n'
+            f'timeout_s = 60.0\n[server]\nurl = "{url}"\n'
+            f'[state]\nfile = "{folder}/state.sqlite"\n{more}'
             + "".join(f'[[valves]]\nname = "{name}"\n' for name in names)
         )
         command = [sys.executable, "-u", "-m", "benchmarks.open_service", str(file)]
