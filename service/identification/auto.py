@@ -276,6 +276,14 @@ class Auto:
         """How many samples of each of M valves moved too fast for the lags to be learnt from."""
         return np.asarray(states.counters[..., memory.TOO_FAST])
 
+    def began(self, states: AutoState) -> Counts:
+        """After how many samples the map of each of M valves began anew; 0: it never did."""
+        return states.counters[..., memory.BEGAN].copy()
+
+    def samples_since(self, states: AutoState) -> Counts:
+        """How many samples of each of M valves its map rests on, since it began."""
+        return np.asarray(states.counters[..., memory.USED] - states.counters[..., memory.BEGAN])
+
     def change_counts(self, states: AutoState) -> Counts:
         """How many changes were found of each of M valves."""
         return np.asarray(states.counters[..., memory.ALARMS])

@@ -88,7 +88,7 @@ def _start_anew(state: AutoState, given: Given) -> None:
     ]
     counters, size = fresh.counters, state.scalars[memory.CHANGE_SIZE]
     counters[kept] = state.counters[kept]
-    counters[memory.OPENED] = counters[memory.USED]
+    counters[[memory.OPENED, memory.BEGAN]] = counters[memory.USED]
     counters[memory.NEXT_FIT] += counters[memory.USED]
     for field in fields(state):
         if field.name != "recent":

@@ -66,7 +66,7 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
-    state_version: ClassVar[int] = 6  # 5: did not know the lags that the map began with
+    state_version: ClassVar[int] = 7  # 6: did not know when the map began
 
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]

@@ -214,7 +214,7 @@ class _Lanes:
         )
 
     def take(self, samples: Samples, segments: Segments) -> Trace:
-        beyond = self._beyond_range(samples, segments)
+        beyond, began = self._beyond_range(samples, segments), self._states.began()
         if beyond is None:
             trace = self._learn(samples, segments)
         else:
@@ -232,7 +232,7 @@ class _Lanes:
             self._overall,
             segments,
         )
-        self._support.learn(samples, trace.status, segments)
+        self._support.learn(samples, trace.status, self._of_this_map(began, trace.status, segments))
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
 
@@ -289,6 +289,22 @@ class _Lanes:
         for m, start, stop in zip(*segments, strict=True):
             self.beyond[m] += beyond[start:stop].sum()
         return beyond
+
+    def _of_this_map(self, before: Times, status: Codes, segments: Segments) -> Segments:
+        """From where on the samples are those that the maps rest on; ``before``: `began` then.
+
+        Where a map began anew meanwhile, the places of the one before are forgotten.
+        """
+        anew = np.flatnonzero((self._states.began() != before)[segments.members])
+        if not len(anew):
+            return segments
+        starts, since = segments.starts.copy(), self._states.samples_since()
+        for k in anew:
+            m, stop = segments.members[k], segments.stops[k]
+            learnt = starts[k] + np.flatnonzero(status[starts[k] : stop] <= Status.UNEXCITED)
+            starts[k] = [*learnt, stop][len(learnt) - since[m]]
+            self._support.put(m, self._support.one(m).forgotten())
+        return Segments(segments.members, starts, segments.stops)
 
     def _learn(self, samples: Samples, segments: Segments) -> Trace:
         own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
@@ -425,6 +441,18 @@ class _Stacked:
             return self._estimator.too_fast(self._all)
         return np.zeros(M, np.int64)
 
+    def began(self) -> Times:
+        """After how many samples each map began anew (M,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.began(self._all)
+        return np.zeros_like(self._changed)
+
+    def samples_since(self) -> Times:
+        """How many samples each map rests on, of those that may begin anew (M,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.samples_since(self._all)
+        return np.zeros_like(self._changed)
+
     def columns(self) -> Mapping[str, NDArray[Any]]:
         return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
 
@@ -481,6 +509,12 @@ class _Listed:
 
     def too_fast(self, M: int) -> Times:
         return np.zeros(M, np.int64)
+
+    def began(self) -> Times:
+        return np.zeros(len(self._all), np.int64)
+
+    def samples_since(self) -> Times:
+        return np.zeros(len(self._all), np.int64)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         self._columns = stack(self._all)

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.plant import as_changes, plant
+from support.plant import START, as_changes, plant
 
 from service.identification.auto import Auto
 from service.identification.forgetting import SlidingWindow
 from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples, Segments
+from service.identification.samples import Samples, Segments, Trace
+from service.identification.support import Support
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges, Signal
 from service.streaming.fleet import Fleet
@@ -96,3 +97,36 @@ def test_a_batch_tells_which_samples_are_whose():
     with pytest.raises(KeyError):
         arrived[1]
     assert len(Samples.concatenate(list(arrived.values()))) == len(arrived.samples)
+
+
+def behind_a_slow_meter(n=3_000):
+    """A second at 95 % and 10 bar, then a machine that never comes there; Q lags by 200 ms."""
+    k = np.arange(n)
+    U = np.where(k < 100, 95.0, 40.0 + 30.0 * np.sin(0.021 * k) + 8.0 * np.sin(0.13 * k))
+    dp = np.where(k < 100, 10.0, 120.0 + 60.0 * np.sin(0.013 * k + 1.0))
+    flow, Q = 0.13 * U * np.sqrt(dp), np.empty(n)
+    shown = flow[0]
+    for i in range(n):
+        shown += (1.0 - np.exp(-0.05)) * (flow[i] - shown)
+        Q[i] = shown
+    Q += np.random.default_rng(4).normal(0.0, 0.3, n)
+    return Samples.of(START + k * 10_000_000, U, dp + 5.0, np.full(n, 5.0), Q)
+
+
+@pytest.mark.parametrize("piece", [3_000, 700, 13])
+def test_a_map_that_begins_anew_behind_a_lag_rests_on_nothing_before(plan, piece):
+    fleet = Fleet(replace(plan, estimators={"Auto": Auto()}, inverse="Auto"), 1)
+    samples = behind_a_slow_meter()
+    for start in range(0, len(samples), piece):
+        some = samples[start : start + piece]
+        fleet.take(some, Segments.one(len(some)))
+    lane = fleet.lane(0, "Auto")
+    assert lane.estimator.lags(lane.state)[1] == pytest.approx(0.2, abs=0.02)
+    began = int(lane.estimator.began(lane.state))
+    assert began > 700
+    learnt, nothing = samples[began:], np.zeros(len(samples) - began)
+    said = Trace(nothing, nothing, nothing, nothing.astype(np.uint8))
+    rested_on = Support.none().add(learnt, said)
+    assert np.array_equal(lane.support.cells, rested_on.cells)
+    beyond = lane.support.distance(np.array([95.0]), np.array([10.0]), np.array([np.nan]))
+    assert beyond > 1.0

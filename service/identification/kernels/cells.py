@@ -42,7 +42,8 @@ SPENT, NEXT_LOOK, TOO_FAST = 6, 7, 8
 SUSPECT_SAMPLE, SUSPECT_TIME, CHANGE_SAMPLE, CHANGE_TIME, FRESH = 9, 10, 11, 12, 13
 MAY_ASK, FIT_AT, COMPARED, WATCHED = 14, 15, 16, 17
 TAKEN, CLOCK, ENTERED = 18, 19, 20  # CLOCK, ns: the time from which the cells' times count
-LAGGING = 21  # from here on see `lag`
+BEGAN = 21  # USED when the map began anew behind other lags
+LAGGING = 22  # from here on see `lag`
 COUNTERS = LAGGING + lag.COUNTERS
 
 PLAY = 4  # place of the play in a shape
