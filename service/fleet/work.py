@@ -38,6 +38,7 @@ with warnings.catch_warnings(record=True):  # of what Quix brings along, which i
         TopicNotFoundError,
         TopicPartitionsMismatch,
     )
+    from quixstreams.sinks import BaseSink
     from quixstreams.state.exceptions import StateError, StateRecoveryOffsetOutOfRange
 
 _BUFFERED: Final = 100  # messages of a partition: what is waited with to keep their order
@@ -103,7 +104,23 @@ def _run(config: FleetConfig, catalogue: Catalogue) -> None:
     together = tagged[0].concat(tagged[1])
     learnt = together.apply(partial(_handle, worker), stateful=True, metadata=True, expand=True)
     learnt.to_topic(results)
+    learnt.sink(_Keeper(worker))
     app.run()
+
+
+class _Keeper(BaseSink):  # type: ignore[misc]  # Quix has no types
+    """Has what is remembered written before each commit, in its transaction."""
+
+    def __init__(self, worker: Worker) -> None:
+        super().__init__()
+        self._worker = worker
+
+    def add(self, *_row: Any, **_place: Any) -> None:  # noqa: ANN401
+        """Results go to their topic."""
+
+    def flush(self) -> None:
+        """Called by the engine before it commits."""
+        self._worker.keep()
 
 
 class _AwayInOneLine(logging.Handler):

@@ -2,7 +2,8 @@
 
 The engine (Quix Streams) commits what is stored, what comes out and how far was read together, or
 none of it. So what is stored may be older than what this process knows of a group, after a
-transaction that failed or a rebalancing: a mark, new with every message, tells.
+transaction that failed or a rebalancing: a mark, new with every message, tells. The memory itself
+is packed once for each commit: `Worker.keep`, which the engine calls before it commits.
 """
 
 import os
@@ -44,6 +45,8 @@ class _Held:
 class Worker:
     """Takes messages of any groups; `samples` and `command` return what goes to the results.
 
+    Nothing may be committed before `keep`.
+
     Parameters
     ----------
     catalogue
@@ -56,6 +59,7 @@ class Worker:
         self._catalogue = catalogue
         self._rhythm = rhythm
         self._held: dict[str, _Held] = {}
+        self._unkept: dict[str, Store] = {}
         self._own, self._turn = os.urandom(12), 0
         self._unknown: set[str] = set()
 
@@ -89,6 +93,14 @@ class Worker:
         """
         return self._do(key, store, lambda group: group.do(read_command(message)))
 
+    def keep(self) -> None:
+        """Write what is remembered of the groups that had messages since."""
+        for name, store in self._unkept.items():
+            held = self._held[name]
+            if store.get_bytes(MARK) == held.mark:  # else it was rolled back since
+                store.set_bytes(MEMORY, held.group.to_bytes())
+        self._unkept.clear()
+
     def _do(
         self,
         key: bytes | None,
@@ -106,7 +118,7 @@ class Worker:
             group.refuse()
             out = []
             self._say("message left aside", key, error)
-        self._keep(name, group, store)
+        self._mark(name, group, store)
         return out
 
     def _group(self, name: str, store: Store) -> Group:
@@ -125,10 +137,10 @@ class Worker:
                 log.warning("configured otherwise now, starts afresh", group=name, what=afresh)
         return group
 
-    def _keep(self, name: str, group: Group, store: Store) -> None:
+    def _mark(self, name: str, group: Group, store: Store) -> None:
         self._turn += 1
         mark = self._own + self._turn.to_bytes(8, "big")
-        store.set_bytes(MEMORY, group.to_bytes())
+        self._unkept[name] = store
         store.set_bytes(MARK, mark)
         self._held[name] = _Held(group, mark)
 

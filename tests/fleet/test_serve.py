@@ -65,6 +65,7 @@ class Wire:
         self._out(self._worker.command(command.group.encode(), write_message(command), store))
 
     def _out(self, messages):
+        self._worker.keep()
         for message in messages:
             if is_reply(message):
                 self._heard.replies.append(read_reply(message))

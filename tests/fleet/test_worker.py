@@ -62,6 +62,8 @@ def test_whoever_learns_and_whatever_is_rolled_back_the_bits_are_the_same(
         some = stream[at : at + int(rng.integers(1, 6))]
         said = [(message[1].decode(), run(worker, stores, message)) for message in some]
         committed = rng.random() < 0.6
+        if committed or rng.random() < 0.5:  # a commit may fail, too
+            worker.keep()
         for store in stores.values():
             store.commit() if committed else store.abort()
         if committed:
@@ -84,6 +86,7 @@ def test_messages_that_cannot_be_read_are_counted_and_said_and_nothing_else(know
     assert [name for name, _ in warnings] == ["north.0", "north.0", "south.7", ""]
     assert warnings[1] == ("north.0", "not a command: not JSON")
     one = Group(known.groups["north.0"], 1, RHYTHM)
+    worker.keep()
     one.remember(store.get_bytes(MEMORY))
     assert one.counts["refused"] == 2
     assert one.number == 0
