@@ -1,9 +1,9 @@
 """All that a group remembers, as bytes: what a worker takes over from another.
 
 A head in JSON says the format, the catalogue's version, the block and what columns follow; then the
-columns themselves, one after the other, and the baselines. Columns of bytes are compressed to half
-and less, those alike as what they differ by: a valve's estimators learn from nearly the same
-samples. Columns of numbers would hardly shrink, and take longer.
+columns themselves, one after the other, and the baselines. Columns of counts without a sign are
+compressed to half and less, those alike as what they differ by: a valve's estimators learn from
+nearly the same samples. Columns of other numbers would hardly shrink, and take longer.
 """
 
 import json
@@ -25,8 +25,9 @@ READABLE: Final = (1, 2)  # 1 compressed nothing
 _SIZE: Final = struct.Struct("<Q")
 _CODEC: Final = pa.Codec("lz4_raw")
 _DENSEST: Final = 255  # bytes that one of LZ4's can stand for
+_COUNTS: Final = "u"
 
-_Alike = dict[tuple[int, ...], NDArray[Any]]  # by shape the last column of bytes
+_Alike = dict[tuple[str, tuple[int, ...]], NDArray[Any]]  # by type and shape the last column
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
                 raise FleetError(f"a group's memory is damaged: {name} of shape {shape}")
             if compressed:
                 (size,) = compressed
-                columns[name] = _unpacked(packed[at : at + size], tuple(shape), alike)
+                columns[name] = _unpacked(packed[at : at + size], dtype, tuple(shape), alike)
                 at += size
             else:
                 columns[name] = np.frombuffer(packed, dtype, n, at).reshape(shape)
@@ -149,19 +150,23 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
 def _packed(array: NDArray[Any], alike: _Alike) -> tuple[bytes | memoryview, list[int]]:
     """An array as bytes, and how many they are if they are compressed."""
     whole = np.ascontiguousarray(array)
-    if array.dtype != np.uint8 or not array.size:
+    if array.dtype.kind != _COUNTS or not array.size:
         return whole.reshape(-1).view(np.uint8).data, []
-    before = alike.get(array.shape)
-    alike[array.shape] = whole
+    kind = array.dtype.str, array.shape
+    before = alike.get(kind)
+    alike[kind] = whole
     packed = bytes(_CODEC.compress(whole if before is None else whole ^ before, asbytes=True))
     return packed, [len(packed)]
 
 
-def _unpacked(packed: bytes, shape: tuple[int, ...], alike: _Alike) -> NDArray[np.uint8]:
-    n = int(np.prod(shape, dtype=np.int64))
+def _unpacked(
+    packed: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], alike: _Alike
+) -> NDArray[Any]:
+    n = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     if n > _DENSEST * len(packed):
         raise FleetError(f"a group's memory is damaged: {n} bytes of {len(packed)} compressed")
-    differs = np.frombuffer(_CODEC.decompress(packed, n, asbytes=True), np.uint8).reshape(shape)
-    before = alike.get(shape)
-    alike[shape] = differs if before is None else differs ^ before
-    return alike[shape]
+    differs = np.frombuffer(_CODEC.decompress(packed, n, asbytes=True), dtype).reshape(shape)
+    kind = dtype.str, shape
+    before = alike.get(kind)
+    alike[kind] = differs if before is None else differs ^ before
+    return alike[kind]
