@@ -33,7 +33,6 @@ SECOND = 1_000_000_000  # ns
 WRAP = 2**32 - 1  # numbers of samples are kept modulo 2³²: 500 days at 100 Hz
 EARLIER = 32  # samples after which every estimator notes its map again; a power of two
 
-
 Stamps = NDArray[np.uint32]
 
 
