@@ -96,12 +96,12 @@ def memory() -> Figures:
     for config in default_estimators():
         estimator: Estimator[Any] = build_estimator(config, (0, 100), (0, 200), (0, 200))
         found[config.name] = size_of(estimator.initial_state())
-        found["spreads"] = found.get("spreads", 0.0) + spread.cells.nbytes + spread.overall.nbytes
+        found["spreads"] = found.get("spreads", 0.0) + size_of(spread)
     found["all"] = sum(found.values())
     return {name: size / 1000.0 for name, size in found.items()}
 
 
-def size_of(state: State) -> float:
+def size_of(state: State | ResidualSpread) -> float:
     """Bytes of a state's arrays."""
     return float(sum(np.asarray(getattr(state, f.name)).nbytes for f in fields(state)))
 

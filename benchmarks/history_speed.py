@@ -108,7 +108,9 @@ async def _trends(url: str, start: int) -> Figures:
             values, answered, whole = await _history(client, node, details)
             found |= {f"{BUCKETS:,} x {name} ({values} values), answered": answered}
             found |= {f"{BUCKETS:,} x {name}, unpacked": whole}
-        details = ua.ReadRawModifiedDetails(StartTime=low, EndTime=until, NumValuesPerNode=0)
+        details = ua.ReadRawModifiedDetails(
+            IsReadModified=False, StartTime=low, EndTime=until, NumValuesPerNode=0
+        )
         values, answered, whole = await _history(client, node, details)
         found |= {f"{values:,} raw values, answered": answered}
         found |= {f"{values:,} raw values, unpacked": whole}

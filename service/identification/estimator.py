@@ -47,14 +47,14 @@ class State:
         StateMismatchError
             if version, state type or ``key`` differ, or the bytes are damaged.
         """
-        names = [f.name for f in fields(cls)]
+        expected = (str(cls.state_version), cls.__name__, key)
         try:
             record = np.load(io.BytesIO(data), allow_pickle=False)
             header = tuple(record["header_"].tolist())
+            names = [f.name for f in fields(cls)] if header == expected else []
             arrays = {name: record[name].copy() for name in names}
         except _UNREADABLE as error:
             raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
-        expected = (str(cls.state_version), cls.__name__, key)
         if header != expected:
             raise StateMismatchError(f"state of {header}, not of {expected}")
         return cls(**arrays)

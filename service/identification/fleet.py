@@ -14,7 +14,7 @@ from service.identification.place_grid import Grid
 from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
 
 UNREAD = frozenset(  # arrays of a state that results are not made of
-    {"places", "window", "cells", "slots", "recent"}
+    {"flows", "places", "visits", "window", "cells", "slots", "recent"}
 )
 
 S = TypeVar("S", bound=State)

@@ -23,7 +23,15 @@ from service.identification.kernels import reaction, rules, uncertainty
 from service.identification.kernels.change_detection import SUSPICIOUS, value_of
 from service.identification.kernels.factors import covariance, rotate_in
 from service.identification.kernels.information_form import determine
-from service.identification.kernels.places import FIELDS, KNOWN, LONGEST, NODES_A, NODES_B, PROVEN
+from service.identification.kernels.places import (
+    FIELDS,
+    FIELDS_OF_VISITS,
+    KNOWN,
+    LONGEST,
+    NODES_A,
+    NODES_B,
+    PROVEN,
+)
 from service.identification.kernels.recursion import Batch, Memory, evaluate, run
 from service.identification.kernels.row_layout import (
     FACTORED,
@@ -54,7 +62,7 @@ from service.identification.kernels.row_layout import (
 from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
 from service.identification.kernels.stepwise import run_stepwise
 from service.identification.place_grid import Grid, nowhere
-from service.identification.samples import Codes, Floats, Segments, Times, Trace
+from service.identification.samples import Codes, Floats, Segments, Singles, Times, Trace
 
 A = TypeVar("A", Floats, Times, Codes)
 
@@ -96,19 +104,21 @@ class RlsState(State):
         sample and time of the last one and of the suspected one.
     window : (length, n + 1)
         The last samples of a sliding window, X and y; no rows with other rules.
-    places : (nodes, fields)
+    flows : (nodes,), places : (nodes, 5), visits : (nodes, 2)
         What was measured where, see :mod:`service.identification.kernels.places`; no rows with
         rules other than `Adaptive`.
     """
 
-    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts
+    state_version: ClassVar[int] = 4  # 3: knew all of places in double precision
 
     row: Floats
     R: Floats
     rhs: Floats
     counters: Counts
     window: Floats
-    places: Floats
+    flows: Floats
+    places: Singles
+    visits: Codes
 
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them; places that kernels count by lie within their arrays."""
@@ -125,8 +135,9 @@ class RlsState(State):
         counters = Contents(self.counters).any_time([TIME, SUSPECT_TIME])
         counters.within(0, 1, [FACTORED, STALE]).within(0, len(self.window), FILLED)
         counters.within(0, max(len(self.window) - 1, 0), HEAD)
+        flows = Contents(self.flows).or_nan()
         nodes = Contents(self.places).within(0.0, where=(slice(None), KNOWN)).or_nan()
-        return {"row": row, "counters": counters, "places": nodes}
+        return {"row": row, "counters": counters, "flows": flows, "places": nodes}
 
     def is_coherent(self) -> bool:
         """Whether P has the inverse it stands for."""
@@ -182,13 +193,16 @@ def initial_state(
     """State of n parameters before the first sample; ``prior``: rows (R, n) and values (R,)."""
     length = forgetting.length if isinstance(forgetting, SlidingWindow) else 0
     at, rule = places(n), rule_of(forgetting, n)
+    nodes = NODES if isinstance(forgetting, Adaptive) else 0
     state = RlsState(
         row=np.zeros(at.x),
         R=np.eye(n) / np.sqrt(p0),
         rhs=np.zeros(n),
         counters=np.zeros(PLACES_OF_COUNTERS, np.int64),
         window=np.zeros((length, n + 1)),
-        places=np.zeros((NODES if isinstance(forgetting, Adaptive) else 0, FIELDS)),
+        flows=np.zeros(nodes),
+        places=np.zeros((nodes, FIELDS), np.float32),
+        visits=np.zeros((nodes, FIELDS_OF_VISITS), np.uint8),
     )
     state.row[at.early : at.block] = np.nan
     Z = np.eye(n) / p0

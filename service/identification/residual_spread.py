@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.identification.kernels import residual_spread as kernel
-from service.identification.samples import Floats, Samples, Segments, Trace
+from service.identification.kernels.residual_spread import Stamps
+from service.identification.samples import Codes, Floats, Samples, Segments, Singles, Trace
 
 TWO_SIDED_95: Final = kernel.GAUSSIAN
 EDGES_U: Final = kernel.WIDTH_U * np.arange(kernel.CELLS_U + 1)
@@ -35,7 +35,7 @@ class ResidualSpread:
 
     Attributes
     ----------
-    cells : (120, 6), overall : (11,)
+    cells : (120, 3), stamps : (120, 2), ages : (120,), overall : (11,)
         See :mod:`service.identification.kernels.residual_spread`.
 
     References
@@ -53,32 +53,38 @@ class ResidualSpread:
     True
     """
 
-    cells: Floats
+    cells: Singles
+    stamps: Stamps
+    ages: Codes
     overall: Floats
 
     @classmethod
     def none(cls) -> "ResidualSpread":
         """Nothing measured yet."""
-        cells = np.zeros((kernel.CELLS_U * kernel.CELLS_S, kernel.PLACES_OF_CELL))
+        n = kernel.CELLS_U * kernel.CELLS_S
         overall = np.zeros(kernel.PLACES_OVERALL)
         overall[kernel.QUANTILE : kernel.TIMES] = TWO_SIDED_95
-        return cls(cells, overall)
+        return cls(
+            cells=np.zeros((n, kernel.PLACES_OF_CELL), np.float32),
+            stamps=np.zeros((n, kernel.PLACES_OF_STAMPS), np.uint32),
+            ages=np.zeros(n, np.uint8),
+            overall=overall,
+        )
+
+    def of_many(self, M: int) -> "SpreadOfMany":
+        """M maps whose residuals lay so."""
+        return SpreadOfMany(
+            cells=np.tile(self.cells, (M, 1, 1)),
+            stamps=np.tile(self.stamps, (M, 1, 1)),
+            ages=np.tile(self.ages, (M, 1)),
+            overall=np.tile(self.overall, (M, 1)),
+        )
 
     def add(self, samples: Samples, trace: Trace) -> "ResidualSpread":
         """Take in what was predicted of N samples; NaN residuals count nowhere."""
-        cells, overall = self.cells.copy(), self.overall.copy()
-        one = Segments.one(len(samples))
-        kernel.learn(
-            samples.t,
-            samples.U,
-            samples.dp,
-            trace.residual,
-            trace.early,
-            cells[None],
-            overall[None],
-            one,
-        )
-        return ResidualSpread(cells, overall)
+        after = self.of_many(1)
+        after.learn(samples, trace, Segments.one(len(samples)))
+        return after.one(0)
 
     @property
     def noise_std(self) -> float:
@@ -101,7 +107,7 @@ class ResidualSpread:
         """Half the 95 % interval of a new measurement (N,), l/min; ``std`` is that of Q̂."""
         out = np.empty(len(U))
         U, dp = (np.require(x, np.float64, ["C", "W", "A"]) for x in (U, dp))
-        kernel.reach(self.cells, self.overall, U, dp, out)
+        kernel.reach(*self._arrays, U, dp, out)
         return np.hypot(out, TWO_SIDED_95 * std)
 
     def density(self, U: Floats, dp: Floats) -> Floats:
@@ -116,14 +122,52 @@ class ResidualSpread:
     @property
     def weights(self) -> Floats:
         """Recent samples in each cell, (10, 12) over U and √dp."""
-        return self.cells[:, kernel.WEIGHT].reshape(kernel.CELLS_U, kernel.CELLS_S)
+        weights = self.cells[:, kernel.WEIGHT].astype(np.float64)
+        return weights.reshape(kernel.CELLS_U, kernel.CELLS_S)
 
     @property
-    def last(self) -> NDArray[np.float64]:
-        """Time of each cell's last sample, UTC ns, (10, 12); NaN where there was none."""
-        seen = self.cells[:, kernel.NUMBER] > 0.0
-        last = np.where(seen, self.cells[:, kernel.LAST], np.nan)
+    def last(self) -> Floats:
+        """Second of each cell's last sample, UTC ns, (10, 12); NaN where there was none."""
+        seconds = self.stamps[:, kernel.LAST].astype(np.float64)
+        last = np.where(self.ages > 0, kernel.SECOND * seconds, np.nan)
         return last.reshape(kernel.CELLS_U, kernel.CELLS_S)
+
+    @property
+    def _arrays(self) -> tuple[Singles, Stamps, Codes, Floats]:
+        return self.cells, self.stamps, self.ages, self.overall
+
+
+@dataclass(frozen=True)
+class SpreadOfMany:
+    """The residuals of M maps: the arrays of `ResidualSpread` with a leading axis M.
+
+    Written in place.
+    """
+
+    cells: Singles
+    stamps: Stamps
+    ages: Codes
+    overall: Floats
+
+    def learn(self, samples: Samples, trace: Trace, segments: Segments) -> None:
+        """Take in what was predicted of samples; NaN residuals count nowhere."""
+        memory = kernel.Memory(self.cells, self.stamps, self.ages, self.overall)
+        where = samples.t, samples.U, samples.dp
+        kernel.learn(*where, trace.residual, trace.early, memory, segments)
+
+    def one(self, m: int) -> ResidualSpread:
+        """A copy of one of them."""
+        return ResidualSpread(
+            cells=self.cells[m].copy(),
+            stamps=self.stamps[m].copy(),
+            ages=self.ages[m].copy(),
+            overall=self.overall[m].copy(),
+        )
+
+    def put(self, m: int, one: ResidualSpread) -> None:
+        """Have one of them stand otherwise."""
+        self.cells[m], self.stamps[m] = one.cells, one.stamps
+        self.ages[m], self.overall[m] = one.ages, one.overall
 
 
 def noise_std(overall: Floats) -> Floats:

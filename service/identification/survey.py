@@ -39,7 +39,7 @@ class Survey:
     std : (10, n)
         Standard deviation of Q̂ there, l/min; NaN where nothing is known.
     age_s : (10, n)
-        Time since the region's last sample, s; NaN where there was none.
+        Time since the region's last sample, s, too long by less than one; NaN where there was none.
     share : float
         Part of the regions with recent samples.
     condition : float

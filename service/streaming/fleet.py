@@ -18,7 +18,6 @@ from service.identification.change import Change, FindsChanges
 from service.identification.estimator import State, key_of
 from service.identification.extrapolation import U_range_of
 from service.identification.fleet import ManyModels, copied, member, members, repeated, stack
-from service.identification.kernels import residual_spread as spread_kernel
 from service.identification.residual_spread import ResidualSpread, noise_std
 from service.identification.samples import (
     Codes,
@@ -196,9 +195,7 @@ class _Lanes:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
-        none = ResidualSpread.none()
-        self._cells = np.tile(none.cells, (M, 1, 1))
-        self._overall = np.tile(none.overall, (M, 1))
+        self._spread = ResidualSpread.none().of_many(M)
         self._support = support.of_many(M)
         self._accuracy = accuracy
         self._key = key_of(_LaneKey(key_of(estimator), accuracy))
@@ -222,22 +219,13 @@ class _Lanes:
             trace = self._learn(replace(samples, quality=quality), segments)
             trace.status[beyond] = Status.EXTRAPOLATING
         score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
-        spread_kernel.learn(
-            samples.t,
-            samples.U,
-            samples.dp,
-            trace.residual,
-            trace.early,
-            self._cells,
-            self._overall,
-            segments,
-        )
+        self._spread.learn(samples, trace, segments)
         self._support.learn(samples, trace.status, self._of_this_map(began, trace.status, segments))
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
         return trace
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
-        support = self._support
+        spread, support = self._spread, self._support
         return Columns(
             f"{name} {self._key}",
             valves,
@@ -245,8 +233,10 @@ class _Lanes:
                 **{f"state_{n}": array for n, array in self._states.columns().items()},
                 **{f"note_{n}": array for n, array in self._notes._asdict().items()},
                 "scores": self._scores,
-                "cells": self._cells,
-                "overall": self._overall,
+                "cells": spread.cells,
+                "stamps": spread.stamps,
+                "ages": spread.ages,
+                "overall": spread.overall,
                 "seen": support.cells,
                 "fit": support.fit,
                 "ranges": support.ranges,
@@ -322,7 +312,7 @@ class _Lanes:
             estimator=self._estimator,
             state=self._states.get(m),
             score=Score(self._scores[m].copy()),
-            spread=ResidualSpread(self._cells[m].copy(), self._overall[m].copy()),
+            spread=self._spread.one(m),
             support=self._support.one(m),
             accuracy=self._accuracy,
             frozen=bool(self._frozen[m]),
@@ -349,7 +339,7 @@ class _Lanes:
             residual_rmse=recent_rmse(self._scores[chosen]),
             sample_count=notes.learnt[chosen],
             status=status,
-            noise_std=noise_std(self._overall[chosen]),
+            noise_std=noise_std(self._spread.overall[chosen]),
             survey=[None] * len(chosen),
             change=self._states.changes(chosen),
             structure=self._states.structures(chosen),
@@ -361,7 +351,7 @@ class _Lanes:
     def put(self, m: int, lane: Lane) -> None:
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
-        self._cells[m], self._overall[m] = lane.spread.cells, lane.spread.overall
+        self._spread.put(m, lane.spread)
         self._support.put(m, lane.support)
         self._frozen[m] = lane.frozen
         self._lam[m] = np.nan if lane.lam is None else lane.lam

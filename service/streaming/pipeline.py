@@ -3,7 +3,7 @@
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 
@@ -34,8 +34,7 @@ AnyEstimator = Estimator[Any]
 
 WIDEST = 1e9  # times its root mean square that an interval can be: what is off moves both
 
-_OF_CELL = [of_spread.WEIGHT, of_spread.SQUARES, of_spread.NUMBER]  # never negative, nor are …
-_OF_SCORE = [
+_OF_SCORE = [  # never negative
     *(of_score.N, of_score.SQUARES, of_score.SCATTER_Q),
     *(of_score.RECENT, of_score.WEIGHT, of_score.LARGEST),
 ]
@@ -264,9 +263,13 @@ def predicted_along(lane: Lane, samples: Samples) -> Floats:
 class _Kept(State):
     """A lane as it goes into a checkpoint."""
 
+    state_version: ClassVar[int] = 3  # 2: kept its residuals in double precision
+
     estimator: Any
     score: Any
     cells: Any
+    stamps: Any
+    ages: Any
     overall: Any
     seen: Any
     fit: Any
@@ -281,6 +284,8 @@ class _Kept(State):
             estimator=np.frombuffer(packed, np.uint8),
             score=lane.score.sums,
             cells=spread.cells,
+            stamps=spread.stamps,
+            ages=spread.ages,
             overall=spread.overall,
             seen=support.cells,
             fit=support.fit,
@@ -292,12 +297,12 @@ class _Kept(State):
         """What may stand in them."""
         score = Contents(self.score).within(0.0, where=_OF_SCORE)
         score.or_infinite([of_score.LOWEST_Q, of_score.HIGHEST_Q])
-        cells = Contents(self.cells).within(0.0, where=(slice(None), _OF_CELL))
         overall = Contents(self.overall).within(0.0)
         multiples = slice(of_spread.QUANTILE, of_spread.TIMES)
         return {
             "score": score,
-            "cells": cells,
+            "cells": Contents(self.cells).within(0.0),
+            "ages": Contents(self.ages).within(0, of_spread.AGES),
             "overall": overall.within(0.0, WIDEST, multiples),
             "fit": Contents(self.fit).within(0.0, where=slice(lack_of_fit.SEEN, None)),
         }
@@ -329,7 +334,8 @@ def lane_from_bytes(
     of_lane.check(kept)
     state = kind.from_bytes(kept.estimator.tobytes(), key)
     of_state.check(state)
-    score, spread = Score(kept.score), ResidualSpread(kept.cells, kept.overall)
+    score = Score(kept.score)
+    spread = ResidualSpread(kept.cells, kept.stamps, kept.ages, kept.overall)
     support = Support(kept.seen, kept.fit, kept.ranges)
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
     if lam is None:

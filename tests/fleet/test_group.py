@@ -1,5 +1,7 @@
 """A group comes to the same bits whoever learns it, and however often it is handed over."""
 
+import json
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +16,9 @@ from service.app.build import build_identification
 from service.config.estimators import AutoConfig, RlsConfig
 from service.errors import BlockError, FleetError
 from service.fleet.commands import Command, Reply, read_command, read_reply, write_message
-from service.fleet.memory import MAGIC, read_memory, write_memory
+from service.fleet.memory import MAGIC, Memory, read_memory, write_memory
 from service.fleet.result_blocks import read_results
+from service.streaming.valve_columns import Columns
 
 
 @pytest.fixture(scope="module")
@@ -252,14 +255,72 @@ def test_a_memory_of_another_configuration_is_refused_in_one_line(undisturbed, p
         (group(plan), MAGIC + b"\x00" * 8, "a group's memory is damaged"),
         (
             group(plan),
-            undisturbed[1].replace(b'"format": 1', b'"format": 7'),
-            "a memory of format 7, this one knows 1",
+            undisturbed[1].replace(b'"format": 2', b'"format": 7'),
+            "a memory of format 7, this one knows up to 2",
         ),
     ):
         with pytest.raises(FleetError, match=r"^group north\.0: ") as refused:
             one.remember(packed)
         assert said in str(refused.value)
         assert len(str(refused.value).splitlines()) == 1
+
+
+def test_columns_of_counts_come_back_whether_they_are_alike_or_not():
+    rng = np.random.default_rng(5)
+    some = rng.integers(0, 256, (3, 40, 9), np.uint8)
+    other = some.copy()
+    other[1, 7] += 1
+    stamps = np.arange(3 * 40 * 9, dtype=np.uint32).reshape(some.shape) + 2**31
+    arrays = {"a": some, "b": other, "c": other[::-1], "none": np.zeros((3, 0), np.uint8)}
+    kept = [
+        Columns("one", ("V0", "V1", "V2"), {**arrays, "t": np.arange(3), "n": stamps}),
+        Columns(
+            "two", ("V1", "V2", "V0"), {"a": np.roll(some, 1), "n": stamps + 1, "zeros": 0 * some}
+        ),
+    ]
+    packed = write_memory(Memory(1, 2, {}, {}, kept, {"V1": b"x"}))
+    assert len(packed) < 4 * some.nbytes + 2 * stamps.nbytes
+    found = read_memory(packed)
+    assert found.baselines == {"V1": b"x"}
+    for ours, columns in zip(found.columns, kept, strict=True):
+        assert ours.valves == columns.valves
+        for name, array in columns.arrays.items():
+            assert ours.arrays[name].dtype == array.dtype
+            np.testing.assert_array_equal(ours.arrays[name], array)
+
+
+def test_a_memory_that_compressed_nothing_is_read_and_what_is_kept_otherwise_now_begins_anew(
+    undisturbed, plan
+):
+    kept = read_memory(undisturbed[1])
+    lanes, others = kept.columns[-1], kept.columns[:-1]
+    wider = {name: array.astype(np.float64) for name, array in lanes.arrays.items()}
+    columns = [*others, replace(lanes, arrays=wider)]
+    head = {
+        "format": 1,
+        "catalogue": kept.catalogue,
+        "number": kept.number,
+        "due": kept.due,
+        "counts": kept.counts,
+        "baselines": [],
+        "replies": [],
+        "columns": [
+            [one.key, one.valves, [[n, a.dtype.str, a.shape] for n, a in one.arrays.items()]]
+            for one in columns
+        ],
+    }
+    said = json.dumps(head).encode()
+    body = b"".join(a.tobytes() for one in columns for a in one.arrays.values())
+    one = group(plan)
+    afresh = one.remember(MAGIC + struct.pack("<Q", len(said)) + said + body)
+    estimator = lanes.key.partition(" ")[0]
+    assert afresh == [f"{valve}: {estimator}" for valve in lanes.valves]
+    before = group(plan)
+    before.remember(undisturbed[1])
+    assert repr(one.identification.lane("V1", "RLS")) == repr(
+        before.identification.lane("V1", "RLS")
+    )
+    assert one.identification.lane("V1", estimator).count == 0
 
 
 def test_damage_of_a_memorys_head_is_refused_or_read_and_never_more(undisturbed):

@@ -8,6 +8,7 @@ import pytest
 from service.identification.auto import Auto
 from service.identification.forgetting import Adaptive, Directional, Exponential, Subspace
 from service.identification.inverse_map import invert
+from service.identification.kernels import residual_spread as kernel
 from service.identification.maximum_likelihood import (
     MaximumLikelihood,
     recursive_maximum_likelihood,
@@ -18,7 +19,7 @@ from service.identification.radial_basis import RadialBasis
 from service.identification.rbf_network import RbfNetwork
 from service.identification.recursive_least_squares import RecursiveLeastSquares
 from service.identification.residual_spread import ResidualSpread
-from service.identification.samples import Samples
+from service.identification.samples import Samples, Trace
 from service.streaming.pipeline import fresh_lane, predicted_measurement
 
 SIGMA, SEEDS, N = 1.0, 400, 600
@@ -175,10 +176,45 @@ def test_the_same_stream_in_other_batches_gives_the_same_scatter():
     whole, parts = ResidualSpread.none().add(samples, trace), ResidualSpread.none()
     for start in range(0, N, 7):
         rows = slice(start, start + 7)
-        piece = type(trace)(*(getattr(trace, f.name)[rows] for f in fields(trace)))
-        parts = parts.add(samples[rows], piece)
-    assert whole.cells.tobytes() == parts.cells.tobytes()
-    assert whole.overall.tobytes() == parts.overall.tobytes()
+        parts = parts.add(samples[rows], piece_of(trace, rows))
+    for f in fields(whole):
+        assert getattr(whole, f.name).tobytes() == getattr(parts, f.name).tobytes()
+
+
+def test_numbers_of_samples_that_begin_anew_change_no_interval():
+    samples = recording(eq_7, 3)
+    estimator = rls(FiveTerms(), Adaptive())
+    _, trace = estimator.update(estimator.initial_state(), samples)
+    first, rest = slice(0, N // 2), slice(N // 2, N)
+    early = ResidualSpread.none().add(samples[first], piece_of(trace, first))
+    later = ResidualSpread.none().add(samples[first], piece_of(trace, first))
+    ahead = 2.0**32 - 32.0 * (N // 64) - 64.0  # as if so many had come before
+    later.overall[kernel.COUNT] += ahead
+    later.stamps[later.ages > 0, kernel.NUMBER] += np.uint32(ahead)
+    early, later = (one.add(samples[rest], piece_of(trace, rest)) for one in (early, later))
+    assert later.overall[kernel.COUNT] > 2.0**32 > later.stamps[:, kernel.NUMBER].min() + 2.0**31
+    assert later.cells.tobytes() == early.cells.tobytes()
+    assert later.ages.tobytes() == early.ages.tobytes()
+    U, dp = samples.U, samples.dp
+    expected = early.half_width(U, dp, 0.0 * U)
+    np.testing.assert_array_equal(later.half_width(U, dp, 0.0 * U), expected)
+
+
+def piece_of(trace, rows):
+    return type(trace)(*(getattr(trace, f.name)[rows] for f in fields(trace)))
+
+
+def test_of_a_cell_the_last_second_is_kept_whatever_the_time():
+    U, e = np.full(1, 50.0), np.ones(1)
+    trace = Trace(0 * e, e, e, np.zeros(1, np.uint8))
+    for t, second in (
+        (0, 0),
+        (1_999_999_999, 1),
+        (1_764_000_000_500_000_000, 1_764_000_000),
+        (-5, 0),
+    ):
+        last = ResidualSpread.none().add(Samples.of([t], U, U, 0 * U, e), trace).last
+        assert last[np.isfinite(last)].tolist() == [second * 1e9]
 
 
 @pytest.mark.parametrize(

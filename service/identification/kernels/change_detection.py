@@ -17,7 +17,7 @@ consecutive d, which knows nothing of what they have in common.
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import CLIP, POWER_MEMORY, shake
+from service.identification.kernels.places import CLIP, POWER_MEMORY, Remembered, shake
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
     CHANGES,
@@ -133,7 +133,7 @@ def has_changed(
     size: Size,
     s: Floats,
     at: Places,
-    own: Floats,
+    own: Remembered,
     counters: Counts,
     t: int,
     rule: Rule,

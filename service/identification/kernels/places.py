@@ -9,7 +9,8 @@ earlier visits lead to expect of the residual is c = Σ φₖ·(vₖ - Xₖᵀth
 - d is noise as long as the plant stays, whether the structure fits or not.
 
 A node's flow is a running mean, with the gain of a Kalman filter whose covariance is diagonal. What
-is known of it fades with time.
+is known of it fades with time. The mean moves by less than single precision tells of a flow; of all
+else that is kept of a node single precision tells enough.
 
 Drift is told from noise and misfit by visits: d averaged over a visit to a node, times the same of
 the visit before. Noise of visits that lie apart is independent, however coloured it is, and misfit
@@ -19,9 +20,11 @@ rests on, yet no faster than places are seen again; and theta is fitted anew to 
 each place counts with what it showed last, and none is lost.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from service.identification.kernels.compiled import inlined, maker
+from service.identification.kernels.compiled import inlined, inner, maker
 from service.identification.kernels.factors import back_substitute, independence, rotate_in
 from service.identification.kernels.information_form import INDEPENDENT, settle
 from service.identification.kernels.row_layout import (
@@ -67,13 +70,16 @@ from service.identification.kernels.row_layout import (
 )
 from service.identification.kernels.rules import Rule
 from service.identification.kernels.triangles import whiten
-from service.identification.samples import Floats
+from service.identification.samples import Codes, Floats, Singles
 
-# Fields of a node: flow, l/min; samples it is the mean of; time by the clock when it was touched
-# last; mean square of d around it; mean of d over the last visit; end of that visit; visits; looks
-# of the last one.
-FLOW, KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED, VISITS, STAYED = range(8)
-FIELDS = 8
+# Fields of a node in `places`: samples that its flow is the mean of; time by the clock when it was
+# touched last; mean square of d around it; mean of d over the last visit; end of that visit.
+KNOWN, TOUCHED, SPREAD, DEVIATION, VISITED = range(5)
+FIELDS = 5
+# In `visits`: how many since the plant changed, or MANY; looks of the last one.
+VISITS, STAYED = range(2)
+FIELDS_OF_VISITS = 2
+MANY = 255
 
 NODES_A, NODES_B = 17, 12  # of the grid, along U and √dp
 TOP_DP = 225.0  # bar: the last node
@@ -117,8 +123,24 @@ LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
 SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
+LATE, BACK = 2.0**23, 2.0**22  # samples: where the clock is set back, and by how many
+MOST = 1e30  # l/min, or its square: more than any flow, and single precision holds it
 REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
 AT_REST = 0.05  # steps of the grid within which it is one place
+
+
+class Remembered(NamedTuple):
+    """What one state remembers of K nodes.
+
+    flows : (K,)
+        l/min.
+    places : (K, FIELDS), visits : (K, FIELDS_OF_VISITS)
+        The fields above.
+    """
+
+    flows: Floats
+    places: Singles
+    visits: Codes
 
 
 @inlined
@@ -127,7 +149,7 @@ def look(
     s: Floats,
     at: Places,
     nodes: Floats,
-    own: Floats,
+    own: Remembered,
     box: Floats,
     a: float,
     b: float,
@@ -145,8 +167,8 @@ def look(
         variance of what d has in common with others of this visit, and of others before.
     nodes : (K, n)
         Regressors at the nodes.
-    own : (K, FIELDS)
-        The state's nodes, written.
+    own
+        What the state remembers of them, written.
     box : (8,)
         Scratch.
     a, b
@@ -161,7 +183,10 @@ def look(
     inside = a >= 0.0 and a <= NODES_A - 1.0 and b >= 0.0 and b <= NODES_B - 1.0
     if not (inside and r < FIT and counters[COUNT] > SETTLED + n):
         return np.nan
+    flows, places, visits = own
     tick(s, g, a, b, float(counters[COUNT]))
+    if s[g + CLOCK] >= LATE:
+        set_back(s, g, places)
     i, j = min(int(a), NODES_A - 2), min(int(b), NODES_B - 2)
     p, q = a - i, b - j
     first = i * NODES_B + j
@@ -185,31 +210,31 @@ def look(
             expected += nodes[k, m] * s[at.theta + m]
         box[corner] = f
         box[4 + corner] = expected
-        weight = own[k, KNOWN]
+        weight = np.float64(places[k, KNOWN])
         if weight > LEAST:
-            gone = now - own[k, TOUCHED]
+            gone = now - places[k, TOUCHED]
             weight /= 1.0 + fading * gone
-            own[k, KNOWN] = weight
+            places[k, KNOWN] = weight
             known += f
-            if own[k, VISITS] > 0.0:
+            if visits[k, VISITS] > 0:
                 sure += f
-            c += f * (own[k, FLOW] - expected)
+            c += f * (flows[k] - expected)
             S += f * f / weight
             age = max(age, gone)
-            flow = max(flow, abs(own[k, FLOW]))
-        own[k, TOUCHED] = now
+            flow = max(flow, abs(flows[k]))
+        places[k, TOUCHED] = now
     d = np.nan
     s[g + VISIT_LENGTH] += 1.0
     if known >= SHARE:
         c /= known
         S /= known * known
         d = e - c
-        weight = own[nearest, KNOWN]
-        spread = (weight * own[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
+        weight = np.float64(places[nearest, KNOWN])
+        spread = (weight * places[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
         wear = AGEING * age * flow
         spread = spread * (1.0 + S) + wear * wear
         own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
-        young = 1.0 + UNSURE / (1.0 + own[nearest, VISITS])
+        young = 1.0 + UNSURE / (1.0 + visits[nearest, VISITS])
         between = max(young * max(0.0, s[g + VISIT_COMMON]), s[g + BEND] * s[g + BEND])
         # A node never visited, and those beside it, hold what theta made of them once.
         guessed = UNVISITED * max(0.0, s[g + MISFIT]) if sure < ALL_SURE else 0.0
@@ -228,7 +253,7 @@ def look(
             s[g + POWER] += (step * step / (1.0 + S) - s[g + POWER]) / s[g + POWER_WEIGHT]
         s[g + VISIT_SQUARES] += step * step / (1.0 + S)
         s[g + VISIT_SUM] += step
-        again = own[nearest, VISITED] > 0.0 and now - own[nearest, VISITED] > APART
+        again = visits[nearest, VISITS] > 0 and now - places[nearest, VISITED] > APART
         if again and s[g + VISIT_LENGTH] == 1.0 and s[g + SUSPECTED] == 0.0:
             s[g + REVISITED] += 1.0
             s[g + MISFIT] += MISFIT_RATE * (c * e - s[g + MISFIT])
@@ -236,12 +261,13 @@ def look(
         gain = step / (1.0 + S)
         for corner in range(4):
             k = first + (corner & 1) + (corner >> 1) * NODES_B
-            weight, f = own[k, KNOWN], box[corner]
+            weight, f = np.float64(places[k, KNOWN]), box[corner]
             if weight > LEAST:
-                own[k, FLOW] += gain * f / weight
-                own[k, KNOWN] = weight / (1.0 - f * f / (weight * (1.0 + S)))
-                if own[k, VISITS] == 0.0 and k != nearest:  # seen from one side alone, so far
-                    own[k, KNOWN] = min(own[k, KNOWN], 1.0)
+                flows[k] += gain * f / weight
+                weight /= 1.0 - f * f / (weight * (1.0 + S))
+                if visits[k, VISITS] == 0 and k != nearest:  # seen from one side alone, so far
+                    weight = min(weight, 1.0)
+                places[k, KNOWN] = weight
     if sure >= SHARE:
         s[g + NEW] -= NEW_RATE * s[g + NEW]
     else:
@@ -250,18 +276,17 @@ def look(
     s[g + LAST_E] = e
     for corner in range(4):
         k = first + (corner & 1) + (corner >> 1) * NODES_B
-        if own[k, KNOWN] <= LEAST and box[corner] > NEAR:
+        if places[k, KNOWN] <= LEAST and box[corner] > NEAR:
             for m in range(n):
                 s[at.g + m] = nodes[k, m]
             if whiten(size, s, at.factor, at.g, at.L) > FIT:
                 continue
-            own[k, FLOW] = box[4 + corner] + e
+            flows[k] = box[4 + corner] + e
             # Carried there by theta, it is as wrong as its residuals are large.
             whole = s[at.noise + VARIANCE]
-            own[k, KNOWN] = max(FIRST, min(1.0, s[g + FLOOR] / whole)) if whole > 0.0 else 1.0
-            own[k, SPREAD] = s[g + POWER]
-            own[k, VISITED] = -1.0
-            own[k, VISITS] = 0.0
+            places[k, KNOWN] = max(FIRST, min(1.0, s[g + FLOOR] / whole)) if whole > 0.0 else 1.0
+            places[k, SPREAD] = min(s[g + POWER], MOST)
+            visits[k, VISITS] = 0
     return d
 
 
@@ -278,18 +303,33 @@ def tick(s: Floats, g: int, a: float, b: float, count: float) -> None:
     s[g + CLOCK] += step
 
 
+@inner
+def set_back(s: Floats, g: int, places: Singles) -> None:
+    """Set the clock back, and with it all that it stamped: every age stays.
+
+    So the stamps of millions of samples are whole numbers that single precision holds; of those
+    before, below 0, it tells the age to seven digits.
+    """
+    s[g + CLOCK] -= BACK
+    for k in range(len(places)):
+        places[k, TOUCHED] -= BACK
+        places[k, VISITED] -= BACK
+
+
 @inlined
-def bend(size: Size, s: Floats, at: Places, nodes: Floats, own: Floats, i: int, j: int) -> float:
+def bend(
+    size: Size, s: Floats, at: Places, nodes: Floats, own: Remembered, i: int, j: int
+) -> float:
     """How far the residual bends between the nodes of a cell along U: bilinear is wrong by that."""
     largest, before, last = 0.0, 0.0, 0.0
     seen = 0
     for step in range(4):
         column = i - 1 + step
         k = column * NODES_B + j
-        if column < 0 or column >= NODES_A or own[k, KNOWN] <= LEAST:
+        if column < 0 or column >= NODES_A or own.places[k, KNOWN] <= LEAST:
             seen = 0
             continue
-        c = own[k, FLOW]
+        c = own.flows[k]
         for m in range(len(size)):
             c -= nodes[k, m] * s[at.theta + m]
         if seen >= 2:
@@ -301,12 +341,13 @@ def bend(size: Size, s: Floats, at: Places, nodes: Floats, own: Floats, i: int, 
 
 
 @inlined
-def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> None:
+def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) -> None:
     """Compare the visit that has ended with the one before to the same node."""
+    _, places, visits = own
     g = at.detector
     length = s[g + VISIT_LENGTH]
     k = int(s[g + NODE])
-    if length > 0.0 and own[k, VISITS] > 0.0 and s[g + SUSPECTED] == 0.0:
+    if length > 0.0 and visits[k, VISITS] > 0 and s[g + SUSPECTED] == 0.0:
         mean = s[g + VISIT_SUM] / length
         power = s[g + VISIT_POWER]
         square = mean * mean
@@ -320,20 +361,23 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
         s[g + CARRIED] += part * (mean * s[g + LAST_MEAN] - s[g + CARRIED])
         s[g + LAST_MEAN] = min(max(mean, -CLIP * np.sqrt(power)), CLIP * np.sqrt(power))
         # Only now: what a visit brings is judged by what was known before it.
-        weight = min(own[k, KNOWN], SPREAD_MEMORY)
+        weight = min(places[k, KNOWN], SPREAD_MEMORY)
         share = length / (weight + length)
-        own[k, SPREAD] += share * (s[g + VISIT_SQUARES] / length - own[k, SPREAD])
-        gap = now - length - own[k, VISITED]
+        square = min(s[g + VISIT_SQUARES] / length, MOST)
+        places[k, SPREAD] += share * (square - places[k, SPREAD])
+        gap = now - length - places[k, VISITED]
         stayed = s[g + LOOKED_AT] - s[g + VISIT_BEGAN]
-        apart = own[k, VISITED] <= 0.0 or gap > APART or stayed >= APART
-        if own[k, VISITS] > SEEN_OFTEN and apart:
+        apart = gap > APART or stayed >= APART
+        if visits[k, VISITS] > SEEN_OFTEN and apart:
             recent = min(1.0, length / LAG_MEMORY)
             common = max(0.0, s[g + VISIT_COMMON])
-            expected = (s[g + FLOOR] / length + common) * (s[g + FLOOR] / own[k, STAYED] + common)
-            colour = mean * own[k, DEVIATION] / max(np.sqrt(expected), 1e-300)
+            expected = (s[g + FLOOR] / length + common) * (
+                s[g + FLOOR] / visits[k, STAYED] + common
+            )
+            colour = mean * places[k, DEVIATION] / max(np.sqrt(expected), 1e-300)
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
-            s[g + LAG] += recent * (mean * own[k, DEVIATION] - s[g + LAG])
-            s[g + GAP] += recent * (max(now - own[k, VISITED], APART) - s[g + GAP])
+            s[g + LAG] += recent * (mean * places[k, DEVIATION] - s[g + LAG])
+            s[g + GAP] += recent * (max(now - places[k, VISITED], APART) - s[g + GAP])
             tolerated, pace = TOLERATED, HASTE_STEP
             if s[g + HASTE] > PROVEN:
                 tolerated, pace = ONCE_PROVEN, PROVEN_STEP
@@ -342,22 +386,23 @@ def close_visit(s: Floats, at: Places, own: Floats, now: float, rule: Rule) -> N
                 most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
                 s[g + HASTE] = max(min(haste, most), 0.0)
         if apart:
-            own[k, DEVIATION] = mean
-            own[k, STAYED] = length
+            places[k, DEVIATION] = min(max(mean, -MOST), MOST)
+            visits[k, STAYED] = min(length, APART)
     if length > 0.0:
-        own[k, VISITS] += 1.0
-        own[k, VISITED] = now
+        visits[k, VISITS] = min(visits[k, VISITS] + 1, MANY)
+        places[k, VISITED] = now
     s[g + VISIT_LENGTH] = 0.0
     s[g + VISIT_SUM] = 0.0
     s[g + VISIT_SQUARES] = 0.0
 
 
 @maker
-def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: float) -> None:
+def refit(s: Floats, R: Floats, rhs: Floats, own: Remembered, nodes: Floats, now: float) -> None:
     """Theta and P = U·D·Uᵀ by least squares from the flows of all nodes, each as far as known.
 
     ``R`` and ``rhs`` are scratch and left empty. Where the nodes do not determine theta, all stays.
     """
+    flows, places, visits = own
     n = len(rhs)
     at = places_of(n)
     g = at.detector
@@ -365,13 +410,13 @@ def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: fl
     if s[g + FLOOR] > 0.0:
         ageing = max(s[g + LAG], 0.0) / (s[g + FLOOR] * gap * gap)
     scale, x = s[at.scale : at.scale + n], np.empty(n)
-    for k in range(len(own)):
-        if own[k, VISITS] > 0.0:
-            aged = ageing * (now - own[k, TOUCHED]) ** 2
-            root = np.sqrt(LOOK_EVERY / (1.0 / min(own[k, KNOWN], EQUAL) + aged))
+    for k in range(len(flows)):
+        if visits[k, VISITS] > 0:
+            aged = ageing * (now - places[k, TOUCHED]) ** 2
+            root = np.sqrt(LOOK_EVERY / (1.0 / min(places[k, KNOWN], EQUAL) + aged))
             for j in range(n):
                 x[j] = root * nodes[k, j]
-            rotate_in(R, rhs, x, root * own[k, FLOW], 1.0, scale, k)
+            rotate_in(R, rhs, x, root * flows[k], 1.0, scale, k)
     if independence(R) > INDEPENDENT:
         back_substitute(R, rhs, s[at.theta : at.theta + n])
         settle(s, R)
@@ -384,9 +429,8 @@ def refit(s: Floats, R: Floats, rhs: Floats, own: Floats, nodes: Floats, now: fl
 
 
 @inlined
-def shake(own: Floats) -> None:
+def shake(own: Remembered) -> None:
     """The plant has changed: what is remembered of every place counts next to nothing."""
-    for k in range(len(own)):
-        own[k, KNOWN] = min(own[k, KNOWN], CHANGED)
-        own[k, VISITED] = min(own[k, VISITED], 0.0)
-        own[k, VISITS] = 0.0
+    for k in range(len(own.flows)):
+        own.places[k, KNOWN] = min(own.places[k, KNOWN], CHANGED)
+        own.visits[k, VISITS] = 0

@@ -33,6 +33,7 @@ from service.identification.kernels.places import (
     PROVEN,
     REFIT,
     YOUNG,
+    Remembered,
     look,
     refit,
 )
@@ -69,7 +70,7 @@ from service.identification.kernels.rules import (
 )
 from service.identification.kernels.scores import SETTLED, gather, gather_moments
 from service.identification.kernels.triangles import add_square, rotate, take_in, whiten
-from service.identification.samples import Codes, Floats, Segments, Status, Times
+from service.identification.samples import Codes, Floats, Segments, Singles, Status, Times
 
 TRACE_EVERY = 16
 STEP_U = 100.0 / (NODES_A - 1)  # %: of U to a step of the grid of places
@@ -91,7 +92,9 @@ class Memory(NamedTuple):
     rhs: Floats
     counters: Counts
     window: Floats
-    places: Floats
+    flows: Floats
+    places: Singles
+    visits: Codes
 
 
 class Batch(NamedTuple):
@@ -144,7 +147,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     segments
         Which samples are whose.
     """
-    row, R, rhs, counters, _, places = memory
+    row, R, rhs, counters, _, flows, places, visits = memory
     t, X, y, usable, a, b, nodes, predicted, residual, early, status, thetas, changes = batch
     n = len(size)
     at = places_of(n)
@@ -154,6 +157,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     s, own, box = np.empty(at.end), np.empty(PLACES_OF_COUNTERS, np.int64), np.empty(8)
     for one in range(len(segments.members)):
         m, first, stop = segments.members[one], segments.starts[one], segments.stops[one]
+        kept = Remembered(flows[m], places[m], visits[m])
         for p in range(at.x):
             s[p] = row[m, p]
         for p in range(PLACES_OF_COUNTERS):
@@ -209,7 +213,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
             d = np.nan
             if placed and looks:
-                d = look(size, s, at, nodes, places[m], box, a[i], b[i], e, r, own, rule)
+                d = look(size, s, at, nodes, kept, box, a[i], b[i], e, r, own, rule)
 
             # What is forgotten: P ← (P - weight·PXXᵀP/(alpha + weight·r))/alpha.
             code = _OK if r > 0.0 else _UNEXCITED
@@ -257,7 +261,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             if looks:
                 gather_moments(size, s, at)
                 weigh(size, s, at, d, e, y[i], r, own[COUNT])
-                if has_changed(size, s, at, places[m], own, t[i], rule, every):
+                if has_changed(size, s, at, kept, own, t[i], rule, every):
                     let_go(size, s, at, own, rule.lam)
                     if found < len(changes):
                         changes[found, 0] = i
@@ -268,7 +272,7 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
                 lam = pace(size, s, at, rule)
             drifts = placed and rule.lam == 1.0 and s[at.detector + HASTE] > PROVEN
             if drifts and own[COUNT] & (REFIT - 1) == 0:
-                refit(s, R[m], rhs[m], places[m], nodes, s[at.detector + CLOCK])
+                refit(s, R[m], rhs[m], kept, nodes, s[at.detector + CLOCK])
         for p in range(at.x):
             row[m, p] = s[p]
         for p in range(PLACES_OF_COUNTERS):
