@@ -20,6 +20,7 @@ MOST: Final = ladder.MOST
 PRESSURES: Final = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 350.0, 1000.0)
 MOST_U, MOST_S = CELLS[-1] + 3 + 2 * 3, len(AXES[-1]) + 2
 BAND: Final = ladder.BAND
+KEPT: Final = 32  # shapes whose neighbours and splines are kept at hand
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Variety:
     temperatures: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Shape:
     """One rung of the ladder.
 
@@ -121,14 +122,14 @@ def dp_top(s_seen: float) -> float:
     return next((dp for dp in PRESSURES if dp >= 0.98 * s_seen**2), PRESSURES[-1])
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=KEPT)
 def _neighbours(shape: Shape, variety: Variety) -> tuple[Shape, ...]:
     found = np.empty((ladder.MOST_NEIGHBOURS, 6))
     many = ladder.neighbours(shape.to_array(), variety.least_play, int(variety.temperatures), found)
     return tuple(Shape.from_array(row) for row in found[:many])
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=KEPT)
 def _spline(shape: Shape, top: float) -> TensorSpline:
     low = 0.0 if shape.dead_band is None else shape.dead_band
     high = 100.0 if shape.saturation is None else shape.saturation
