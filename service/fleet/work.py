@@ -42,7 +42,8 @@ with warnings.catch_warnings(record=True):  # of what Quix brings along, which i
     from quixstreams.state.exceptions import StateError, StateRecoveryOffsetOutOfRange
 
 _BUFFERED: Final = 100  # messages of a partition: what is waited with to keep their order
-_POLL_S: Final = 0.1
+_POLL_S: Final = 0.01  # what has come is taken then, be it less than _BUFFERED
+_FETCH_WAIT_MS: Final = 50  # all else that is asked of the broker waits so long behind a fetch
 _HEARTBEATS: Final = 4  # in the time after which a worker counts as lost
 _ANOTHER_TRY_HELPS_NOT: Final = (
     TopicConfigurationMismatch,
@@ -214,6 +215,7 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
         consumer_extra_config={
             "session.timeout.ms": takeover_ms,
             "heartbeat.interval.ms": takeover_ms // _HEARTBEATS,
+            "fetch.wait.max.ms": _FETCH_WAIT_MS,
             "fetch.max.bytes": 4 * largest,
             "receive.message.max.bytes": 8 * largest,
         },
