@@ -27,6 +27,7 @@ from virtual_rig.fleet import valve_names
 pytestmark = [pytest.mark.broker, pytest.mark.timeout(1_200)]
 
 ESTIMATORS = ("RLS", "RML", "RBF")
+AT_ONCE = 500  # nodes that a request reads
 PASSWORD = "a long enough password"
 
 
@@ -73,7 +74,7 @@ class Fleet:
 
     @asynccontextmanager
     async def client(self):
-        client = Client(self.url, timeout=60.0)
+        client = Client(self.url, timeout=60.0, watchdog_intervall=60.0)
         client.set_user("operator")
         client.set_password(PASSWORD)
         async with client:
@@ -84,7 +85,10 @@ class Fleet:
         names = [(name, e) for name in valve_names(self.scenario) for e in ESTIMATORS]
         async with self.client() as client:
             nodes = [node(client, f"{name}.{estimator}.{kind}") for name, estimator in names]
-            found = await client.read_attributes(nodes, ua.AttributeIds.Value)
+            found = []
+            for first in range(0, len(nodes), AT_ONCE):
+                some = nodes[first : first + AT_ONCE]
+                found += await client.read_attributes(some, ua.AttributeIds.Value)
             return {name: one.Value.Value for name, one in zip(names, found, strict=True)}
 
     async def until_all_is_shown(self, samples, seconds=240.0):
