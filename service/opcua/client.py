@@ -342,9 +342,8 @@ class OpcUaSource:
     async def _read_clock(self, connection: Connection) -> SourceClock:
         asked = self._clock.monotonic()
         found = await clock_of_source(connection)
-        doubt_s = (self._clock.monotonic() - asked) / 2 + _CLOCKS_AGREE_S
-        ahead_s = (found.now - self._clock.now()) * 1e-9
-        self._clock_offset_s = ahead_s if found.now and abs(ahead_s) > doubt_s else 0.0
+        took_s = self._clock.monotonic() - asked
+        self._clock_offset_s = found.ahead_s(self._clock.now(), took_s)
         return found
 
     @property
@@ -466,5 +465,4 @@ class _Binding:
 
 
 _MOST_AHEAD_NS = 86_400_000_000_000  # a day: no source's clock is so far ahead of ours
-_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

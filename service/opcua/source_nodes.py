@@ -215,6 +215,28 @@ class SourceClock:
     started: int
     now: int
 
+    def ahead_s(self, now: int, took_s: float) -> float:
+        """By how much it is ahead of our clock, UTC ns, s; 0 where both may be the same.
+
+        Reading it took ``took_s``. Many servers renew what they say of their time once a second:
+        one that seems to be behind by less may be as late as that, and samples would look younger
+        than they are.
+
+        Examples
+        --------
+        >>> clock, took_s = SourceClock(started=0, now=10_000_000_000), 0.01
+        >>> [clock.ahead_s(now, took_s) for now in (10_000_000_000, 10_900_000_000, 13_000_000_000)]
+        [0.0, 0.0, -3.0]
+        """
+        ahead_s = (self.now - now) * 1e-9
+        doubt_s = took_s / 2 + _CLOCKS_AGREE_S
+        agree = -_RENEWED_S - doubt_s <= ahead_s <= doubt_s
+        return 0.0 if agree or not self.now else ahead_s
+
+
+_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
+_RENEWED_S = 1.0  # between two times that a server says
+
 
 async def clock_of_source(connection: Connection) -> SourceClock:
     """Read what the server says of its time.
