@@ -2,7 +2,7 @@
 
 import sqlite3
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
@@ -122,7 +122,7 @@ class HistoryFile(Closing):
             self._series = self._known_series()
             self.size = self._bytes()
 
-    def save(self, pieces: Sequence[Piece]) -> int:
+    def save(self, pieces: Iterable[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer."""
         with self._writing, naming(self.path):
             with transaction(self._writer):

@@ -2,8 +2,8 @@
 
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
-from typing import Final
+from itertools import chain, pairwise
+from typing import Final, NamedTuple
 
 import numpy as np
 import structlog
@@ -33,6 +33,7 @@ REQUIRED_U: Final = "RequiredU"
 MOST_ROWS: Final = 1_000_000  # that wait to be kept: 60 MB; more are lost
 SERIES_PER_S: Final = 500  # kept in a second, at 0.1 ms each: with more the interval is longer
 FORGET_EVERY_S: Final = 60.0
+_SIGNALS, _INVERSE = "Signals", "Inverse"
 
 _CODES = np.zeros(max(Quality) + 1, np.uint32)
 _CODES[Quality.UNCERTAIN], _CODES[Quality.BAD] = 0x4000_0000, 0x8000_0000
@@ -42,12 +43,22 @@ log = structlog.get_logger(__name__)
 
 def signals_of(valve: str) -> str:
     """Name of the series of a valve's signals."""
-    return f"{valve}.Signals"
+    return f"{valve}.{_SIGNALS}"
 
 
 def results_of(valve: str, part: str) -> str:
     """Name of the series of an estimator's results, or of those of the inverse map."""
     return f"{valve}.{part}"
+
+
+class _Noted(NamedTuple):
+    """What is kept of one part's results, of (M,) valves: no more, as they wait for seconds."""
+
+    part: str
+    valves: Times
+    quality: Codes
+    t: Times
+    columns: Mapping[str, Floats]
 
 
 class PastKeeper:
@@ -74,7 +85,7 @@ class PastKeeper:
         self._store = store
         self._valves = tuple(valves)
         self._samples: list[ByValve] = []
-        self._results: list[Results] = []
+        self._results: list[_Noted] = []
         self._changes: list[AlarmChange] = []
         self._rows = 0
         self._due = self._forget_due = 0.0
@@ -89,7 +100,7 @@ class PastKeeper:
     def note(self, results: Results) -> None:
         """Gather results."""
         if self._has_room(len(results.valves) * (len(results.estimators) + 1)):
-            self._results.append(results)
+            self._results += _noted(results)
 
     def note_alarm(self, change: AlarmChange) -> None:
         """Gather a change of an alarm."""
@@ -100,7 +111,7 @@ class PastKeeper:
         """Have kept what was gathered, if it is time; ``now`` in s, ``utc`` in ns."""
         if now < self._due or (self._keeping is not None and not self._keeping.done()):
             return
-        parts = len(self._results[0].estimators) + 2 if self._results else 1
+        parts = len({noted.part for noted in self._results} | {_SIGNALS})
         self._due = now + max(1.0, len(self._valves) * parts / SERIES_PER_S)
         forget = now >= self._forget_due
         if forget:
@@ -131,9 +142,9 @@ class PastKeeper:
         self._samples, self._results, self._changes, self._rows = [], [], [], 0
 
         def keep() -> None:
-            pieces = [*_of_samples(self._valves, samples), *_of_results(self._valves, results)]
-            if pieces:
-                self._store.save(pieces)
+            if samples or results:  # piece by piece: all at once would be tens of megabytes
+                of_samples = _of_samples(self._valves, samples)
+                self._store.save(chain(of_samples, _of_results(self._valves, results)))
             if changes:
                 self._store.note(changes)
             if forget_at is not None:
@@ -163,36 +174,38 @@ def _of_samples(names: Sequence[str], batches: Sequence[ByValve]) -> Iterator[Pi
         yield Piece(signals_of(names[valve]), t, _CODES[quality], columns)
 
 
-def _of_results(names: Sequence[str], batches: Sequence[Results]) -> Iterator[Piece]:
-    """One piece for each estimator of each valve, and for its inverse map.
+def _noted(results: Results) -> Iterator[_Noted]:
+    """Of each estimator, of the inverse map, and of signals that are Bad."""
+    valves, inverse, signals = results.valves, results.inverse, results.signals
+    for name, found in results.estimators.items():
+        columns = {column: getattr(found, of) for column, of in ESTIMATED.items()}
+        yield _Noted(name, valves, found.quality, found.t, columns)
+    yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, {REQUIRED_U: inverse.required_U})
+    if signals is not None:
+        lost = signals.quality == Quality.BAD
+        columns = dict(zip(SIGNALS, signals.values[lost].T, strict=True))
+        yield _Noted(_SIGNALS, valves[lost], signals.quality[lost], signals.t[lost], columns)
+
+
+def _of_results(names: Sequence[str], noted: Sequence[_Noted]) -> Iterator[Piece]:
+    """One piece for each part of each valve.
 
     Results that are Bad have no sample of their own: they are noted right behind the last.
     """
-    rows: dict[str, list[tuple[Times, Codes, Times, Mapping[str, Floats]]]] = {}
-    for batch in batches:
-        for name, found in batch.estimators.items():
-            columns = {column: getattr(found, of) for column, of in ESTIMATED.items()}
-            rows.setdefault(name, []).append((batch.valves, found.quality, found.t, columns))
-        inverse = batch.inverse
-        columns = {REQUIRED_U: inverse.required_U}
-        rows.setdefault("Inverse", []).append((batch.valves, inverse.quality, inverse.t, columns))
-        if batch.signals is not None:
-            lost = batch.signals.quality == Quality.BAD
-            values = batch.signals.values[lost].T
-            columns = dict(zip(SIGNALS, values, strict=True))
-            noted = batch.valves[lost], batch.signals.quality[lost], batch.signals.t[lost], columns
-            rows.setdefault("Signals", []).append(noted)
-    for part, noted_rows in rows.items():
-        yield from _by_valve(names, part, noted_rows)
+    by_part: dict[str, list[_Noted]] = {}
+    for one in noted:
+        by_part.setdefault(one.part, []).append(one)
+    for part, rows in by_part.items():
+        yield from _by_valve(names, part, rows)
 
 
-def _by_valve(
-    names: Sequence[str],
-    part: str,
-    rows: Sequence[tuple[Times, Codes, Times, Mapping[str, Floats]]],
-) -> Iterator[Piece]:
-    valves, quality, t = (np.concatenate([row[k] for row in rows]) for k in range(3))
-    columns = {name: np.concatenate([row[3][name] for row in rows]) for name in rows[0][3]}
+def _by_valve(names: Sequence[str], part: str, rows: Sequence[_Noted]) -> Iterator[Piece]:
+    valves = np.concatenate([row.valves for row in rows])
+    quality = np.concatenate([row.quality for row in rows])
+    t = np.concatenate([row.t for row in rows])
+    columns = {
+        name: np.concatenate([row.columns[name] for row in rows]) for name in rows[0].columns
+    }
     t = np.where(quality == Quality.BAD, t + 1, t)
     order = np.argsort(valves, kind="stable")
     order = order[t[order] > 1]  # no sample yet

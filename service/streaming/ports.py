@@ -625,7 +625,7 @@ class Past:
 class PastStore(Protocol):
     """Keeps what signals and results were, and gives it back; from any thread, one at a time."""
 
-    def save(self, pieces: Sequence[Piece]) -> int:
+    def save(self, pieces: Iterable[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer.
 
         Raises
