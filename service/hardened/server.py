@@ -380,15 +380,16 @@ class HardenedServer(Startable):
         historian
             Keeps it.
         fields
-            What is kept of an event, by browse path.
+            What is kept of an event, by browse path; the first call says it for all.
         """
-        self._has_past_events = True
         aspace = self._inside.aspace
         filter_ = aspace[ua.NodeId(ua.ObjectIds.HistoricalEventFilter)]
-        kept = ua.Variant(filter_of_fields(fields), ua.VariantType.ExtensionObject)
-        filter_.attributes[ua.AttributeIds.Value].value = ua.DataValue(kept)
-        scalar = ua.DataValue(ua.Variant(int(ua.ValueRank.Scalar), ua.VariantType.Int32))
-        filter_.attributes[ua.AttributeIds.ValueRank].value = scalar
+        if not self._has_past_events:
+            self._has_past_events = True
+            kept = ua.Variant(filter_of_fields(fields), ua.VariantType.ExtensionObject)
+            filter_.attributes[ua.AttributeIds.Value].value = ua.DataValue(kept)
+            scalar = ua.DataValue(ua.Variant(int(ua.ValueRank.Scalar), ua.VariantType.Int32))
+            filter_.attributes[ua.AttributeIds.ValueRank].value = scalar
         has_property = reference(ua.NodeId(ua.ObjectIds.HasProperty), filter_, forward=True)
         for source in sources:
             self._histories.add_events(source, historian)

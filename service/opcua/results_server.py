@@ -213,6 +213,12 @@ class ResultsServer(Startable):
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
+
+        def remember_events(*emitters: ua.NodeId) -> None:
+            if self._store is not None:
+                past = AlarmsPast(self._store, self._alarms.event_of)
+                server.add_event_history(emitters, past, event_fields())
+
         with many_nodes():
             await add_types(
                 server,
@@ -228,14 +234,11 @@ class ResultsServer(Startable):
                     server, root, valve.name, description=words, type_definition=kind
                 )
                 server.let_emit(folder)
+                remember_events(folder)  # before it is put aside, or it would be made at once
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
-        if self._store is not None:
-            owners = [*(valve.name for valve in self._valves), SERVICE, ROOT]
-            emitters = [ua.NodeId(owner, server.namespace_index) for owner in owners]
-            past = AlarmsPast(self._store, self._alarms.event_of)
-            sources = [ua.NodeId(ua.ObjectIds.Server), *emitters]
-            server.add_event_history(sources, past, event_fields())
+        service = ua.NodeId(SERVICE, server.namespace_index)
+        remember_events(root, service, ua.NodeId(ua.ObjectIds.Server))
         await server.start()
         self._server = server
 
