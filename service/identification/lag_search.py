@@ -94,6 +94,8 @@ def look(
         elif found is not None:
             known[UU:] *= KEPT
             known += found
+        if any(_is_refuted(known, partial(score, rho=colour), step) for colour in (0.0, rho)):
+            known[:] = 0.0
     claimed = _claimed(known, step)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
@@ -119,6 +121,16 @@ def _usual_step(rows: Floats) -> float:
     return float(np.median(within)) if len(within) else kernel.GAP
 
 
+def _is_refuted(known: Floats, score: Callable[[Pair], float], step: float) -> bool:
+    """Whether these rows are clearly better explained without the lags that would be claimed.
+
+    A bowl that is flat somewhere may have its bottom far away, where nobody has looked; and in
+    noise of a correlation that is a lag's own, a lag seems next to none.
+    """
+    U, Q = _claimed(known, step)
+    return bool(score((delay(U, step), delay(Q, step))) - score((0.0, 0.0)) > CLEAR)
+
+
 def _moved(rows: Floats, column: int) -> float:
     """Way of a signal, in its ranges."""
     signal = rows[:, column]
@@ -133,7 +145,7 @@ def _search(score: Callable[[Pair], float], near: Pair | None, free: tuple[bool,
     its ends, where one stands for both, are beginnings, too.
     """
     if near is not None:
-        return _descended(score, near, free)
+        return _descended(score, min((near, (0.0, 0.0)), key=score), free)
     tried = product(TRIED_U if free[0] else (0.0,), TRIED_Q if free[1] else (0.0,))
     near = _stepped(score, min(tried, key=score), free)
     begun = (near, (0.0, sum(near)), (sum(near), 0.0)) if all(free) else (near,)

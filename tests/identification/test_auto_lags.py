@@ -9,6 +9,8 @@ from service.identification.kernels import lag as kernel
 from service.identification.lag_search import look
 from service.identification.map_shapes import Shape
 from service.identification.samples import Samples
+from virtual_rig.scenario import BUILTIN
+from virtual_rig.simulation import advance, initial
 
 SIGMA, N = 0.4, 20_000
 
@@ -222,3 +224,22 @@ def test_after_a_doubt_lags_are_looked_for_as_often_as_at_first_and_where_there_
         looks.append(int(state.counters[memory.NEXT_LOOK] - state.counters[at]) // kernel.ROWS)
     assert sorted(set(looks) - {0}) == ([*range(1, 9)] if lag_Q else [1, 2, 4, 8])
     assert auto.lags(state)[1] == pytest.approx(lag_Q, rel=0.2)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    """What the rig's demo shows: points drawn anew every 20 ms, oil that warms up, a hysteresis."""
+    scenario = BUILTIN["demo"]
+    _, block = advance(scenario, initial(scenario, 1_700_000_000_000_000_000), 39_100)
+    (valve,) = block.valves.values()
+    return Samples.of(valve.t, valve.U, valve.p1, valve.p2, valve.Q, valve.T)
+
+
+@pytest.mark.parametrize("first", [951, 6657, 7291, 25677, 26945, 34553, 37089])
+def test_no_lag_is_claimed_of_which_the_rows_themselves_speak_against(demo, first):
+    """Lags of 300 ms were, in noise of a correlation that is theirs."""
+    auto, some = Auto(), demo[first : first + 1981]
+    state = auto.initial_state()
+    for k in range(0, len(some), 500):
+        state, _ = auto.update(state, some[k : k + 500])
+        assert auto.lags(state) == (0.0, 0.0)
