@@ -94,7 +94,7 @@ def look(
         elif found is not None:
             known[UU:] *= KEPT
             known += found
-        if any(_is_refuted(known, partial(score, rho=colour), step) for colour in (0.0, rho)):
+        if any(_is_refuted(known, partial(score, rho=colour), step) for colour in {0.0, rho}):
             known[:] = 0.0
     claimed = _claimed(known, step)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
@@ -128,6 +128,8 @@ def _is_refuted(known: Floats, score: Callable[[Pair], float], step: float) -> b
     noise of a correlation that is a lag's own, a lag seems next to none.
     """
     U, Q = _claimed(known, step)
+    if U == Q == 0.0:
+        return False
     return bool(score((delay(U, step), delay(Q, step))) - score((0.0, 0.0)) > CLEAR)
 
 

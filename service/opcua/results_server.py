@@ -213,11 +213,12 @@ class ResultsServer(Startable):
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
+        store, fields = self._store, event_fields()
+        past = None if store is None else AlarmsPast(store, self._alarms.event_of)
 
         def remember_events(*emitters: ua.NodeId) -> None:
-            if self._store is not None:
-                past = AlarmsPast(self._store, self._alarms.event_of)
-                server.add_event_history(emitters, past, event_fields())
+            if past is not None:
+                server.add_event_history(emitters, past, fields)
 
         with many_nodes():
             await add_types(
