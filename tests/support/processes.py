@@ -1,22 +1,30 @@
 """Running the real command in processes of their own, and leaving none behind."""
 
+import itertools
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 READY_S = 120.0
 
 
+# Below those that systems hand out to whoever connects: one of these would be taken between the
+# look and the start of the server that is meant. Processes begin far from each other.
+_ports = itertools.cycle(12_000 + (os.getpid() * 997 + k) % 20_000 for k in range(20_000))
+
+
 def free_port() -> int:
-    """A port of 127.0.0.1 that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """A port of 127.0.0.1 that nobody listens on, another one at each call."""
+    for port in _ports:
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("no port is free")
 
 
 def rig_url(port: int) -> str:
