@@ -16,6 +16,7 @@ from service.app.build import (
     build_supervisor_settings,
     own_certificate,
 )
+from service.app.memory import give_back
 from service.app.reload import Reload, check_what_stays, in_one_line
 from service.app.warm_up import warm_up
 from service.clock import SystemClock
@@ -177,14 +178,15 @@ async def _live(
             await plan.compiled.ended()
         stopping = asyncio.create_task(_pass_on(stop, live, ended))
         following = asyncio.create_task(_following(plan, reload, ended))
+        giving = asyncio.create_task(give_back())
         try:
             supervision = build_supervisor_settings(config)
             supervision = replace(supervision, connected_before=plan.after_another)
             await supervise_all(plan.source, live, clock, ended, supervision)
         finally:
-            for task in (stopping, following):
+            for task in (stopping, following, giving):
                 task.cancel()
-            await asyncio.gather(stopping, following, return_exceptions=True)
+            await asyncio.gather(stopping, following, giving, return_exceptions=True)
             goes_on = not (following.cancelled() or stop.is_set())
             if not goes_on and not await live.keep(within_s=live.time_left_s):
                 log.warning("disk too slow to keep the last states, those before are kept")
