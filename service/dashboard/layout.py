@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 ROOT = "Identification"
-NO_ESTIMATORS = frozenset({"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline"})
+NO_ESTIMATORS = frozenset(
+    {"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"}
+)
 PREFERRED = "Auto"
 
 _LIVE = "Signals."

@@ -23,6 +23,7 @@ from service.hardened.address_space.browse import View
 from service.hardened.address_space.declarations import Method, Value, Variable
 from service.hardened.address_space.insertion import many_nodes, reference
 from service.hardened.address_space.metadata import describe_namespace
+from service.hardened.address_space.node_sets import import_node_set, refer, refer_back
 from service.hardened.address_space.packed_nodes import make_later
 from service.hardened.address_space.plain_values import as_variant
 from service.hardened.address_space.self_description import SelfDescription
@@ -209,6 +210,33 @@ class HardenedServer(Startable):
     async def namespace(self, uri: str) -> int:
         """Return the index of a namespace, registering it if it is new."""
         return int(await self.ua.register_namespace(uri))
+
+    async def add_node_set(self, text: str) -> None:
+        """Add the nodes of a UANodeSet, of namespaces that are not the server's own.
+
+        What they need of others must be there. Before the start.
+
+        Raises
+        ------
+        ServerError
+            if it cannot be understood.
+        """
+        try:
+            await import_node_set(self.ua, self._inside.aspace, text)
+        except (ua.UaError, ValueError, KeyError, SyntaxError) as error:
+            raise ServerError(f"a UANodeSet cannot be imported: {error}") from error
+
+    def refer(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+        """Have a node refer to another: browsers find it there, too.
+
+        The target says so as well once :meth:`refer_back` was called, which a folder that is
+        filled later need not hear before it is.
+        """
+        refer(self._inside.aspace, source, ua.NodeId(kind), target)
+
+    def refer_back(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+        """Say of a node that another refers to it."""
+        refer_back(self._inside.aspace, source, ua.NodeId(kind), target)
 
     def utc(self) -> dt.datetime:
         """Time of day."""

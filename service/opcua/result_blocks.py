@@ -26,6 +26,7 @@ from service.opcua.information_model import (
 )
 from service.opcua.result_frames import frame_names, frame_variables
 from service.opcua.result_values import Column
+from service.streaming.nameplate import BLANK
 from service.streaming.ports import ValveDescription
 
 _Kind = tuple[ua.VariantType, int | None]
@@ -71,7 +72,10 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
 
 
 class ResultBlocks:
-    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any."""
+    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any.
+
+    Valves are alike whatever their names and plates.
+    """
 
     def __init__(
         self, server: HardenedServer, valves: Sequence[ValveDescription], now: int
@@ -80,7 +84,7 @@ class ResultBlocks:
         self._where: dict[str, NDArray[np.intp]] = {}  # block and column by valve; -1: none
         alike: dict[ValveDescription, list[int]] = {}
         for number, valve in enumerate(valves):
-            alike.setdefault(replace(valve, name=""), []).append(number)
+            alike.setdefault(replace(valve, name="", nameplate=BLANK), []).append(number)
         sizes: dict[_Kind, int] = {}
         for described, numbers in alike.items():
             for kind, variables in _by_kind(changing_variables(described)).items():

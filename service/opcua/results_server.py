@@ -35,6 +35,7 @@ from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
 from service.opcua.answers import answered, say_nothing
 from service.opcua.changed_results import ChangedResults
+from service.opcua.companions import Companions, add_companions
 from service.opcua.information_model import (
     ALARMS,
     ARMED,
@@ -77,6 +78,7 @@ from service.opcua.past import AlarmsPast, ResultsPast, has_past
 from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
 from service.opcua.result_frames import frame_names, frame_variables, frames
+from service.opcua.result_health import ResultHealth
 from service.opcua.result_types import ESTIMATOR, VALVE, add_types, type_of
 from service.opcua.result_values import (
     Column,
@@ -177,6 +179,8 @@ class ResultsServer(Startable):
         self._changed = ChangedResults(len(self._valves), counters)
         self._blocks: ResultBlocks
         self._alarms: ResultAlarms
+        self._health: ResultHealth
+        self._companions: Companions
         self._service_alarms: tuple[AlarmReport, ...] = ()
 
     @property
@@ -200,7 +204,9 @@ class ResultsServer(Startable):
         root = await add_object(
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
+        self._companions = await add_companions(server)
         self._blocks = ResultBlocks(server, self._valves, self._clock.now())
+        self._health = ResultHealth(server, self._clock)
         self._alarms = ResultAlarms(
             server,
             self._valves,
@@ -208,6 +214,7 @@ class ResultsServer(Startable):
             self._clock,
             partial(self._show, server),
             self._note,
+            self._health.stands,
             self._on_alarm,
         )
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
@@ -236,6 +243,7 @@ class ResultsServer(Startable):
                 )
                 server.let_emit(folder)
                 remember_events(folder)  # before it is put aside, or it would be made at once
+                self._companions.list_device(folder)
                 server.add_later(folder, partial(self._add_valve, server, folder, number))
             await self._add_service(server, root)
         service = ua.NodeId(SERVICE, server.namespace_index)
@@ -267,6 +275,10 @@ class ResultsServer(Startable):
         for valve, new in self._changed.values(results, now):
             self._show(self._server, self._valves[valve].name, new)
         self._alarms.publish(results, now)
+        for number in valves[self._sequences[valves] == 1].tolist():
+            name = self._valves[number].name
+            if name in self._health:
+                self._health.stands(name, self._operator.alarms(name))
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""
@@ -285,6 +297,7 @@ class ResultsServer(Startable):
             (self._variables[name], value, code, now)
             for name, value, code in service_values(health)
         )
+        self._health.stands(SERVICE, health.alarms)
         if health.alarms != self._service_alarms:
             self._service_alarms = tuple(health.alarms)
             self._alarms.take(SERVICE, health.alarms, now)
@@ -311,6 +324,13 @@ class ResultsServer(Startable):
         """Add what is below a valve's folder; what is in folders there is added later still."""
         valve = self._valves[number]
         server.refer_to_conditions(folder, self._alarms.keys(valve.name))
+        await self._companions.add_identification(folder, valve.nameplate)
+        is_heard_of = self._sequences[number] > 0
+        self._health.add(
+            valve.name,
+            await self._companions.add_health(folder),
+            self._operator.alarms(valve.name) if is_heard_of else None,
+        )
         await self._add_frame(server, folder, valve)
         add_part = partial(self._add_part, server, folder, valve)
         for estimator in valve.estimators:
@@ -396,6 +416,7 @@ class ResultsServer(Startable):
         )
         server.let_emit(folder)
         server.refer_to_conditions(folder, self._alarms.keys(None))
+        self._health.add(SERVICE, await self._companions.add_health(folder), None)
         for part, variables in service_variables().items():
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
