@@ -1,7 +1,7 @@
 """The live service from start to end."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
@@ -30,7 +30,7 @@ from service.storage.history import HistoryFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.past import PastKeeper
-from service.streaming.ports import Checkpoint
+from service.streaming.ports import Checkpoint, ValveDescription
 from service.streaming.sources import Sources, supervise_all
 
 log = structlog.get_logger(__name__)
@@ -73,6 +73,7 @@ async def serve(
     plan: _Plan | None = _plan(config, server_settings, identification)
     before: _Plan | None = None
     known: list[Checkpoint] = []
+    shown: tuple[ValveDescription, ...] | None = None  # until now
     with CheckpointFile(config.state.file) as store, ExitStack() as opened:
         past = build_history(config)
         if past is not None:
@@ -80,8 +81,11 @@ async def serve(
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
         while plan is not None:
+            described = plan.identification.descriptions()
             try:
-                following, states = await _live(plan, store, past, stop, on_samples, reload, known)
+                following, states = await _live(
+                    plan, store, past, stop, on_samples, reload, known, shown
+                )
             except (ValvemapError, HardenedError) as error:
                 if before is None or stop.is_set():
                     raise
@@ -93,6 +97,7 @@ async def serve(
                 plan, before = back, None
             else:
                 plan, before, known = following, plan, states
+            shown = described
 
 
 class _Compilation:
@@ -146,6 +151,7 @@ async def _live(
     on_samples: SampleTap | None,
     reload: Reload,
     known: list[Checkpoint],
+    shown: Sequence[ValveDescription] | None,
 ) -> tuple[_Plan | None, list[Checkpoint]]:
     """Run one configuration until the end; return what is to run then, and all that is known."""
     config, clock = plan.config, SystemClock()
@@ -158,6 +164,7 @@ async def _live(
         on_reload=reload.call,
         past=past,
         on_alarm=None if keeper is None else keeper.note_alarm,
+        before=shown,
     )
     live = LiveService(
         plan.identification,

@@ -42,7 +42,7 @@ from service.hardened.history.historian import Historian
 from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
 from service.hardened.logs import bounded_logger
-from service.hardened.monitoring.event_filter import event_of_asyncua, filter_of_fields
+from service.hardened.monitoring.event_filter import Event, event_of_asyncua, filter_of_fields
 from service.hardened.security.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -432,6 +432,13 @@ class HardenedServer(Startable):
     def report(self, condition: Condition) -> None:
         """Say once that a condition has changed; who does not listen hears it with a refresh."""
         self._conditions.report(condition)
+
+    def tell(self, event: Event, for_s: float) -> None:
+        """Hand an event to all who listen, and for so long to all who begin to: once to each item.
+
+        It is for those who lost their sessions by what happened, and come back.
+        """
+        self._subscriptions.events.stand(event, for_s)
 
     def add_condition(self, folder: ua.NodeId, condition: Callable[[], Condition]) -> None:
         """Show a condition as what is below an object, from when somebody first looks there.

@@ -45,6 +45,7 @@ from service.opcua.information_model import (
     INVERSE,
     LAST_ACTION,
     NAMESPACE,
+    NODE_VERSION,
     PARAMETERS,
     PENDING,
     ROOT,
@@ -74,6 +75,7 @@ from service.opcua.information_model import (
     timing_variable,
     waiting_variable,
 )
+from service.opcua.model_changes import model_change, version_of_root, version_of_valve
 from service.opcua.past import AlarmsPast, ResultsPast, has_past
 from service.opcua.result_alarms import ResultAlarms
 from service.opcua.result_blocks import ResultBlocks
@@ -109,6 +111,7 @@ _PARTS = {
 }
 _AddPart = Callable[["_Place", ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
 _Place = HardenedServer | Declarations
+_TOLD_FOR_S = 600.0  # what another configuration changed, to clients that come back
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -145,6 +148,9 @@ class ResultsServer(Startable):
         What signals, results and alarms have been; None: that cannot be asked.
     on_alarm
         Takes each change of an alarm, to be kept.
+    before
+        What was shown until now, where this server follows another: who comes back is told what
+        has changed; None: nobody comes back.
     """
 
     def __init__(
@@ -157,6 +163,7 @@ class ResultsServer(Startable):
         on_reload: Callable[[], Awaitable[None]] | None = None,
         past: PastStore | None = None,
         on_alarm: Callable[[AlarmChange], None] | None = None,
+        before: Sequence[ValveDescription] | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
@@ -174,6 +181,7 @@ class ResultsServer(Startable):
         self._store = past
         self._past = None if past is None else ResultsPast(past)
         self._on_alarm = on_alarm
+        self._before = before
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
@@ -217,6 +225,7 @@ class ResultsServer(Startable):
             self._health.stands,
             self._on_alarm,
         )
+        await add_property(server, root, NODE_VERSION, version_of_root(self._valves))
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
@@ -250,6 +259,15 @@ class ResultsServer(Startable):
         remember_events(root, service, ua.NodeId(ua.ObjectIds.Server))
         await server.start()
         self._server = server
+        self._tell_what_changed(server)
+
+    def _tell_what_changed(self, server: HardenedServer) -> None:
+        if self._before is None:
+            return
+        kind, now = type_of(server, VALVE), self._clock.now()
+        event = model_change(self._before, self._valves, server.namespace_index, kind, now)
+        if event is not None:
+            server.tell(event, _TOLD_FOR_S)
 
     async def stop(self) -> None:
         """Close every session and stop listening; safe to call twice."""
@@ -324,6 +342,7 @@ class ResultsServer(Startable):
         """Add what is below a valve's folder; what is in folders there is added later still."""
         valve = self._valves[number]
         server.refer_to_conditions(folder, self._alarms.keys(valve.name))
+        await add_property(server, folder, NODE_VERSION, version_of_valve(valve))
         await self._companions.add_identification(folder, valve.nameplate)
         is_heard_of = self._sequences[number] > 0
         self._health.add(

@@ -181,6 +181,29 @@ async def test_a_faulty_configuration_is_refused_and_the_old_one_goes_on(served,
         assert reason in line
 
 
+async def test_who_comes_back_is_told_which_valves_came_and_went(served):
+    boom, bucket, _ = served.config.valves
+    swing = ValveConfig(name="Swing", estimators=(SLOW,))
+    served.config = served.config.model_copy(update={"valves": (boom, bucket, swing)})
+    await served.reload.call()
+    await served.until_more("Swing")
+    told = asyncio.Queue()
+
+    class Handler:
+        def event_notification(self, event):
+            told.put_nowait(event)
+
+    async with Client(served.config.server.url) as client:
+        subscription = await client.create_subscription(50, Handler())
+        kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
+        await subscription.subscribe_events(client.nodes.server, kind)
+        async with asyncio.timeout(30.0):
+            event = await told.get()
+        verbs = {one.Affected.Identifier: one.Verb for one in event.Changes}
+        assert (verbs["Swing"], verbs["Stick"]) == (1, 2)  # NodeAdded, NodeDeleted
+        assert "Boom" not in verbs
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGHUP")
 def test_a_hang_up_has_the_file_read_again(tmp_path, start_rig):
     file, log, port = tmp_path / "service.toml", tmp_path / "log", free_port()
