@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 ROOT = "Identification"
+VERSION = f"{ROOT}.NodeVersion"  # another one: valves came or went
 NO_ESTIMATORS = frozenset(
     {"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"}
 )

@@ -4,7 +4,7 @@ import asyncio
 import dataclasses
 import datetime as dt
 import ipaddress
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
 from typing import Any, Self
 from urllib.parse import urlparse
 
@@ -24,8 +24,9 @@ from service.hardened.address_space.declarations import Method, Value, Variable
 from service.hardened.address_space.insertion import many_nodes, reference
 from service.hardened.address_space.metadata import describe_namespace
 from service.hardened.address_space.node_sets import import_node_set, refer, refer_back
-from service.hardened.address_space.packed_nodes import make_later
+from service.hardened.address_space.packed_nodes import is_below, make_later
 from service.hardened.address_space.plain_values import as_variant
+from service.hardened.address_space.removal import remove
 from service.hardened.address_space.self_description import SelfDescription
 from service.hardened.address_space.watchers import drive, notify
 from service.hardened.audit import Audit
@@ -373,6 +374,28 @@ class HardenedServer(Startable):
         """
         block.take(block.batch(values, source_times, codes, present, self._clock.now(), columns))
 
+    def remove(self, folders: Collection[ua.NodeId], referrers: Collection[ua.NodeId]) -> None:
+        """Take folders away and all below them; who monitors that hears BadNodeIdUnknown.
+
+        Parameters
+        ----------
+        folders
+            As in :meth:`add_later`.
+        referrers
+            All nodes that refer to them.
+        """
+        blocks, unknown = self._subscriptions.blocks, ua.StatusCodes.BadNodeIdUnknown
+        names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
+        for id_ in list(blocks):
+            if is_below(id_.NamespaceIndex, str(id_.Identifier), names):
+                self.mark(self._variables[id_], unknown)
+                del blocks[id_]
+        removed = remove(self._inside.aspace, folders, referrers, self._clock.now())
+        for id_ in removed:
+            self._variables.pop(id_, None)
+            self._methods.pop(id_, None)
+        self._conditions.nodes.forget(removed)
+
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
         """Let clients read what variables have been; who keeps it is asked with each request.
 
@@ -493,6 +516,11 @@ class HardenedServer(Startable):
     def mark_block(self, block: Block, code: int) -> None:
         """Change the status of a block's values, keeping values and source times."""
         block.take(block.marked(code, self._clock.now()))
+
+    def write_property(self, id_: ua.NodeId, value: ua.Variant) -> None:
+        """Publish a property of the server's own."""
+        now = instant(self._clock.now())
+        self._write_data_value(id_, ua.DataValue(value, ua.StatusCode(), now, now))
 
     def set_service_level(self, level: int) -> None:
         """Say how well the server can serve: 255 best, 0 not at all."""

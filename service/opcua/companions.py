@@ -42,12 +42,17 @@ class Companions:
 
     def list_device(self, owner: ua.NodeId) -> None:
         """Have the DeviceSet organize a valve; before that is put aside."""
-        self.server.refer(self._of_di(_DEVICE_SET), ua.ObjectIds.Organizes, owner)
+        self.server.refer(self.device_set, ua.ObjectIds.Organizes, owner)
+
+    @property
+    def device_set(self) -> ua.NodeId:
+        """What organizes valves."""
+        return self._of_di(_DEVICE_SET)
 
     async def add_identification(self, owner: ua.NodeId, plate: Nameplate) -> None:
         """Say who made a valve; what nobody said is not there, or uncertain where it must be."""
         server = self.server
-        server.refer_back(self._of_di(_DEVICE_SET), ua.ObjectIds.Organizes, owner)
+        server.refer_back(self.device_set, ua.ObjectIds.Organizes, owner)
         own = await add_object(
             server,
             owner,

@@ -6,13 +6,11 @@ another machine, too; a client that kept the old one sees whether it must browse
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, replace
 
 from asyncua import ua
 
 from service.hardened import Event, instant
 from service.opcua.information_model import ROOT
-from service.streaming.nameplate import Nameplate
 from service.streaming.ports import ValveDescription
 
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
@@ -24,18 +22,18 @@ _Types = ua.VariantType
 
 
 def version_of_root(valves: Iterable[ValveDescription]) -> str:
-    """NodeVersion of ``s=Identification``: changes when a valve comes or goes.
+    """NodeVersion of ``s=Identification``: changes when a valve comes, goes or is made anew.
 
     >>> one, two = ValveDescription("V1", ()), ValveDescription("V2", ())
     >>> version_of_root([one, two]) == version_of_root([two, one]) != version_of_root([one])
     True
     """
-    return _digest(sorted(valve.name for valve in valves))
+    return _digest(sorted((valve.name, version_of_valve(valve)) for valve in valves))
 
 
 def version_of_valve(valve: ValveDescription) -> str:
-    """NodeVersion of a valve: changes when anything comes or goes below it."""
-    return _digest(_nodes_of(valve))
+    """NodeVersion of a valve: changes whenever its nodes are made anew."""
+    return _digest(valve)
 
 
 def model_change(
@@ -61,14 +59,13 @@ def model_change(
     old, new = ({valve.name: valve for valve in valves} for valves in (before, after))
     came = [name for name in new if name not in old]
     went = [name for name in old if name not in new]
-    changed = [name for name in new if name in old and _nodes_of(old[name]) != _nodes_of(new[name])]
+    changed = [name for name in new if name in old and old[name] != new[name]]
     if not (came or went or changed):
         return None
     root = ua.NodeId(ROOT, index)
     verbs = [(name, _Verb.NodeAdded) for name in came]
     verbs += [(name, _Verb.NodeDeleted) for name in went]
-    both = _Verb.ReferenceAdded | _Verb.ReferenceDeleted
-    verbs += [(name, both) for name in changed]
+    verbs += [(name, _Verb.NodeAdded | _Verb.NodeDeleted) for name in changed]  # made anew
     changes = [_change(ua.NodeId(name, index), valve_type, verb) for name, verb in verbs]
     if came or went:
         verb = (_Verb.ReferenceAdded if came else 0) | (_Verb.ReferenceDeleted if went else 0)
@@ -101,12 +98,6 @@ def _event(
 
 def _change(affected: ua.NodeId, kind: ua.NodeId, verb: int) -> ua.ModelChangeStructureDataType:
     return ua.ModelChangeStructureDataType(Affected=affected, AffectedType=kind, Verb=verb)
-
-
-def _nodes_of(valve: ValveDescription) -> ValveDescription:
-    """What decides on the nodes of a valve: of its plate only what is known at all."""
-    known = Nameplate(*("known" if text else "" for text in astuple(valve.nameplate)))
-    return replace(valve, nameplate=known)
 
 
 def _digest(what: object) -> str:

@@ -4,7 +4,7 @@ As plain tags, since many clients know no others, and as conditions (Part 9): ea
 same report, and what is done by way of the one shows at the other.
 """
 
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -110,6 +110,20 @@ class ResultAlarms:
         self._versions = np.zeros(len(self._names), np.int64)
         self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
         server.keep_conditions(self)
+
+    def follow(
+        self,
+        names: Sequence[str],
+        shown: Collection[str],
+        keep: Callable[[AlarmChange], None] | None,
+    ) -> None:
+        """Go on with other valves: ``names`` by slot, those ``shown`` now; forget the others."""
+        self._names = list(names)
+        self._valves = frozenset(shown)
+        self._keep = keep
+        self._versions = np.zeros(len(names), np.int64)
+        owners = {*shown, SERVICE}
+        self._reported = {key: at for key, at in self._reported.items() if key[0] in owners}
 
     def publish(self, results: Results, now: int) -> None:
         """Show what changed of valves' alarms."""

@@ -128,6 +128,44 @@ class ResultBlocks:
             )
 
 
+class Generations:
+    """The blocks of valves that came at different times: each has a slot for good."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[ResultBlocks, NDArray[np.intp]]] = []  # place by slot; -1: none
+        self._slots = 0
+
+    def add(self, server: HardenedServer, valves: Sequence[ValveDescription], now: int) -> None:
+        """Make room for more valves, in the next slots."""
+        if not valves:
+            return
+        count = len(valves)
+        self._parts = [(one, np.append(at, np.full(count, -1))) for one, at in self._parts]
+        places = np.append(np.full(self._slots, -1), np.arange(count))
+        self._parts.append((ResultBlocks(server, valves, now), places))
+        self._slots += count
+
+    def keep(self, slots: Times) -> None:
+        """Let go of what holds none of these slots."""
+        self._parts = [(one, at) for one, at in self._parts if (at[slots] >= 0).any()]
+
+    def show(self, slot: int, name: str, variable: Variable) -> None:
+        """Let a variable show what is written here of it."""
+        for blocks, places in self._parts:
+            if places[slot] >= 0:
+                blocks.show(int(places[slot]), name, variable)
+
+    def write(self, slots: Times, columns: Iterable[Column]) -> None:
+        """Publish variables of valves that are treated alike."""
+        given = list(columns)
+        for blocks, places in self._parts:
+            own = places[slots] >= 0
+            if own.all():
+                blocks.write(places[slots], given)
+            elif own.any():
+                blocks.write(places[slots][own], (column[own] for column in given))
+
+
 def _by_kind(variables: Iterable[Changing]) -> dict[_Kind, list[Changing]]:
     kinds: dict[_Kind, list[Changing]] = {}
     for variable in variables:

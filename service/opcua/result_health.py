@@ -29,6 +29,11 @@ class ResultHealth:
     def __contains__(self, owner: str) -> bool:
         return owner in self._variables
 
+    def forget(self, owner: str) -> None:
+        """Show it no more: its node is gone."""
+        self._variables.pop(owner, None)
+        self._shown.pop(owner, None)
+
     def add(self, owner: str, variable: Variable, reports: Iterable[AlarmReport] | None) -> None:
         """Show an owner's from now on; None: it has been heard of nothing yet."""
         self._variables[owner] = variable
