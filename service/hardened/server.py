@@ -384,12 +384,14 @@ class HardenedServer(Startable):
         referrers
             All nodes that refer to them.
         """
-        blocks, unknown = self._subscriptions.blocks, ua.StatusCodes.BadNodeIdUnknown
         names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
-        for id_ in list(blocks):
+        places, gone = self._subscriptions.blocks, dict[Block, list[int]]()
+        for id_ in list(places):
             if is_below(id_.NamespaceIndex, str(id_.Identifier), names):
-                self.mark(self._variables[id_], unknown)
-                del blocks[id_]
+                block, column = places.pop(id_)
+                gone.setdefault(block, []).append(column)
+        for block, columns in gone.items():
+            block.take(block.unknown(columns, self._clock.now()))
         removed = remove(self._inside.aspace, folders, referrers, self._clock.now())
         for id_ in removed:
             self._variables.pop(id_, None)
