@@ -19,10 +19,11 @@ from service.app.serve import serve
 from service.app.shown import is_same_server
 from service.config.estimators import RlsConfig
 from service.config.models import NodesConfig, ValveConfig
-from service.errors import ConfigurationError
+from service.errors import ConfigurationError, StorageError
 from service.hardened import Role, ServerSettings, UserStore
 from service.identification.samples import Samples
 from service.storage.checkpoints import CheckpointFile
+from service.streaming.live import LiveService
 from virtual_rig.scenario import BUILTIN, ValveBench
 from virtual_rig.server import RigServer
 
@@ -222,6 +223,38 @@ async def test_sessions_stay_and_are_told_which_valves_came_and_went(served):
         await until(lambda: heard.counts["Boom.RLS.Residual"] > before)
         count = client.get_node(ua.NodeId("Swing.RLS.SampleCount", index))
         assert await count.read_value() > 0
+
+
+async def test_what_fails_to_start_gives_way_and_sessions_stay(served, monkeypatch):
+    start, failures = LiveService.start, [StorageError("disk: no room")]
+
+    async def fails_once(self, known=()):
+        if failures and any(plan.name == "Swing" for plan in self.identification.plans):
+            raise failures.pop()
+        await start(self, known)
+
+    monkeypatch.setattr(LiveService, "start", fails_once)
+    heard = Heard()
+    async with Client(served.config.server.url) as client:
+        subscription = await client.create_subscription(50, heard)
+        kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
+        await subscription.subscribe_events(client.nodes.server, kind)
+        swing = ValveConfig(name="Swing", estimators=(SLOW,))
+        served.config = served.config.model_copy(
+            update={"valves": (*served.config.valves[:2], swing)}
+        )
+        await served.reload.call()
+        verbs = []
+        async with asyncio.timeout(60.0):
+            for _ in range(2):
+                event = await heard.events.get()
+                verbs.append({one.Affected.Identifier: one.Verb for one in event.Changes})
+        assert [(each["Swing"], each["Stick"]) for each in verbs] == [(1, 2), (2, 1)]
+        await served.until_more("Stick")
+        index = await client.get_namespace_index("urn:valvemap:service")
+        count = client.get_node(ua.NodeId("Stick.RLS.SampleCount", index))
+        assert await count.read_value() > 0
+    assert not failures
 
 
 def test_another_address_or_security_is_another_server(config):
