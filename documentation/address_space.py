@@ -10,7 +10,8 @@ from asyncua.common.node import Node
 from documentation.tables import table
 from service.app.build import build_identification
 from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.config.models import Config
+from service.config.models import Config, ValveConfig
+from service.config.nameplate import IdentificationConfig
 from service.hardened import ServerSettings
 from service.opcua.results_server import NAMESPACE, ResultsServer
 
@@ -21,6 +22,8 @@ Namespace `{namespace}`; everything lies below `Objects/Identification`. A NodeI
 name in the configuration, `<Estimator>` one of {estimators} unless others are configured. *(of …)*
 names those that have a node where not all do. Ids and paths never change. Below each
 `s=<Valve>.Alarms.<Alarm>.Condition` lies what Part 9 has of its type, see [alarms](../alarms.md).
+`Identification` and `DeviceHealth` have BrowseNames of Devices and Machinery, and the valves are
+below `Objects/DeviceSet` as well, see [devices](../devices.md).
 
 A result's SourceTimestamp is that of the sample behind it. Uncertain is what rests on poor
 excitation, Bad what rests on a lost sensor; a stale value is never Good.
@@ -51,7 +54,8 @@ class Found:
 
 def address_space_page() -> str:
     """Every node that a service with the default configuration shows."""
-    config = Config()
+    plate = dict.fromkeys(IdentificationConfig.model_fields, "urn:known")
+    config = Config(valves=(ValveConfig(identification=IdentificationConfig(**plate)),))
     found = asyncio.run(nodes(config))
     (valve,) = config.valves
     estimators = [estimator.name for estimator in valve.estimators]
@@ -102,7 +106,7 @@ async def _below(node: Node, index: int) -> AsyncIterator[Found]:
     ):
         if reference.NodeId.NamespaceIndex != index:
             continue
-        if reference.BrowseName.NamespaceIndex != index:
+        if reference.BrowseName.NamespaceIndex == 0:
             continue  # the standard's: what a condition has is Part 9's
         child = Node(node.session, ua.NodeId(reference.NodeId.Identifier, index))
         match reference.NodeClass:
@@ -127,7 +131,8 @@ async def _variable(node: Node) -> Found:
             ]
         )
     )
-    kind = f"`{ua.ObjectIdNames[type_.Identifier]}{'[]' * max(rank, 0)}`"
+    name = (await Node(node.session, type_).read_browse_name()).Name
+    kind = f"`{name}{'[]' * max(rank, 0)}`"
     writable = bool(access & ua.AccessLevel.CurrentWrite.mask)
     return Found(_id(node), kind, await _unit(node), writable, description.Text or "")
 

@@ -236,6 +236,7 @@ def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
         alarms=valve.alarms.rules(),
+        nameplate=valve.identification.nameplate(valve.name),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
         accuracy=SensorAccuracy(
             **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}

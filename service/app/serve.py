@@ -2,37 +2,34 @@
 
 import asyncio
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from contextlib import AsyncExitStack
+from dataclasses import replace
 
 import structlog
 
 from service.app.build import (
     build_history,
-    build_identification,
     build_live_settings,
-    build_server_settings,
-    build_sources,
     build_supervisor_settings,
     own_certificate,
 )
-from service.app.memory import give_back
+from service.app.memory import giving_back
+from service.app.plan import Plan, make_plan
 from service.app.reload import Reload, check_what_stays, in_one_line
-from service.app.warm_up import warm_up
+from service.app.shown import Shown
 from service.clock import SystemClock
 from service.config.models import Config
 from service.errors import StorageError, ValvemapError
 from service.hardened import HardenedError, ServerSettings
 from service.identification.kernels.compiled import was_warmed_up
 from service.identification.samples import Samples
-from service.opcua.results_server import ResultsServer
 from service.storage.checkpoints import CheckpointFile
 from service.storage.history import HistoryFile
 from service.streaming.identification import Identification
 from service.streaming.live import LiveService
 from service.streaming.past import PastKeeper
 from service.streaming.ports import Checkpoint
-from service.streaming.sources import Sources, supervise_all
+from service.streaming.sources import supervise_all
 
 log = structlog.get_logger(__name__)
 
@@ -71,24 +68,30 @@ async def serve(
         if the states cannot be kept.
     """
     reload = reload or Reload(lambda: config)
-    plan: _Plan | None = _plan(config, server_settings, identification)
-    before: _Plan | None = None
+    plan: Plan | None = make_plan(config, server_settings, identification)
+    before: Plan | None = None
     known: list[Checkpoint] = []
-    with CheckpointFile(config.state.file) as store, ExitStack() as opened:
+    shown = Shown(reload)
+    async with AsyncExitStack() as opened:
+        store = opened.enter_context(CheckpointFile(config.state.file))
         past = build_history(config)
         if past is not None:
             opened.enter_context(past)
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
+        opened.push_async_callback(shown.end)
+        await opened.enter_async_context(giving_back())
         while plan is not None:
             try:
-                following, states = await _live(plan, store, past, stop, on_samples, reload, known)
+                following, states = await _live(
+                    plan, store, past, stop, on_samples, reload, known, shown
+                )
             except (ValvemapError, HardenedError) as error:
                 if before is None or stop.is_set():
                     raise
                 reason = in_one_line(error)
                 log.warning("configuration given up, the one before it goes on", reason=reason)
-                back = _plan(before.config, server_settings, after_another=True)
+                back = make_plan(before.config, server_settings, after_another=True)
                 back.source.succeed(plan.source)
                 await plan.source.close()
                 plan, before = back, None
@@ -96,70 +99,20 @@ async def serve(
                 plan, before, known = following, plan, states
 
 
-class _Compilation:
-    """Compiling what a configuration needs, in a thread, once somebody waits for it."""
-
-    def __init__(self, config: Config) -> None:
-        self._config = config
-        self._task: asyncio.Task[None] | None = None
-
-    async def ended(self) -> None:
-        """Wait for the end of it."""
-        if self._task is None:
-            compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
-            self._task = asyncio.create_task(compile_all)
-        await asyncio.shield(self._task)
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What runs between two configurations."""
-
-    config: Config
-    settings: ServerSettings
-    identification: Identification
-    source: Sources
-    compiled: "_Compilation"
-    given_settings: ServerSettings | None
-    after_another: bool
-
-
-def _plan(
-    config: Config,
-    server_settings: ServerSettings | None = None,
-    identification: Identification | None = None,
-    *,
-    after_another: bool = False,
-) -> _Plan:
-    """Make all that a configuration asks for."""
-    settings = server_settings or build_server_settings(config)
-    identification = identification or build_identification(config)
-    compiled = _Compilation(config)
-    source = build_sources(config, compiled.ended)  # no sample waits for a compiler
-    return _Plan(config, settings, identification, source, compiled, server_settings, after_another)
-
-
 async def _live(
-    plan: _Plan,
+    plan: Plan,
     store: CheckpointFile,
     past: HistoryFile | None,
     stop: asyncio.Event,
     on_samples: SampleTap | None,
     reload: Reload,
     known: list[Checkpoint],
-) -> tuple[_Plan | None, list[Checkpoint]]:
+    shown: Shown,
+) -> tuple[Plan | None, list[Checkpoint]]:
     """Run one configuration until the end; return what is to run then, and all that is known."""
     config, clock = plan.config, SystemClock()
     keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
-    server = ResultsServer(
-        plan.settings,
-        plan.identification.descriptions(),
-        plan.identification,
-        scalars_interval_s=config.server.results_interval_ms * 1e-3,
-        on_reload=reload.call,
-        past=past,
-        on_alarm=None if keeper is None else keeper.note_alarm,
-    )
+    server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
     live = LiveService(
         plan.identification,
         plan.source,
@@ -171,32 +124,31 @@ async def _live(
         keeper,
     )
     ended = asyncio.Event()
-    async with server:
-        await live.start(known)
-        log.info("results served", url=server.url)
-        if not was_warmed_up():
-            await plan.compiled.ended()
-        stopping = asyncio.create_task(_pass_on(stop, live, ended))
-        following = asyncio.create_task(_following(plan, reload, ended))
-        giving = asyncio.create_task(give_back())
-        try:
-            supervision = build_supervisor_settings(config)
-            supervision = replace(supervision, connected_before=plan.after_another)
-            await supervise_all(plan.source, live, clock, ended, supervision)
-        finally:
-            for task in (stopping, following, giving):
-                task.cancel()
-            await asyncio.gather(stopping, following, giving, return_exceptions=True)
-            goes_on = not (following.cancelled() or stop.is_set())
-            if not goes_on and not await live.keep(within_s=live.time_left_s):
-                log.warning("disk too slow to keep the last states, those before are kept")
-        if not goes_on:
-            return None, []
-        states = live.states()
-        try:
-            await live.keep()
-        except StorageError as error:
-            log.warning("checkpoint not kept", reason=str(error))
+    await live.start(known)
+    log.info("results served", url=server.url)
+    if not was_warmed_up():
+        await plan.compiled.ended()
+    stopping = asyncio.create_task(_pass_on(stop, live, ended))
+    following = asyncio.create_task(_following(plan, reload, ended))
+    try:
+        supervision = build_supervisor_settings(config)
+        supervision = replace(supervision, connected_before=plan.after_another)
+        await supervise_all(plan.source, live, clock, ended, supervision)
+    finally:
+        server.take_no_commands()
+        for task in (stopping, following):
+            task.cancel()
+        await asyncio.gather(stopping, following, return_exceptions=True)
+        goes_on = not (following.cancelled() or stop.is_set())
+        if not goes_on and not await live.keep(within_s=live.time_left_s):
+            log.warning("disk too slow to keep the last states, those before are kept")
+    if not goes_on:
+        return None, []
+    states = live.states()
+    try:
+        await live.keep()
+    except StorageError as error:
+        log.warning("checkpoint not kept", reason=str(error))
     return following.result(), states
 
 
@@ -206,7 +158,7 @@ async def _pass_on(stop: asyncio.Event, live: LiveService, ended: asyncio.Event)
     ended.set()
 
 
-async def _following(plan: _Plan, reload: Reload, ended: asyncio.Event) -> _Plan:
+async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
     """Wait for another configuration that holds, and end this one; the source is handed over."""
     while True:
         outcome = await reload.asked()
@@ -228,17 +180,13 @@ async def _following(plan: _Plan, reload: Reload, ended: asyncio.Event) -> _Plan
         return following
 
 
-async def _checked(plan: _Plan, reload: Reload) -> _Plan | None:
+async def _checked(plan: Plan, reload: Reload) -> Plan | None:
     """Read the configuration and try what can be tried; None if it is the one that runs."""
     config = await asyncio.to_thread(reload.load)
     if config == plan.config:
         return None
     check_what_stays(plan.config, config)
-    following = _plan(config, plan.given_settings, after_another=True)
+    following = make_plan(config, plan.given_settings, after_another=True)
     await following.compiled.ended()
     await following.source.check()
     return following
-
-
-def _show_progress(done: int, of: int) -> None:
-    log.info("compiling, at the first start only", part=done + 1, of=of)

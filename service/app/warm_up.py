@@ -40,6 +40,7 @@ _ONE_CHANGE = DataChanges(
 
 Progress = Callable[[int, int], None]  # parts that are done, of how many
 _REPORT_EVERY_S = 5.0
+_OF_ONE = {"name", "nodes", "source", "identification"}  # a valve alone; nothing is compiled for it
 
 
 def warm_up(
@@ -67,7 +68,7 @@ def _one_of_each_kind(config: Config) -> Config:
     """The same, with the first of the valves that differ in their names and nodes alone."""
     kinds: dict[str, ValveConfig] = {}
     for valve in config.valves:
-        kinds.setdefault(valve.model_dump_json(exclude={"name", "nodes", "source"}), valve)
+        kinds.setdefault(valve.model_dump_json(exclude=_OF_ONE), valve)
     return config.model_copy(update={"valves": tuple(kinds.values())})
 
 

@@ -17,6 +17,7 @@ from service.config.alarms import AlarmsConfig, ServiceAlarmsConfig
 from service.config.estimators import EstimatorConfig, default_estimators
 from service.config.logs import LogConfig
 from service.config.mqtt import MqttConfig
+from service.config.nameplate import IdentificationConfig
 from service.config.sections import Section, SettingsFile
 from service.config.signals import SignalsConfig
 from service.identification.extrapolation import ONE_EDGE
@@ -33,6 +34,9 @@ RESERVED_ESTIMATORS = (
     "Inverse",
     "Frame",
     "FrameNames",
+    "Identification",
+    "DeviceHealth",
+    "NodeVersion",
 )
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
@@ -342,6 +346,7 @@ class ValveConfig(Section):
     feed_forward: FeedForwardConfig = FeedForwardConfig()
     gate: GateConfig = GateConfig()
     alarms: AlarmsConfig = AlarmsConfig()
+    identification: IdentificationConfig = IdentificationConfig()
     insist: bool = Field(
         default=False, description="learn from data that look wrong, such as p1 below p2"
     )

@@ -78,6 +78,11 @@ sequence = "nsu=urn:valvemap:rig;s=Valvistor.Sequence" # optional: a running num
 # Q = {{ unit = "gpm" }} # of the United States; "imp gpm"
 # T = {{ unit = "°F" }}
 
+# [valves.identification] # its name plate, for clients that know DI or Machinery
+# manufacturer = "Muster AG"
+# model = "V-100"
+# serial_number = "4711"
+
 # [valves.feed_forward] # once an operator has called Inverse.Arm
 # range_percent = [0, 100] # never left
 # slew_percent_per_s = 100 # never exceeded

@@ -4,7 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 ROOT = "Identification"
-NO_ESTIMATORS = frozenset({"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline"})
+VERSION = f"{ROOT}.NodeVersion"  # another one: valves came or went
+NO_ESTIMATORS = frozenset(
+    {"Inverse", "Diagnostics", "Signals", "Alarms", "Baseline", "Identification"}
+)
 PREFERRED = "Auto"
 
 _LIVE = "Signals."

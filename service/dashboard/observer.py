@@ -13,6 +13,7 @@ from service.dashboard.judgement import Reason, Severity, Standing, judge
 from service.dashboard.layout import (
     NO_ESTIMATORS,
     ROOT,
+    VERSION,
     Valve,
 )
 from service.dashboard.ports import Client, Wanted
@@ -88,6 +89,7 @@ class Observer:
         self._heard: dict[int, tuple[int, float]] = {}
         self._changed: dict[int, int] = {}
         self.figures = Figures(client, clock)
+        self._version: object = None
 
     async def run(self) -> None:
         """Look until cancelled; whatever happens to the service."""
@@ -165,6 +167,8 @@ class Observer:
 
     async def _discover(self) -> None:
         """Find all valves; another set of them is another layout."""
+        (version,) = await self._read([VERSION])
+        self._version = version.value
         folders = [child.id for child in await self.client.browse(ROOT) if not child.is_variable]
         frame_names = await self._read([f"{name}.FrameNames" for name in folders])
         found = []
@@ -187,6 +191,9 @@ class Observer:
     async def _look_around(self, wanted: Wanted, *, thoroughly: bool) -> None:
         """Look at how every valve stands, and what moves slowly of those that are watched."""
         if thoroughly:
+            (version,) = await self._read([VERSION])
+            if version.value != self._version:
+                raise SourceLost(f"{self.client.url}: valves came or went; read anew")
             await self._look_for_changes()
         frames = {n: self._close_up.newest(n) for n in range(len(self.valves))}
         unknown = [number for number, frame in frames.items() if frame is None]

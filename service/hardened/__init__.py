@@ -17,6 +17,7 @@ from service.hardened.address_space.nodes import (
 )
 from service.hardened.address_space.types import Declarations, add_type
 from service.hardened.address_space.units import Unit
+from service.hardened.binary.encoding import instant
 from service.hardened.caller import caller
 from service.hardened.clock import Clock, ManualClock, SystemClock
 from service.hardened.conditions.condition import (
@@ -102,6 +103,7 @@ __all__ = [
     "ensure_certificate",
     "event_fields",
     "expiry_warning",
+    "instant",
     "load_certificate",
     "many_nodes",
     "rejected",

@@ -4,7 +4,7 @@ import asyncio
 import dataclasses
 import datetime as dt
 import ipaddress
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
 from typing import Any, Self
 from urllib.parse import urlparse
 
@@ -23,8 +23,10 @@ from service.hardened.address_space.browse import View
 from service.hardened.address_space.declarations import Method, Value, Variable
 from service.hardened.address_space.insertion import many_nodes, reference
 from service.hardened.address_space.metadata import describe_namespace
-from service.hardened.address_space.packed_nodes import make_later
+from service.hardened.address_space.node_sets import import_node_set, refer, refer_back
+from service.hardened.address_space.packed_nodes import is_below, make_later
 from service.hardened.address_space.plain_values import as_variant
+from service.hardened.address_space.removal import remove
 from service.hardened.address_space.self_description import SelfDescription
 from service.hardened.address_space.watchers import drive, notify
 from service.hardened.audit import Audit
@@ -41,7 +43,7 @@ from service.hardened.history.historian import Historian
 from service.hardened.history.reading import Histories
 from service.hardened.lifecycle import Startable
 from service.hardened.logs import bounded_logger
-from service.hardened.monitoring.event_filter import event_of_asyncua, filter_of_fields
+from service.hardened.monitoring.event_filter import Event, event_of_asyncua, filter_of_fields
 from service.hardened.security.certificates import (
     KEY_BITS,
     ensure_certificate,
@@ -210,6 +212,33 @@ class HardenedServer(Startable):
         """Return the index of a namespace, registering it if it is new."""
         return int(await self.ua.register_namespace(uri))
 
+    async def add_node_set(self, text: str) -> None:
+        """Add the nodes of a UANodeSet, of namespaces that are not the server's own.
+
+        What they need of others must be there. Before the start.
+
+        Raises
+        ------
+        ServerError
+            if it cannot be understood.
+        """
+        try:
+            await import_node_set(self.ua, self._inside.aspace, text)
+        except (ua.UaError, ValueError, KeyError, SyntaxError) as error:
+            raise ServerError(f"a UANodeSet cannot be imported: {error}") from error
+
+    def refer(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+        """Have a node refer to another: browsers find it there, too.
+
+        The target says so as well once :meth:`refer_back` was called, which a folder that is
+        filled later need not hear before it is.
+        """
+        refer(self._inside.aspace, source, ua.NodeId(kind), target)
+
+    def refer_back(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
+        """Say of a node that another refers to it."""
+        refer_back(self._inside.aspace, source, ua.NodeId(kind), target)
+
     def utc(self) -> dt.datetime:
         """Time of day."""
         return instant(self._added_at())
@@ -345,6 +374,30 @@ class HardenedServer(Startable):
         """
         block.take(block.batch(values, source_times, codes, present, self._clock.now(), columns))
 
+    def remove(self, folders: Collection[ua.NodeId], referrers: Collection[ua.NodeId]) -> None:
+        """Take folders away and all below them; who monitors that hears BadNodeIdUnknown.
+
+        Parameters
+        ----------
+        folders
+            As in :meth:`add_later`.
+        referrers
+            All nodes that refer to them.
+        """
+        names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
+        places, gone = self._subscriptions.blocks, dict[Block, list[int]]()
+        for id_ in list(places):
+            if is_below(id_.NamespaceIndex, str(id_.Identifier), names):
+                block, column = places.pop(id_)
+                gone.setdefault(block, []).append(column)
+        for block, columns in gone.items():
+            block.take(block.unknown(columns, self._clock.now()))
+        removed = remove(self._inside.aspace, folders, referrers, self._clock.now())
+        for id_ in removed:
+            self._variables.pop(id_, None)
+            self._methods.pop(id_, None)
+        self._conditions.nodes.forget(removed)
+
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
         """Let clients read what variables have been; who keeps it is asked with each request.
 
@@ -405,6 +458,13 @@ class HardenedServer(Startable):
         """Say once that a condition has changed; who does not listen hears it with a refresh."""
         self._conditions.report(condition)
 
+    def tell(self, event: Event, for_s: float) -> None:
+        """Hand an event to all who listen, and for so long to all who begin to: once to each item.
+
+        It is for those who lost their sessions by what happened, and come back.
+        """
+        self._subscriptions.events.stand(event, for_s)
+
     def add_condition(self, folder: ua.NodeId, condition: Callable[[], Condition]) -> None:
         """Show a condition as what is below an object, from when somebody first looks there.
 
@@ -458,6 +518,11 @@ class HardenedServer(Startable):
     def mark_block(self, block: Block, code: int) -> None:
         """Change the status of a block's values, keeping values and source times."""
         block.take(block.marked(code, self._clock.now()))
+
+    def write_property(self, id_: ua.NodeId, value: ua.Variant) -> None:
+        """Publish a property of the server's own."""
+        now = instant(self._clock.now())
+        self._write_data_value(id_, ua.DataValue(value, ua.StatusCode(), now, now))
 
     def set_service_level(self, level: int) -> None:
         """Say how well the server can serve: 255 best, 0 not at all."""

@@ -10,6 +10,8 @@ The identifiers and paths are a contract with every client and never change::
     Objects/Identification/<Valve>/Diagnostics/…     s=<Valve>.Diagnostics.<Counter>
     Objects/Identification/<Valve>/…                 s=<Valve>.Frame, s=<Valve>.FrameNames
     Objects/Identification/<Valve>/Alarms/<Alarm>/…  s=<Valve>.Alarms.<Alarm>.<Variable>
+    Objects/Identification/<Valve>/…                 s=<Valve>.Identification.<Property>,
+                                                     s=<Valve>.DeviceHealth: names of Devices (DI)
     Objects/Identification/Service/<Part>/…          s=Service.<Part>.<Variable>
 """
 
@@ -43,12 +45,17 @@ WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
+IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # by the names of Devices
+NODE_VERSION = "NodeVersion"
 
 U_RANGE = (0.0, 100.0)
 T_RANGE = (-20.0, 100.0)  # °C, of hydraulic oil
 YEAR_S = 3.15e7
 
-_TAKEN = {INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE}
+_TAKEN = {
+    *(INVERSE, DIAGNOSTICS, FRAME, FRAME_NAMES, SIGNALS, ALARMS, BASELINE),
+    *(IDENTIFICATION, DEVICE_HEALTH, NODE_VERSION),
+}
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _Range = tuple[float, float]
 

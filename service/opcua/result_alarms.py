@@ -4,7 +4,7 @@ As plain tags, since many clients know no others, and as conditions (Part 9): ea
 same report, and what is done by way of the one shows at the other.
 """
 
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -81,6 +81,8 @@ class ResultAlarms:
         Writes a variable of a valve, or of the service.
     note
         Shows what was done to a valve.
+    stands
+        Takes how all alarms of a valve stand, when one of them changed.
     keep
         Takes what changed, for the history; None: there is none.
     """
@@ -93,6 +95,7 @@ class ResultAlarms:
         clock: Clock,
         show: Show,
         note: Callable[[str, str], None],
+        stands: Callable[[str, Sequence[AlarmReport]], None],
         keep: Callable[[AlarmChange], None] | None = None,
     ) -> None:
         self._server = server
@@ -102,10 +105,25 @@ class ResultAlarms:
         self._clock = clock
         self._show = show
         self._note = note
+        self._stands = stands
         self._keep = keep
         self._versions = np.zeros(len(self._names), np.int64)
         self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
         server.keep_conditions(self)
+
+    def follow(
+        self,
+        names: Sequence[str],
+        shown: Collection[str],
+        keep: Callable[[AlarmChange], None] | None,
+    ) -> None:
+        """Go on with other valves: ``names`` by slot, those ``shown`` now; forget the others."""
+        self._names = list(names)
+        self._valves = frozenset(shown)
+        self._keep = keep
+        self._versions = np.zeros(len(names), np.int64)
+        owners = {*shown, SERVICE}
+        self._reported = {key: at for key, at in self._reported.items() if key[0] in owners}
 
     def publish(self, results: Results, now: int) -> None:
         """Show what changed of valves' alarms."""
@@ -115,7 +133,9 @@ class ResultAlarms:
         changed = np.flatnonzero(versions != self._versions[valves])
         self._versions[valves] = versions
         for m in changed.tolist():
-            self.take(self._names[valves[m]], results.alarms.reports(m), now)
+            name, reports = self._names[valves[m]], results.alarms.reports(m)
+            self.take(name, reports, now)
+            self._stands(name, reports)
 
     def take(self, owner: str, reports: Iterable[AlarmReport], now: int) -> None:
         """Show how alarms stand that ever came, and report each that changed."""
@@ -235,8 +255,9 @@ class ResultAlarms:
         return answered(asked, lambda _: self._acted(name, valve, alarm, comment, now))
 
     def _acted(self, name: str, valve: str | None, alarm: str, comment: str, now: int) -> None:
-        reports = [report for report in self._operator.alarms(valve) if report.name == alarm]
-        self.take(SERVICE if valve is None else valve, reports, now)
+        owner, every = SERVICE if valve is None else valve, self._operator.alarms(valve)
+        self.take(owner, [report for report in every if report.name == alarm], now)
+        self._stands(owner, every)
         if valve is not None:
             self._note(valve, f"{ALARMS}.{alarm} {name} {comment[:MOST_OF_A_COMMENT]!r}")
 

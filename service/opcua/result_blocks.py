@@ -26,6 +26,7 @@ from service.opcua.information_model import (
 )
 from service.opcua.result_frames import frame_names, frame_variables
 from service.opcua.result_values import Column
+from service.streaming.nameplate import BLANK
 from service.streaming.ports import ValveDescription
 
 _Kind = tuple[ua.VariantType, int | None]
@@ -71,7 +72,10 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
 
 
 class ResultBlocks:
-    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any."""
+    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any.
+
+    Valves are alike whatever their names and plates.
+    """
 
     def __init__(
         self, server: HardenedServer, valves: Sequence[ValveDescription], now: int
@@ -80,7 +84,7 @@ class ResultBlocks:
         self._where: dict[str, NDArray[np.intp]] = {}  # block and column by valve; -1: none
         alike: dict[ValveDescription, list[int]] = {}
         for number, valve in enumerate(valves):
-            alike.setdefault(replace(valve, name=""), []).append(number)
+            alike.setdefault(replace(valve, name="", nameplate=BLANK), []).append(number)
         sizes: dict[_Kind, int] = {}
         for described, numbers in alike.items():
             for kind, variables in _by_kind(changing_variables(described)).items():
@@ -122,6 +126,44 @@ class ResultBlocks:
             self._server.write_block(
                 self._blocks[number], values[None], t[None], codes[None], columns=places
             )
+
+
+class Generations:
+    """The blocks of valves that came at different times: each has a slot for good."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[ResultBlocks, NDArray[np.intp]]] = []  # place by slot; -1: none
+        self._slots = 0
+
+    def add(self, server: HardenedServer, valves: Sequence[ValveDescription], now: int) -> None:
+        """Make room for more valves, in the next slots."""
+        if not valves:
+            return
+        count = len(valves)
+        self._parts = [(one, np.append(at, np.full(count, -1))) for one, at in self._parts]
+        places = np.append(np.full(self._slots, -1), np.arange(count))
+        self._parts.append((ResultBlocks(server, valves, now), places))
+        self._slots += count
+
+    def keep(self, slots: Times) -> None:
+        """Let go of what holds none of these slots."""
+        self._parts = [(one, at) for one, at in self._parts if (at[slots] >= 0).any()]
+
+    def show(self, slot: int, name: str, variable: Variable) -> None:
+        """Let a variable show what is written here of it."""
+        for blocks, places in self._parts:
+            if places[slot] >= 0:
+                blocks.show(int(places[slot]), name, variable)
+
+    def write(self, slots: Times, columns: Iterable[Column]) -> None:
+        """Publish variables of valves that are treated alike."""
+        given = list(columns)
+        for blocks, places in self._parts:
+            own = places[slots] >= 0
+            if own.all():
+                blocks.write(places[slots], given)
+            elif own.any():
+                blocks.write(places[slots][own], (column[own] for column in given))
 
 
 def _by_kind(variables: Iterable[Changing]) -> dict[_Kind, list[Changing]]:

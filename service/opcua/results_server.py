@@ -1,7 +1,10 @@
 """The results server: what was identified, for any OPC UA client, and what operators may do."""
 
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
+from inspect import isawaitable
 from typing import Any
 
 import numpy as np
@@ -35,6 +38,7 @@ from service.identification.samples import Floats, Quality, Status
 from service.identification.survey import axes
 from service.opcua.answers import answered, say_nothing
 from service.opcua.changed_results import ChangedResults
+from service.opcua.companions import Companions, add_companions
 from service.opcua.information_model import (
     ALARMS,
     ARMED,
@@ -44,6 +48,7 @@ from service.opcua.information_model import (
     INVERSE,
     LAST_ACTION,
     NAMESPACE,
+    NODE_VERSION,
     PARAMETERS,
     PENDING,
     ROOT,
@@ -73,10 +78,12 @@ from service.opcua.information_model import (
     timing_variable,
     waiting_variable,
 )
+from service.opcua.model_changes import model_change, version_of_root, version_of_valve
 from service.opcua.past import AlarmsPast, ResultsPast, has_past
 from service.opcua.result_alarms import ResultAlarms
-from service.opcua.result_blocks import ResultBlocks
+from service.opcua.result_blocks import Generations
 from service.opcua.result_frames import frame_names, frame_variables, frames
+from service.opcua.result_health import ResultHealth
 from service.opcua.result_types import ESTIMATOR, VALVE, add_types, type_of
 from service.opcua.result_values import (
     Column,
@@ -85,6 +92,7 @@ from service.opcua.result_values import (
     columns_of,
     service_values,
 )
+from service.opcua.successive_operator import SuccessiveOperator
 from service.streaming.feedforward import FeedForwardStatus
 from service.streaming.ports import (
     AlarmChange,
@@ -107,6 +115,7 @@ _PARTS = {
 }
 _AddPart = Callable[["_Place", ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
 _Place = HardenedServer | Declarations
+_SAID_FOR_S = 600.0  # what another configuration changed, to clients that come back
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
@@ -143,6 +152,9 @@ class ResultsServer(Startable):
         What signals, results and alarms have been; None: that cannot be asked.
     on_alarm
         Takes each change of an alarm, to be kept.
+    before
+        What was shown until now, where this server follows another: who comes back is told what
+        has changed; None: nobody comes back.
     """
 
     def __init__(
@@ -155,16 +167,19 @@ class ResultsServer(Startable):
         on_reload: Callable[[], Awaitable[None]] | None = None,
         past: PastStore | None = None,
         on_alarm: Callable[[AlarmChange], None] | None = None,
+        before: Sequence[ValveDescription] | None = None,
     ) -> None:
         check_names(valves)
         self._settings = settings
-        self._valves = tuple(valves)
-        self._operator = operator
+        self._valves = list(valves)  # by slot, for good: also those that are gone
+        self._in_charge = SuccessiveOperator(operator)
+        self._operator = self._in_charge.as_operator()
         self._clock = clock or SystemClock()
         self._server: HardenedServer | None = None
         self._variables: dict[str, Variable] = {}
         self._not_shown: dict[str, Shown] = {}  # the newest of what has no node yet, by id
-        self._numbers = {valve.name: number for number, valve in enumerate(self._valves)}
+        self._slots = {valve.name: slot for slot, valve in enumerate(self._valves)}
+        self._slot_of = np.arange(len(self._valves))  # of each of the operator's valves
         self._demands = {valve.name: (np.nan, np.nan) for valve in self._valves}
         self._sequences = np.zeros(len(self._valves), np.int64)
         self._scalars_interval_s = scalars_interval_s
@@ -172,11 +187,14 @@ class ResultsServer(Startable):
         self._store = past
         self._past = None if past is None else ResultsPast(past)
         self._on_alarm = on_alarm
+        self._before = before
         self._scalars_due = np.full(len(self._valves), -np.inf)
         counters = max((len(valve.counters) for valve in self._valves), default=0)
         self._changed = ChangedResults(len(self._valves), counters)
-        self._blocks: ResultBlocks
+        self._blocks = Generations()
         self._alarms: ResultAlarms
+        self._health: ResultHealth
+        self._companions: Companions
         self._service_alarms: tuple[AlarmReport, ...] = ()
 
     @property
@@ -200,7 +218,9 @@ class ResultsServer(Startable):
         root = await add_object(
             server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
         )
-        self._blocks = ResultBlocks(server, self._valves, self._clock.now())
+        self._companions = await add_companions(server)
+        self._blocks.add(server, self._valves, self._clock.now())
+        self._health = ResultHealth(server, self._clock)
         self._alarms = ResultAlarms(
             server,
             self._valves,
@@ -208,18 +228,13 @@ class ResultsServer(Startable):
             self._clock,
             partial(self._show, server),
             self._note,
+            self._health.stands,
             self._on_alarm,
         )
+        await add_property(server, root, NODE_VERSION, version_of_root(self._valves))
         server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
         if self._past is not None:
             server.add_history((), self._past)
-        store, fields = self._store, event_fields()
-        past = None if store is None else AlarmsPast(store, self._alarms.event_of)
-
-        def remember_events(*emitters: ua.NodeId) -> None:
-            if past is not None:
-                server.add_event_history(emitters, past, fields)
-
         with many_nodes():
             await add_types(
                 server,
@@ -228,20 +243,120 @@ class ResultsServer(Startable):
                 self._declare_alarm,
                 self._parts(),
             )
-            kind = type_of(server, VALVE)
-            for number, valve in enumerate(self._valves):
-                words = f"The valve {valve.name} and what is known of it."
-                folder = await add_object(
-                    server, root, valve.name, description=words, type_definition=kind
-                )
-                server.let_emit(folder)
-                remember_events(folder)  # before it is put aside, or it would be made at once
-                server.add_later(folder, partial(self._add_valve, server, folder, number))
+            for slot in range(len(self._valves)):
+                await self._add_folder(server, root, slot)
             await self._add_service(server, root)
         service = ua.NodeId(SERVICE, server.namespace_index)
-        remember_events(root, service, ua.NodeId(ua.ObjectIds.Server))
+        self._remember_events(server, root, service, ua.NodeId(ua.ObjectIds.Server))
         await server.start()
         self._server = server
+        if self._before is not None:
+            self._tell_what_changed(server, self._before, self._valves)
+
+    async def follow(
+        self,
+        valves: Sequence[ValveDescription],
+        operator: Operator,
+        scalars_interval_s: float = 0.0,
+        on_alarm: Callable[[AlarmChange], None] | None = None,
+    ) -> None:
+        """Go on with other valves, of another operator; sessions and subscriptions live on.
+
+        Valves that are described as before keep their nodes, and who monitors these misses nothing.
+        Nodes of the others come and go; who listens to the Server object is told.
+
+        Raises
+        ------
+        ConfigurationError
+            if a name cannot be; nothing has changed then.
+        """
+        check_names(valves)
+        server, now = self._server, self._clock.now()
+        assert server is not None  # noqa: S101 - it was started
+        before = [self._valves[slot] for slot in self._slots.values()]
+        after = {valve.name: valve for valve in valves}
+        gone = {valve.name for valve in before if after.get(valve.name) != valve}
+        self._remove_valves(server, gone)
+        came = [valve for valve in valves if valve.name not in self._slots]
+        self._in_charge.hand_over(operator)
+        self._scalars_interval_s = scalars_interval_s
+        self._valves += came
+        self._slots |= {v.name: len(self._valves) - len(came) + k for k, v in enumerate(came)}
+        self._slot_of = np.array([self._slots[valve.name] for valve in valves], np.intp)
+        self._sequences = np.append(self._sequences, np.zeros(len(came), np.int64))
+        self._scalars_due = np.append(self._scalars_due, np.full(len(came), -np.inf))
+        counters = max((len(valve.counters) for valve in self._valves), default=0)
+        self._changed = ChangedResults(len(self._valves), counters)
+        self._blocks.keep(self._slot_of[self._slot_of < len(self._valves) - len(came)])
+        self._blocks.add(server, came, now)
+        self._alarms.follow([valve.name for valve in self._valves], after, on_alarm)
+        root = ua.NodeId(ROOT, server.namespace_index)
+        with many_nodes():
+            for valve in came:
+                await self._add_folder(server, root, self._slots[valve.name])
+        await self._demand_again(after)
+        self._tell_what_changed(server, before, valves)
+
+    def take_no_commands(self) -> None:
+        """Refuse what would change the operator, until another one follows."""
+        self._in_charge.refuses = True
+
+    async def _add_folder(self, server: HardenedServer, root: ua.NodeId, slot: int) -> None:
+        """Add a valve; what is below it is added later."""
+        valve = self._valves[slot]
+        folder = await add_object(
+            server,
+            root,
+            valve.name,
+            description=f"The valve {valve.name} and what is known of it.",
+            type_definition=type_of(server, VALVE),
+        )
+        server.let_emit(folder)
+        # before it is put aside, or it would be made at once
+        self._remember_events(server, folder)
+        self._companions.list_device(folder)
+        server.add_later(folder, partial(self._add_valve, server, folder, slot))
+
+    def _remove_valves(self, server: HardenedServer, names: Collection[str]) -> None:
+        index = server.namespace_index
+        referrers = ua.NodeId(ROOT, index), self._companions.device_set
+        server.remove([ua.NodeId(name, index) for name in names], referrers)
+        for name in names:
+            del self._slots[name]
+            self._demands.pop(name, None)
+            self._health.forget(name)
+        for known in (self._variables, self._not_shown):
+            for id_ in [id_ for id_ in known if id_.partition(".")[0] in names]:
+                del known[id_]
+
+    async def _demand_again(self, valves: Iterable[str]) -> None:
+        """Have the new operator know what stands at the inverse maps."""
+        demands, nothing = self._demands, (np.nan, np.nan)
+        self._demands = {name: demands.get(name, nothing) for name in valves}
+        for name, (Q, dp) in self._demands.items():
+            if not np.isnan(Q):
+                with suppress(CommandRejected):
+                    outcome = self._operator.demand(name, Q, dp)
+                    if isawaitable(outcome):
+                        await outcome
+
+    def _remember_events(self, server: HardenedServer, *emitters: ua.NodeId) -> None:
+        if self._store is not None:
+            past = AlarmsPast(self._store, self._alarms.event_of)
+            server.add_event_history(emitters, past, event_fields())
+
+    def _tell_what_changed(
+        self,
+        server: HardenedServer,
+        before: Sequence[ValveDescription],
+        after: Sequence[ValveDescription],
+    ) -> None:
+        kind, now = type_of(server, VALVE), self._clock.now()
+        event = model_change(before, after, server.namespace_index, kind, now)
+        if event is not None:
+            version = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
+            server.write_property(version, ua.Variant(version_of_root(after)))
+            server.tell(event, _SAID_FOR_S)
 
     async def stop(self) -> None:
         """Close every session and stop listening; safe to call twice."""
@@ -253,6 +368,7 @@ class ResultsServer(Startable):
         """Show results; a later call for the same valve replaces the earlier one."""
         if self._server is None or not len(results.valves):
             return
+        results = replace(results, valves=self._slot_of[results.valves])
         now, valves = self._clock.now(), results.valves
         self._sequences[valves] += 1
         described = self._valves[int(valves[0])]
@@ -267,12 +383,16 @@ class ResultsServer(Startable):
         for valve, new in self._changed.values(results, now):
             self._show(self._server, self._valves[valve].name, new)
         self._alarms.publish(results, now)
+        for number in valves[self._sequences[valves] == 1].tolist():
+            name = self._valves[number].name
+            if name in self._health:
+                self._health.stands(name, self._operator.alarms(name))
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""
         if self._server is None:
             return
-        now, every = self._clock.now(), np.arange(len(self._valves))
+        now, every = self._clock.now(), self._slot_of
         t = np.full(len(every), now)
         good = np.full(len(every), ua.StatusCodes.Good, np.uint32)
         waits = np.uint32(ua.StatusCodes.BadWaitingForInitialData)
@@ -285,6 +405,7 @@ class ResultsServer(Startable):
             (self._variables[name], value, code, now)
             for name, value, code in service_values(health)
         )
+        self._health.stands(SERVICE, health.alarms)
         if health.alarms != self._service_alarms:
             self._service_alarms = tuple(health.alarms)
             self._alarms.take(SERVICE, health.alarms, now)
@@ -307,10 +428,18 @@ class ResultsServer(Startable):
         self._scalars_due[valves[due]] = now + self._scalars_interval_s
         return due
 
-    async def _add_valve(self, server: HardenedServer, folder: ua.NodeId, number: int) -> None:
+    async def _add_valve(self, server: HardenedServer, folder: ua.NodeId, slot: int) -> None:
         """Add what is below a valve's folder; what is in folders there is added later still."""
-        valve = self._valves[number]
+        valve = self._valves[slot]
         server.refer_to_conditions(folder, self._alarms.keys(valve.name))
+        await add_property(server, folder, NODE_VERSION, version_of_valve(valve))
+        await self._companions.add_identification(folder, valve.nameplate)
+        is_heard_of = self._sequences[slot] > 0
+        self._health.add(
+            valve.name,
+            await self._companions.add_health(folder),
+            self._operator.alarms(valve.name) if is_heard_of else None,
+        )
         await self._add_frame(server, folder, valve)
         add_part = partial(self._add_part, server, folder, valve)
         for estimator in valve.estimators:
@@ -396,6 +525,7 @@ class ResultsServer(Startable):
         )
         server.let_emit(folder)
         server.refer_to_conditions(folder, self._alarms.keys(None))
+        self._health.add(SERVICE, await self._companions.add_health(folder), None)
         for part, variables in service_variables().items():
             parent = await add_object(server, folder, part, description=_PARTS[part])
             for node in variables:
@@ -618,8 +748,8 @@ class ResultsServer(Startable):
         valve, _, name = node.id.partition(".")
         if node.id in self._not_shown:
             self._show(server, valve, self._not_shown.pop(node.id))
-        if valve in self._numbers:
-            self._blocks.show(self._numbers[valve], name, variable)
+        if valve in self._slots:
+            self._blocks.show(self._slots[valve], name, variable)
         return variable
 
     def _demand_flow(self, valve: str, Q: float) -> Answer[None]:
@@ -648,7 +778,8 @@ class ResultsServer(Startable):
 
     def _show_baseline(self, valve: str) -> None:
         """At once: who has called may read."""
-        found = self._operator.baseline(self._numbers[valve])
+        (number,) = np.flatnonzero(self._slot_of == self._slots[valve]).tolist()
+        found = self._operator.baseline(number)
         if self._server is not None:
             for new in baseline_values(found, self._clock.now()):
                 self._show(self._server, valve, new)

@@ -25,6 +25,8 @@ _LOOK_S: Final = 0.1  # changes that were sent are taken so often
 _REFUSED_RETRY_S: Final = 10.0  # whoever is refused need not ask often
 _ASK_S: Final = 2.0  # how often the service has to answer
 _CURRENT_TIME: Final = 2258  # of the Server object
+_VERSIONS: Final = ".NodeVersion"  # of nodes, not of what they show
+_VERSION: Final = f"{_ROOT}{_VERSIONS}"  # another one: valves came or went
 _KINDS: Final = {
     "Boolean": DataType.BOOLEAN,
     "SByte": DataType.INT8,
@@ -121,6 +123,7 @@ class Reader:
 
     async def _follow(self) -> None:
         asked_at = self._clock.monotonic()
+        (version,) = await self._service.read([_VERSION])
         while True:
             self._take(self._service.changes())
             if self._service.lost:
@@ -128,7 +131,10 @@ class Reader:
                 raise SourceLost(f"{self._service.url}: it sent more than was taken; read anew")
             self._shown.count(OVERFLOWS, self._overflows, self._clock.now())
             if self._clock.monotonic() - asked_at >= _ASK_S:
-                await self._service.read([_CURRENT_TIME])  # a line that was cut says nothing
+                # a line that was cut says nothing
+                _, now = await self._service.read([_CURRENT_TIME, _VERSION])
+                if now.value != version.value:
+                    raise SourceLost(f"{self._service.url}: valves came or went; read anew")
                 asked_at = self._clock.monotonic()
             await asyncio.sleep(_LOOK_S)
 
@@ -145,6 +151,8 @@ class Reader:
             level = []
             for child in children:
                 device, _, name = child.id.partition(".")
+                if child.id.endswith(_VERSIONS):
+                    continue
                 if child.is_variable:
                     owner = None if device == _OF_SERVICE else device
                     dotted = child.id if owner is None else name

@@ -456,6 +456,7 @@ class Identification:
                 map_Q=plan.map_Q,
                 map_dp=plan.map_dp,
                 counters=COUNTERS,
+                nameplate=plan.nameplate,
             )
             for plan in self.plans
         )

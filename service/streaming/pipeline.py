@@ -27,6 +27,7 @@ from service.streaming.alarm_states import AlarmRule
 from service.streaming.alarms import RULES, Alarm
 from service.streaming.feedforward import FeedForward
 from service.streaming.kernels import score as of_score
+from service.streaming.nameplate import BLANK, Nameplate
 from service.streaming.quality_gate import GateState, QualityGate
 from service.streaming.score import Score
 
@@ -81,7 +82,7 @@ class ValvePlan:
     are the axes of the published table; ``feed_forward`` says how its answer may be written to the
     valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
     ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing,
-    ``alarms`` when each comes and goes.
+    ``alarms`` when each comes and goes; ``nameplate`` is for those who look.
     """
 
     name: str
@@ -96,6 +97,7 @@ class ValvePlan:
     accuracy: SensorAccuracy = EXACT
     nodes: Mapping[str, str] = field(default_factory=dict)
     alarms: Mapping[Alarm, AlarmRule] = field(default_factory=lambda: RULES)
+    nameplate: Nameplate = BLANK
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from service.identification.samples import Codes, Floats, Quality, Status, Times
 from service.identification.survey import Survey
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
+from service.streaming.nameplate import BLANK, Nameplate
 
 
 @dataclass(frozen=True)
@@ -158,6 +159,7 @@ class ValveDescription:
     map_Q: tuple[float, ...] = ()
     map_dp: tuple[float, ...] = ()
     counters: tuple[str, ...] = ()
+    nameplate: Nameplate = BLANK
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.app import memory
-from service.app.memory import give_back, trimming
+from service.app.memory import giving_back, trimming
 
 MB = 1e6
 
@@ -41,13 +41,11 @@ async def test_it_is_asked_for_again_and_again(monkeypatch):
             loop.call_soon_threadsafe(often.set)
 
     monkeypatch.setattr(memory, "trimming", lambda: trim)
-    giving = asyncio.create_task(give_back(interval_s=0.0))
-    await asyncio.wait_for(often.wait(), 30.0)
-    giving.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await giving
+    async with giving_back(interval_s=0.0):
+        await asyncio.wait_for(often.wait(), 30.0)
 
 
 async def test_where_the_c_library_cannot_nothing_is_done(monkeypatch):
     monkeypatch.setattr(memory, "trimming", lambda: None)
-    await asyncio.wait_for(give_back(), 30.0)
+    async with giving_back():
+        pass

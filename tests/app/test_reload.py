@@ -4,22 +4,26 @@ import asyncio
 import signal
 import sys
 from contextlib import asynccontextmanager, suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import structlog
 from asyncua import Client, ua
+from support.conditions import until
 from support.processes import free_port, rig_url, running, service_url, wait_for
 
 from service.app.build import build_identification
 from service.app.reload import Reload
 from service.app.serve import serve
+from service.app.shown import is_same_server
 from service.config.estimators import RlsConfig
 from service.config.models import NodesConfig, ValveConfig
-from service.errors import ConfigurationError
+from service.errors import ConfigurationError, StorageError
 from service.hardened import Role, ServerSettings, UserStore
 from service.identification.samples import Samples
 from service.storage.checkpoints import CheckpointFile
+from service.streaming.live import LiveService
 from virtual_rig.scenario import BUILTIN, ValveBench
 from virtual_rig.server import RigServer
 
@@ -179,6 +183,90 @@ async def test_a_faulty_configuration_is_refused_and_the_old_one_goes_on(served,
     assert len(said) == 3
     for line, reason in zip(said, ("valves[0].name", "Nowhere", "state.file"), strict=True):
         assert reason in line
+
+
+class Heard:
+    """What a client's subscription was sent."""
+
+    def __init__(self):
+        self.events = asyncio.Queue()
+        self.counts = {}
+
+    def event_notification(self, event):
+        self.events.put_nowait(event)
+
+    def datachange_notification(self, node, value, data):
+        name = str(node.nodeid.Identifier)
+        self.counts[name] = self.counts.get(name, 0) + 1
+
+
+async def test_sessions_stay_and_are_told_which_valves_came_and_went(served):
+    boom, bucket, _ = served.config.valves
+    swing = ValveConfig(name="Swing", estimators=(SLOW,))
+    heard = Heard()
+    async with Client(served.config.server.url) as client:
+        subscription = await client.create_subscription(50, heard)
+        kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
+        await subscription.subscribe_events(client.nodes.server, kind)
+        index = await client.get_namespace_index("urn:valvemap:service")
+        residual = client.get_node(ua.NodeId("Boom.RLS.Residual", index))
+        await subscription.subscribe_data_change(residual)
+        served.config = served.config.model_copy(update={"valves": (swing, boom, bucket)})
+        await served.reload.call()
+        async with asyncio.timeout(30.0):
+            event = await heard.events.get()
+        verbs = {one.Affected.Identifier: one.Verb for one in event.Changes}
+        assert (verbs["Swing"], verbs["Stick"]) == (1, 2)  # NodeAdded, NodeDeleted
+        assert "Boom" not in verbs
+        await served.until_more("Swing")
+        before = heard.counts["Boom.RLS.Residual"]
+        await until(lambda: heard.counts["Boom.RLS.Residual"] > before)
+        count = client.get_node(ua.NodeId("Swing.RLS.SampleCount", index))
+        assert await count.read_value() > 0
+
+
+async def test_what_fails_to_start_gives_way_and_sessions_stay(served, monkeypatch):
+    start, failures = LiveService.start, [StorageError("disk: no room")]
+
+    async def fails_once(self, known=()):
+        if failures and any(plan.name == "Swing" for plan in self.identification.plans):
+            raise failures.pop()
+        await start(self, known)
+
+    monkeypatch.setattr(LiveService, "start", fails_once)
+    heard = Heard()
+    async with Client(served.config.server.url) as client:
+        subscription = await client.create_subscription(50, heard)
+        kind = client.get_node(ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType))
+        await subscription.subscribe_events(client.nodes.server, kind)
+        swing = ValveConfig(name="Swing", estimators=(SLOW,))
+        served.config = served.config.model_copy(
+            update={"valves": (*served.config.valves[:2], swing)}
+        )
+        await served.reload.call()
+        verbs = []
+        async with asyncio.timeout(60.0):
+            for _ in range(2):
+                event = await heard.events.get()
+                verbs.append({one.Affected.Identifier: one.Verb for one in event.Changes})
+        assert [(each["Swing"], each["Stick"]) for each in verbs] == [(1, 2), (2, 1)]
+        await served.until_more("Stick")
+        index = await client.get_namespace_index("urn:valvemap:service")
+        count = client.get_node(ua.NodeId("Stick.RLS.SampleCount", index))
+        assert await count.read_value() > 0
+    assert not failures
+
+
+def test_another_address_or_security_is_another_server(config):
+    def plan(**sections):
+        return SimpleNamespace(config=config.model_copy(update=sections), given_settings=None)
+
+    slower = config.server.model_copy(update={"results_interval_ms": 500.0})
+    assert is_same_server(plan(), plan(server=slower, valves=()))
+    elsewhere = config.server.model_copy(update={"url": "opc.tcp://127.0.0.1:4999/other/"})
+    assert not is_same_server(plan(), plan(server=elsewhere))
+    laxer = config.security.model_copy(update={"require_crl": False})
+    assert not is_same_server(plan(), plan(security=laxer))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGHUP")

@@ -156,3 +156,34 @@ def test_an_item_that_was_switched_off_judges_nothing_more(delivery, clock):
     clock.advance(1.0)
     assert slow.taken() == []
     assert slow.charged < 0.001
+
+
+def test_what_stands_is_told_once_to_who_listens_and_to_who_begins_to(delivery, clock):
+    early, late = Subscription(1, clock), Subscription(2, clock)
+    delivery.watch(early, early.item)
+    delivery.stand(event(1, SERVER), 600.0)
+    delivery.watch(late, late.item)
+    delivery.welcome(late, late.item)
+    assert [len(early.taken()), len(late.taken())] == [1, 1]
+
+
+def test_what_stands_is_for_its_emitters_its_audience_and_its_time(delivery, clock):
+    delivery.stand(event(1, SERVER), 600.0)
+    delivery.stand(event(2, SERVER, audience=Role.SECURITY_ADMIN), 600.0)
+    elsewhere, here, after = (
+        Subscription(number, clock, node=node)
+        for number, node in enumerate((PLANT, SERVER, SERVER), 1)
+    )
+    for subscription in (elsewhere, here):
+        delivery.welcome(subscription, subscription.item)
+    clock.advance(600.0)
+    delivery.welcome(after, after.item)
+    assert [len(one.taken()) for one in (elsewhere, here, after)] == [0, 1, 0]
+
+
+def test_only_the_newest_of_what_stands_are_told(delivery, clock):
+    for number in range(30):
+        delivery.stand(event(number, SERVER), 600.0)
+    newcomer = Subscription(1, clock)
+    delivery.welcome(newcomer, newcomer.item)
+    assert len(newcomer.taken()) == 10

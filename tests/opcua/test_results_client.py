@@ -66,7 +66,7 @@ async def client(served):
 
 async def test_what_is_below_a_node_is_found_by_its_identifier(client):
     found = {child.id: child for child in await client.browse("Identification")}
-    assert sorted(found) == ["Service", "V1"]
+    assert sorted(found) == ["Identification.NodeVersion", "Service", "V1"]
     assert (found["V1"].is_variable, found["V1"].is_method) == (False, False)
     below = {child.id: child for child in await client.browse("V1.RLS")}
     assert below["V1.RLS.Residual"].is_variable

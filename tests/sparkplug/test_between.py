@@ -106,6 +106,17 @@ async def test_births_hold_every_scalar_and_no_table_and_no_condition():
         assert not any("Condition" in id_ for id_ in whole.service.browsed)
 
 
+async def test_valves_that_come_while_the_service_runs_are_born(monkeypatch):
+    monkeypatch.setattr("service.sparkplug.reader._ASK_S", 0.0)
+    async with running(wanted=("V*", "RLS.*")) as whole:
+        await whole.births(1)
+        whole.service.variables["V2.RLS.Residual"] = ("Double", Read(0.7))
+        whole.service.version = "2"
+        await whole.births(3)  # the first one again, and the new one
+        topics = {topic for topic in whole.shown.tags if topic}
+        assert topics == {"V1", "V2"}
+
+
 async def test_patterns_choose_what_is_sent():
     async with running(wanted=("*.Residual", "Service.*")) as whole:
         await whole.births(1)

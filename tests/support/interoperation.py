@@ -35,6 +35,7 @@ from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.storage.history import HistoryFile
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
 from service.streaming.identification import Identification
+from service.streaming.nameplate import Nameplate
 from service.streaming.past import PastKeeper
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import QualityGate
@@ -78,7 +79,10 @@ class Stage:
 
 def identification():
     gate, estimators = QualityGate(), {"RLS": RecursiveLeastSquares(FiveTerms())}
-    plan = ValvePlan(name="Valvistor", gate=gate, estimators=estimators, inverse="RLS")
+    plate = Nameplate(manufacturer="Muster AG", model="V-100", component_name="Valvistor")
+    plan = ValvePlan(
+        name="Valvistor", gate=gate, estimators=estimators, inverse="RLS", nameplate=plate
+    )
     return Identification([plan], Alignment(AlignmentSettings(), has_T=(True,)))
 
 

@@ -274,9 +274,10 @@ class Operations:
         return self.o6.NodeId(text)
 
     def _index(self, name, uri):
-        """The namespaces of each connection have numbers of their own."""
-        scope = self.connections[name].scope
-        return next(found.index for found in self.o6.ns.filter(uri=uri) if found.scope == scope)
+        """The namespaces of each connection have numbers of their own, but for those o6 knows."""
+        scope, known = self.connections[name].scope, list(self.o6.ns.filter(uri=uri))
+        own = [found.index for found in known if found.scope == scope]
+        return [*own, *(found.index for found in known)][0]
 
     def _value(self, value):
         content = value["value"]

@@ -10,9 +10,12 @@ from asyncua import ua
 from support.interoperation import PERIOD_S, SAMPLES, VALVE, Codes, taken
 from support.plant import START
 
+from service.opcua.companions import DI
 from service.opcua.results_server import NAMESPACE
+from service.streaming.device_health import DeviceHealth
 
 HAS_TYPE, HAS_SUBTYPE, HAS_CONDITION = "i=40", "i=45", "i=9006"
+HAS_INTERFACE = "i=17603"
 OBJECT_TYPES = f"i={ua.ObjectIds.BaseObjectType}"
 TYPES = f"nsu={NAMESPACE};s=Types"
 START_MS = START // 1_000_000
@@ -27,6 +30,16 @@ async def listed(operator, name, **wanted):
             found = shown.get(name)
             if found is not None and wanted.items() <= found.items():
                 return found
+            await asyncio.sleep(0.05)
+
+
+async def health(observer, expected):
+    """Wait until the valve is so."""
+    async with asyncio.timeout(30.0):
+        while True:
+            found = await observer.ask("read", node=f"{VALVE}.DeviceHealth")
+            if (found["value"], found["code"]) == (int(expected), Codes.Good):
+                return
             await asyncio.sleep(0.05)
 
 
@@ -109,3 +122,28 @@ class ScadaInteroperation:
         asked = {"start": START_MS, "end": START_MS + 1_000}
         found = await observer.ask("history", node=f"{VALVE}.RLS.ParameterVector", **asked)
         assert found["code"] == Codes.BadHistoryOperationUnsupported
+
+    async def test_it_finds_valves_and_their_plates_by_the_names_of_devices(self, observer):
+        device = [[DI, "DeviceSet"], [NAMESPACE, "Valvistor"]]
+        plate = f"{VALVE}.Identification"
+        for name, text in (("Manufacturer", "Muster AG"), ("Model", "V-100")):
+            path = [*device, [DI, "Identification"], [DI, name]]
+            found = await observer.ask("follow", node="i=85", path=path)
+            assert found["targets"] == [f"Valvistor.Identification.{name}"]
+            read = await observer.ask("read", node=f"{plate}.{name}")
+            assert (read["value"], read["code"]) == (text, Codes.Good)
+        unknown = await observer.ask("read", node=f"{plate}.SerialNumber")
+        assert unknown["code"] == Codes.UncertainInitialValue
+        of = await observer.ask("browse", node=plate, reference=HAS_TYPE)
+        assert of["names"] == ["MachineryComponentIdentificationType"]
+        interfaces = await observer.ask("browse", node=VALVE, reference=HAS_INTERFACE)
+        assert interfaces["names"] == ["IDeviceHealthType"]
+
+    async def test_it_reads_a_valves_health(self, observer, stage):
+        path = [[DI, "DeviceSet"], [NAMESPACE, "Valvistor"], [DI, "DeviceHealth"]]
+        found = await observer.ask("follow", node="i=85", path=path)
+        assert found["targets"] == ["Valvistor.DeviceHealth"]
+        alarms = stage.live._fleets[0].alarms
+        for lag, expected in ((0.3, DeviceHealth.MAINTENANCE_REQUIRED), (0.0, DeviceHealth.NORMAL)):
+            alarms.note_lags(np.array([0]), np.array([lag]))
+            await health(observer, expected)

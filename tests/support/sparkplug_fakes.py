@@ -103,6 +103,7 @@ class FakeService:
         self.variables = dict(variables)
         self.up, self.has_room, self.lost = True, True, 0
         self.sent, self.watched, self.browsed = [], (), []
+        self.version = "1"
 
     async def connect(self):
         self._check()
@@ -130,7 +131,12 @@ class FakeService:
 
     async def read(self, ids):
         self._check()
-        return [Read(0) if isinstance(id_, int) else self.variables[id_][1] for id_ in ids]
+        return [self._one(id_) for id_ in ids]
+
+    def _one(self, id_):
+        if id_ == "Identification.NodeVersion":
+            return Read(self.version)
+        return Read(0) if isinstance(id_, int) else self.variables[id_][1]
 
     async def watch(self, ids, _every_s):
         self._check()

@@ -5,7 +5,7 @@ A block is written as arrays, and its monitored items are served as arrays by ``
 client sees no difference.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Protocol, Self
@@ -263,6 +263,12 @@ class Block:
             ticks_of_ns(now),
             None,
         )
+
+    def unknown(self, columns: Sequence[int], now: int) -> Batch:
+        """Make a batch that says of some columns that their variables are gone."""
+        one = () if self.length is None else (self.length,)
+        values = np.zeros((1, len(columns), *one), self.dtype)
+        return self.batch(values, [now], ua.StatusCodes.BadNodeIdUnknown, None, now, columns)
 
     def _content(self, data: ua.DataValue) -> tuple[Any, int, bool, int, int]:
         """Value (0 if there is none), code, whether there is a value, source and server time."""

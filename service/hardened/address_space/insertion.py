@@ -113,16 +113,17 @@ def insert(aspace: AddressSpace, item: ua.AddNodesItem, utc: dt.datetime) -> ua.
 def property_item(
     parent: ua.NodeId,
     id_: ua.NodeId,
-    name: str,
+    name: str | ua.QualifiedName,
     value: Any,  # noqa: ANN401 - of any type
 ) -> ua.AddNodesItem:
-    """Describe a property; its name is of the standard's namespace."""
+    """Describe a property; its name is of the standard's namespace, if it does not say another."""
     content = ua.Variant(value)
-    text = ua.LocalizedText(name)
+    named = name if isinstance(name, ua.QualifiedName) else ua.QualifiedName(name, 0)
+    text = ua.LocalizedText(named.Name)
     item = ua.AddNodesItem()
     item.RequestedNewNodeId = id_
     item.ParentNodeId = parent
-    item.BrowseName = ua.QualifiedName(name, 0)
+    item.BrowseName = named
     item.NodeClass = ua.NodeClass.Variable
     item.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasProperty)
     item.TypeDefinition = ua.NodeId(ua.ObjectIds.PropertyType)

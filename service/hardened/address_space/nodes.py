@@ -2,6 +2,7 @@
 
 import datetime as dt
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from asyncua import ua
@@ -50,6 +51,8 @@ async def add_object(
     *,
     description: str = "",
     type_definition: ua.NodeId | None = None,
+    name: ua.QualifiedName | None = None,
+    as_add_in: bool = False,
 ) -> ua.NodeId:
     """Add an object.
 
@@ -65,16 +68,19 @@ async def add_object(
         A sentence for who browses.
     type_definition
         Its type; BaseObjectType if None.
+    name
+        Its BrowseName where another namespace gives that.
+    as_add_in
+        The parent has it as an AddIn (Part 3, 4.10.3).
 
     Returns
     -------
     NodeId
     """
-    item = _item(server, parent, id, ua.NodeClass.Object)
+    item = _item(server, parent, id, ua.NodeClass.Object, name)
     organizes = parent is None or parent.NamespaceIndex == 0
-    item.ReferenceTypeId = ua.NodeId(
-        ua.ObjectIds.Organizes if organizes else ua.ObjectIds.HasComponent
-    )
+    kind = ua.ObjectIds.Organizes if organizes else ua.ObjectIds.HasComponent
+    item.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasAddIn if as_add_in else kind)
     item.TypeDefinition = type_definition or ua.NodeId(ua.ObjectIds.BaseObjectType)
     item.NodeAttributes = ua.ObjectAttributes(
         DisplayName=ua.LocalizedText(item.BrowseName.Name),
@@ -101,6 +107,8 @@ async def add_variable(
     on_write: OnWrite | None = None,
     or_nan: bool = False,
     type_definition: ua.NodeId | None = None,
+    data_type: ua.NodeId | None = None,
+    name: ua.QualifiedName | None = None,
 ) -> Variable:
     """Add a variable.
 
@@ -135,13 +143,17 @@ async def add_variable(
         Peers may write NaN, too.
     type_definition
         Its VariableType; None: AnalogUnitRangeType with a unit, BaseDataVariableType without.
+    data_type
+        Its DataType, if that is derived from ``type``, such as an enumeration.
+    name
+        Its BrowseName where another namespace gives that.
 
     Returns
     -------
     Variable
         Handle for :meth:`HardenedServer.write`.
     """
-    item = _item(server, parent, id, ua.NodeClass.Variable)
+    item = _item(server, parent, id, ua.NodeClass.Variable, name)
     item.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasComponent)
     item.TypeDefinition = type_definition or _variable_type(unit, value_range)
     access = 1 << ua.AccessLevel.CurrentRead
@@ -150,7 +162,7 @@ async def add_variable(
     item.NodeAttributes = ua.VariableAttributes(
         DisplayName=ua.LocalizedText(item.BrowseName.Name),
         Description=ua.LocalizedText(description),
-        DataType=ua.NodeId(type.value),
+        DataType=data_type or ua.NodeId(type.value),
         ValueRank=ua.ValueRank.Scalar if dimensions is None else ua.ValueRank(len(dimensions)),
         ArrayDimensions=list(dimensions or ()),
         AccessLevel=access,
@@ -230,25 +242,38 @@ async def add_method(
 async def add_property(
     server: NodeOwner,
     parent: ua.NodeId,
-    name: str,
+    name: str | ua.QualifiedName,
     value: Value,
     data_type: ua.NodeId | None = None,
+    code: int = ua.StatusCodes.Good,
+    description: str = "",
 ) -> None:
     """Add a property; its type is the value's own if ``data_type`` is None."""
-    nodeid = ua.NodeId(f"{parent.Identifier}.{name}", server.namespace_index)
+    last = name.Name if isinstance(name, ua.QualifiedName) else name
+    nodeid = ua.NodeId(f"{parent.Identifier}.{last}", server.namespace_index)
     item = property_item(parent, nodeid, name, value)
     if data_type is not None:
         item.NodeAttributes.DataType = data_type
+    if description:
+        item.NodeAttributes.Description = ua.LocalizedText(description)
     insert(server.address_space, item, server.utc())
+    if code != ua.StatusCodes.Good:
+        held = server.address_space[nodeid].attributes[ua.AttributeIds.Value]
+        held.value = replace(held.value, StatusCode=ua.StatusCode(code))
 
 
 def _item(
-    server: NodeOwner, parent: ua.NodeId | None, name: str, node_class: ua.NodeClass
+    server: NodeOwner,
+    parent: ua.NodeId | None,
+    id_: str,
+    node_class: ua.NodeClass,
+    name: ua.QualifiedName | None = None,
 ) -> ua.AddNodesItem:
     item = ua.AddNodesItem()
     item.ParentNodeId = parent or ua.NodeId(ua.ObjectIds.ObjectsFolder)
-    item.RequestedNewNodeId = ua.NodeId(name, server.namespace_index)
-    item.BrowseName = ua.QualifiedName(name.rsplit(".", 1)[-1], server.namespace_index)
+    item.RequestedNewNodeId = ua.NodeId(id_, server.namespace_index)
+    own = ua.QualifiedName(id_.rsplit(".", 1)[-1], server.namespace_index)
+    item.BrowseName = name or own
     item.NodeClass = node_class
     return item
 

@@ -7,7 +7,7 @@ objects. What a server holds of each of a thousand things alike is a function un
 
 import gc
 import pickle
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, TypeVar
 
 from asyncua import ua
@@ -34,6 +34,16 @@ def make_later(aspace: AddressSpace, folder: ua.NodeId, make: Callable[[], None]
     nodes.make_later(folder, make)
 
 
+def is_below(index: int, name: str, folders: Collection[_Name]) -> bool:
+    """Whether an identifier is one of the folders', or of what is below one of them.
+
+    >>> is_below(1, "V1.RLS.Residual", {(1, "V1")}), is_below(1, "V11.RLS", {(1, "V1")})
+    (True, False)
+    """
+    parts = name.split(".")
+    return any((index, ".".join(parts[:n])) in folders for n in range(1, len(parts) + 1))
+
+
 class PackedNodes(dict[ua.NodeId, NodeData]):
     """What :class:`asyncua.server.address_space.AddressSpace` keeps its nodes in.
 
@@ -58,6 +68,15 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
     def make_later(self, folder: ua.NodeId, make: Callable[[], None]) -> None:
         """See :func:`make_later`; the folder is put aside until then, it has no children yet."""
         self._later[folder.NamespaceIndex, str(folder.Identifier)] = self.pop(folder), make
+
+    def take_away(self, folders: Collection[ua.NodeId]) -> list[NodeData]:
+        """Forget folders and all below them, made or not; return what was made."""
+        names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
+        for later in [later for later in self._later if is_below(*later, names)]:
+            del self._later[later]
+        ids = super().__iter__()
+        below = [id_ for id_ in ids if is_below(id_.NamespaceIndex, str(id_.Identifier), names)]
+        return [self.pop(id_) for id_ in below]
 
     def __missing__(self, id_: ua.NodeId) -> NodeData:
         """Make or unpack a node that nobody asked for yet."""

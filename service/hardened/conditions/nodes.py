@@ -69,6 +69,10 @@ class ConditionNodes:
         self._made.add(id_)
         self.show(condition)
 
+    def forget(self, ids: Iterable[ua.NodeId]) -> None:
+        """Conditions among nodes that were removed have none any more."""
+        self._made.difference_update(ids)
+
     def show(self, condition: Condition) -> None:
         """Write what changed of a condition, if it has nodes."""
         if condition.key.id not in self._made:

@@ -1,5 +1,6 @@
 """Events, made once, handed to the items that monitor the objects they come from."""
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 
 from asyncua import ua
@@ -11,6 +12,7 @@ from service.hardened.monitoring.event_item import EventItem
 from service.hardened.security.users import Role
 from service.hardened.subscriptions.subscription import Subscription
 
+_MOST_STANDING = 10  # events that newcomers are told
 _TURN_S = 0.001  # processor time for the events of one item, before other items' are judged
 
 
@@ -25,6 +27,7 @@ class EventDelivery:
         self._chores = chores
         self._clock = clock
         self._listeners: dict[ua.NodeId, dict[int, tuple[Subscription, EventItem]]] = {}
+        self._standing: deque[tuple[float, Event]] = deque(maxlen=_MOST_STANDING)
 
     def __len__(self) -> int:
         """How many items listen."""
@@ -47,6 +50,21 @@ class EventDelivery:
             for subscription, item in self._listeners.get(emitter, {}).values():
                 if subscription.owner.hears(event.audience):
                     self.offer(subscription, item, event)
+
+    def stand(self, event: Event, for_s: float) -> None:
+        """Hand an event to those who listen, and for so long to those who begin to."""
+        self._standing.append((self._clock.monotonic() + for_s, event))
+        self.trigger(event)
+
+    def welcome(self, subscription: Subscription, item: EventItem) -> None:
+        """Hand an item that begins to listen what still stands."""
+        now = self._clock.monotonic()
+        while self._standing and self._standing[0][0] <= now:
+            self._standing.popleft()
+        for _, event in self._standing:
+            is_its = item.wanted.NodeId in event.emitters
+            if is_its and subscription.owner.hears(event.audience):
+                self.offer(subscription, item, event)
 
     def offer(
         self,

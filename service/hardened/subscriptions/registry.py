@@ -364,6 +364,7 @@ class Subscriptions:
         item, result = event_item(self._aspace, self._limits, subscription, number, request)
         self.events.watch(subscription, item)
         self._keep(subscription, item)
+        self.events.welcome(subscription, item)
         return result
 
     def _is_crowded(self, subscription: Subscription, wanted: ua.ReadValueId) -> bool:

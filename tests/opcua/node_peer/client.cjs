@@ -52,6 +52,7 @@ function plain(value, type) {
     return value[0] * 2 ** 32 + value[1];
   if (ArrayBuffer.isView(value) || Array.isArray(value))
     return Array.from(value, (part) => plain(part, type));
+  if (value.identifierType !== undefined) return value.toString();
   if (value.schema?.name === "LocalizedText") return value.text;
   if (value.schema?.name === "QualifiedName") return value.name;
   const fields = value.schema?.fields ?? [];

@@ -1,14 +1,15 @@
-// Imports a UANodeSet into node-opcua and says what came of it: id, name, class, type, rule, parent.
+// Imports UANodeSets into node-opcua and says what came of the last one's namespace: id, name, class,
+// type, rule, parent.
 const { AddressSpace } = require("node-opcua-address-space");
 const { generateAddressSpace } = require("node-opcua-address-space/nodeJS");
 const { NodeClass } = require("node-opcua-data-model");
 const { nodesets } = require("node-opcua-nodesets");
 
-const [file, uri] = process.argv.slice(2);
+const [uri, ...files] = process.argv.slice(2);
 
 async function run() {
   const space = AddressSpace.create();
-  await generateAddressSpace(space, [nodesets.standard, file]);
+  await generateAddressSpace(space, [nodesets.standard, ...files]);
   const own = space.getNamespace(uri);
   const shown = [...own.nodeIterator()].map((node) => ({
     id: node.nodeId.value,

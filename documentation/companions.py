@@ -1,0 +1,200 @@
+"""The parts of DI and Machinery that the results server has, cut out of the OPC Foundation's files.
+
+``python -m documentation.companions FOLDER`` writes them anew from the NodeSets in a folder, those
+of npm's node-opcua-nodesets that ``tests/opcua/node_peer/package-lock.json`` pins.
+"""
+
+import re
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+KEPT = Path(__file__).parents[1] / "service" / "opcua" / "node_sets"
+_NODES = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
+_VALUES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
+_STANDARD = "http://opcfoundation.org/UA/"
+_HAS_SUBTYPE, _HAS_INTERFACE = "i=45", "i=17603"
+
+Key = tuple[str, str]  # namespace URI, identifier
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is taken of a NodeSet: nodes by their numbers, and all that these need."""
+
+    original: str
+    kept: str
+    wanted: tuple[int, ...]
+
+
+PARTS = (
+    Part(
+        "Opc.Ua.Di.NodeSet2.xml",
+        "di.NodeSet2.xml",
+        (
+            5001,  # DeviceSet
+            15001,  # NamespaceMetadata
+            15035,  # IVendorNameplateType
+            15048,  # ITagNameplateType
+            15051,  # IDeviceHealthType
+        ),
+    ),
+    Part(
+        "Opc.Ua.Machinery.NodeSet2.xml",
+        "machinery.NodeSet2.xml",
+        (
+            1005,  # MachineryComponentIdentificationType
+            1011,  # IMachineTagNameplateType
+            5001,  # NamespaceMetadata
+        ),
+    ),
+)
+
+
+class NodeSet:
+    """One UANodeSet: its elements by what names them in any file."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.root = ET.fromstring(text)  # noqa: S314 - a file of a pinned package, or our own
+        uris = [one.text or "" for one in self.root.iterfind(f"{_tag('NamespaceUris')}/*")]
+        self.uris = (_STANDARD, *uris)
+        self.aliases = {
+            one.get("Alias", ""): one.text or ""
+            for one in self.root.iterfind(f"{_tag('Aliases')}/*")
+        }
+        self.nodes = {
+            self.key(one.get("NodeId", "")): one for one in self.root if one.get("NodeId")
+        }
+
+    def models(self) -> list[ET.Element]:
+        """What it says of itself."""
+        return list(self.root.iterfind(f"{_tag('Models')}/*"))
+
+    def key(self, id_: str) -> Key:
+        """What a NodeId, or its alias, of this file names."""
+        id_ = self.aliases.get(id_, id_)
+        found = re.fullmatch(r"(?:ns=(\d+);)?(.*)", id_)
+        assert found is not None  # noqa: S101 - anything matches
+        return self.uris[int(found[1] or 0)], found[2]
+
+    def name(self, node: ET.Element) -> Key:
+        """Namespace and text of a BrowseName."""
+        index, _, text = node.get("BrowseName", "").partition(":")
+        if not index.isdigit():
+            return _STANDARD, node.get("BrowseName", "")
+        return self.uris[int(index)], text
+
+    def references(self, node: ET.Element) -> Iterator[tuple[Key, bool, Key]]:
+        """Type, direction and target of what a node states."""
+        for one in node.iterfind(f"{_tag('References')}/*"):
+            yield (
+                self.key(one.get("ReferenceType", "")),
+                one.get("IsForward", "true") != "false",
+                self.key(one.text or ""),
+            )
+
+    def needs(self, node: ET.Element) -> Iterator[Key]:
+        """What must be there where a node is: but for subtypes, and for who has an interface."""
+        if node.get("DataType"):
+            yield self.key(node.get("DataType", ""))
+        for kind, forward, target in self.references(node):
+            above = kind == (_STANDARD, _HAS_SUBTYPE)
+            below = kind == (_STANDARD, _HAS_INTERFACE)
+            if not (above and forward) and not (below and not forward):
+                yield target
+
+
+def cut(folder: Path) -> Mapping[str, str]:
+    """File name and text of each part, from the originals in a folder."""
+    originals = [NodeSet((folder / part.original).read_text(encoding="utf-8")) for part in PARTS]
+    kept = closure(originals)
+    return {
+        part.kept: _written(original, kept) for part, original in zip(PARTS, originals, strict=True)
+    }
+
+
+def closure(originals: Sequence[NodeSet]) -> set[Key]:
+    """All nodes that are taken: those that are wanted, and what they need."""
+    every = {key: (whole, node) for whole in originals for key, node in whole.nodes.items()}
+    open_ = [
+        (whole.uris[1], f"i={number}")
+        for part, whole in zip(PARTS, originals, strict=True)
+        for number in part.wanted
+    ]
+    kept: set[Key] = set()
+    while open_:
+        key = open_.pop()
+        if key in kept or key not in every:  # the standard's are there
+            continue
+        kept.add(key)
+        whole, node = every[key]
+        open_ += whole.needs(node)
+    return kept
+
+
+def _written(original: NodeSet, kept: Collection[Key]) -> str:
+    ET.register_namespace("", _NODES)
+    ET.register_namespace("uax", _VALUES)
+    root = original.root
+    used = {uri for uri, _ in kept} | {_STANDARD}
+    for node in [one for key, one in original.nodes.items() if key not in kept]:
+        root.remove(node)
+    for node in root:
+        _drop_references(original, node, kept)
+    _drop(root, "Extensions")
+    uris = root.find(_tag("NamespaceUris"))
+    assert uris is not None  # noqa: S101 - every NodeSet has some
+    for one in [one for one in uris if one.text not in used]:
+        assert one.text == original.uris[-1]  # noqa: S101 - else indices would shift
+        uris.remove(one)
+    for model in root.iterfind(f"{_tag('Models')}/*"):
+        for one in [one for one in model if one.get("ModelUri") not in used]:
+            model.remove(one)
+    aliases = root.find(_tag("Aliases"))
+    assert aliases is not None  # noqa: S101 - both files have them
+    for one in [one for one in aliases if original.key(one.text or "")[0] not in used]:
+        aliases.remove(one)
+    _say_that_it_is_a_part(root)
+    ET.indent(root)
+    licence = re.search(r"<!--.*?-->", original.text, re.DOTALL)
+    assert licence is not None  # noqa: S101 - the files of the OPC Foundation begin with it
+    head = '<?xml version="1.0" encoding="utf-8"?>\n'
+    return f"{head}{licence[0]}\n{ET.tostring(root, 'unicode')}\n"
+
+
+def _drop_references(original: NodeSet, node: ET.Element, kept: Collection[Key]) -> None:
+    stated = node.find(_tag("References"))
+    for one in list(stated) if stated is not None else ():
+        key = original.key(one.text or "")
+        if key[0] != _STANDARD and key not in kept:
+            stated.remove(one)  # type: ignore[union-attr]
+
+
+def _say_that_it_is_a_part(root: ET.Element) -> None:
+    for node in root.iterfind(f"{_tag('UAVariable')}[@BrowseName='IsNamespaceSubset']"):
+        said = node.find(f"{_tag('Value')}/{{{_VALUES}}}Boolean")
+        assert said is not None  # noqa: S101 - the metadata of both have it
+        said.text = "true"
+
+
+def _drop(root: ET.Element, tag: str) -> None:
+    for one in root.findall(_tag(tag)):
+        root.remove(one)
+
+
+def _tag(name: str) -> str:
+    return f"{{{_NODES}}}{name}"
+
+
+def main(folder: Path) -> None:
+    """Write both files."""
+    KEPT.mkdir(exist_ok=True)
+    for name, text in cut(folder).items():
+        (KEPT / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
