@@ -11,7 +11,7 @@ from service.identification.samples import Floats
 
 CLEAR: Final = 4.0  # standard deviations from which on a gain moves
 SURE: Final = 12.0  # ... and from which on it moves all the time: the map is made for later
-LASTING: Final = 4.0  # s that a rate lasts before it is another one
+LASTING: Final = 2.0  # s that a rate lasts before it is another one
 LONGEST_AHEAD: Final = 30.0  # s for which a map is made for later, at most
 MOST: Final = 1e-3  # 1/s: faster is a change, not a drift
 

@@ -67,7 +67,7 @@ from service.identification.samples import Codes, Floats, Segments, Singles, Tim
 A = TypeVar("A", Floats, Times, Codes)
 
 NODES = NODES_A * NODES_B
-BEHIND = 1.3  # times what recent residuals have in common: by how much a map that drifts lags
+BEHIND = 0.9  # times what recent innovations have in common: by how much a map that drifts lags
 EXACT = 1e-30  # of the largest of P's pivots: what is less is known without doubt
 LEAST = 1e-150  # pivot of P, where all are known without doubt
 REVISITS = 30.0  # of places, before which nobody can tell

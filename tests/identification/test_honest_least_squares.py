@@ -96,6 +96,16 @@ def test_damage_on_scattered_data_is_found_whether_the_structure_fits_or_not():
         assert change.size < -1.0
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_where_the_structure_fits_a_first_startling_sample_makes_all_be_looked_at(seed):
+    at = 10_000 + 1_700 * seed  # of later samples one of eight is looked at without suspicion
+    U, dp = honest.scattered(seed, at + 30)
+    Q = honest.eq7(U, dp)
+    Q[at:] *= 0.9
+    state = learnt(U, dp, Q + honest.white(seed, len(U)))
+    assert RLS.change_counts(state) == 1
+
+
 def test_in_slow_noise_the_interval_of_the_true_flow_holds():
     inside, widths, errors = [], [], []
     for seed in range(12):

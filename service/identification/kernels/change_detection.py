@@ -12,12 +12,15 @@ between the nodes (variance LOCAL); over the whole window slow noise, lag, and w
 visit (variance COMMON). So a sample weighs less by as much as makes b vary by them, at the worst,
 no more than by white noise. The variance of white noise itself is that of half the difference of
 consecutive d, which knows nothing of what they have in common.
+
+One of a few samples is looked at. One that theta did not expect makes all be looked at for a while:
+what is said of the plant does not change by that, but it is said sooner.
 """
 
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import CLIP, POWER_MEMORY, Remembered, shake
+from service.identification.kernels.places import CLIP, POWER_MEMORY, PROVEN, Remembered, shake
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
     CHANGES,
@@ -26,6 +29,7 @@ from service.identification.kernels.row_layout import (
     EVIDENCE,
     FLOOR,
     FLOOR_WEIGHT,
+    HASTE,
     LAST_D,
     LOCAL,
     MISFIT,
@@ -66,6 +70,8 @@ TINY = 1e-300
 FIRST = 1500  # samples before which a map is learnt rather than changed
 PATIENCE = 300  # samples after which what was suspected is taken for noise
 EXPERIENCE = 100.0  # looks at places known before, before which all is noise
+STARTLING = 36.0  # times the mean square of residuals: no drift comes to that in one step
+ATTENTION = 32.0  # looks that follow a startling sample
 SUSPICIOUS = 3.0  # standard deviations
 
 _KEEP = 1.0 - WINDOW
@@ -129,6 +135,13 @@ def weigh(
 
 
 @inlined
+def attend(s: Floats, g: int) -> None:
+    """Look at every sample for a while, as one was far from what theta says and nothing drifts."""
+    if s[g + HASTE] <= PROVEN and not is_coloured(s, g):
+        s[g + ATTENTIVE] = ATTENTION
+
+
+@inlined
 def has_changed(
     size: Size,
     s: Floats,
@@ -167,12 +180,15 @@ def has_changed(
     else:
         s[g + SUSPECTED] = 0.0
     # Every sample is looked at under suspicion, unless noise lasts: it would count once too often.
-    s[g + ATTENTIVE] = 0.0 if is_coloured(s, g) else s[g + SUSPECTED]
+    s[g + ATTENTIVE] = max(s[g + ATTENTIVE] - 1.0, s[g + SUSPECTED])
+    if s[g + ATTENTIVE] > 0.0 and is_coloured(s, g):
+        s[g + ATTENTIVE] = 0.0
     if not rule.threshold < T:
         return False
     # T has grown evenly since the change: from so many looks before it was suspicious.
     before = s[g + SUMMED] * rule.suspicious / max(T - rule.suspicious, TINY)
-    since = counters[SUSPECT_SAMPLE] - int(every * min(before, 0.5 / WINDOW))
+    apart = every if s[g + ATTENTIVE] <= 1.0 else 1  # the first one was startling
+    since = counters[SUSPECT_SAMPLE] - int(apart * min(before, 0.5 / WINDOW))
     counters[CHANGES] += 1
     counters[SAMPLE] = max(since, 1)
     counters[TIME] = counters[SUSPECT_TIME]

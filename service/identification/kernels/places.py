@@ -114,6 +114,7 @@ UNVISITED = 10.0  # times the mean square of misfit: error beside a node never v
 ALL_SURE = 0.95  # of φ that was visited, or there is one
 UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
 MOST_COLOUR = 4.0  # of one pair of visits
+MOST_ALIKE = 0.95  # correlation of successive visits
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
 EQUAL = 4.0  # looks from which all places count alike
@@ -381,6 +382,7 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
             tolerated, pace = TOLERATED, HASTE_STEP
             if s[g + HASTE] > PROVEN:
                 tolerated, pace = ONCE_PROVEN, PROVEN_STEP
+            pace *= worth_of_a_visit(s, g)
             haste = s[g + HASTE] + pace * min(1.0, length / FULL_VISIT) * (colour - tolerated)
             if rule.lam == 1.0:
                 most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
@@ -394,6 +396,18 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
     s[g + VISIT_LENGTH] = 0.0
     s[g + VISIT_SUM] = 0.0
     s[g + VISIT_SQUARES] = 0.0
+
+
+@inlined
+def worth_of_a_visit(s: Floats, g: int) -> float:
+    """For how many independent ones a visit counts: slow noise is the same in those that follow.
+
+    With ρ the correlation of successive visits that is not drift's, so (1 - ρ²)/(1 + ρ²): products
+    of two visits to a place have ρ² in common with those of the places beside it.
+    """
+    of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
+    square: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), MOST_ALIKE) ** 2
+    return (1.0 - square) / (1.0 + square)
 
 
 @maker

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.identification.kernels.change_detection import has_changed, weigh
+from service.identification.kernels.change_detection import STARTLING, attend, has_changed, weigh
 from service.identification.kernels.compiled import kernel
 from service.identification.kernels.covariance_form import (
     forget_subspace,
@@ -53,6 +53,7 @@ from service.identification.kernels.row_layout import (
     SIZE,
     SQUARES,
     TRACE,
+    VARIANCE,
     WEIGHT,
     Counts,
     Size,
@@ -210,6 +211,8 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
             if placed:
                 weigh_reaction(s, at.detector + REACTION, STEP_U * a[i], e)
             every = LOOK_EVERY if own[COUNT] > YOUNG else LOOK_EVERY_YOUNG
+            if watches and e * e > STARTLING * s[at.noise + VARIANCE]:
+                attend(s, at.detector)
             looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
             d = np.nan
             if placed and looks:
