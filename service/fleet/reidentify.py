@@ -26,8 +26,15 @@ NOTES: Final = "done"  # folder of what was done, a file for each valve
 _JSON: Final = "models.json"
 
 # Arrays of a chunk are freed and made anew: memory that goes back to the system each time costs as
-# much as learning does, and Dask would have it so.
-_MEMORY: Final = {"MALLOC_TRIM_THRESHOLD_": 1 << 28, "MALLOC_MMAP_THRESHOLD_": 1 << 25}
+# much as learning does, and Dask would have it so. Nor need anybody see what workers do, 100 times
+# a second.
+_OF_WORKERS: Final = {
+    "distributed.nanny.pre-spawn-environ": {
+        "MALLOC_TRIM_THRESHOLD_": 1 << 28,
+        "MALLOC_MMAP_THRESHOLD_": 1 << 25,
+    },
+    "distributed.worker.profile.enabled": False,
+}
 
 Progress = Callable[[int, int], None]  # valves that are done, of how many
 
@@ -260,7 +267,7 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
                 yield client
             return
         with (
-            dask.config.set({"distributed.nanny.pre-spawn-environ": _MEMORY}),
+            dask.config.set(_OF_WORKERS),
             LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=processes,
                 threads_per_worker=1,
@@ -272,8 +279,9 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
             ) as cluster,
             Client(cluster) as client,  # type: ignore[no-untyped-call]
         ):
+            client.run(gc.set_threshold, 50_000, 20, 20)  # what is imported is no garbage
             yield client
-            client.run(gc.freeze)  # else each looks through all it has imported before it ends
+            client.run(gc.freeze)  # nor need it be looked through at the end
     except OSError as error:
         where = scheduler or "127.0.0.1"
         raise FleetError(f"{where}: no Dask cluster: {_first_line(error)}") from None
