@@ -85,6 +85,7 @@ def replay(
     *,
     insist: bool = False,
     only: Collection[str] | None = None,
+    read_ahead: bool = True,
 ) -> Report:
     """Run recordings through the pipeline, file after file, in constant memory.
 
@@ -102,6 +103,9 @@ def replay(
         Learn from signals that cannot be what they are called, too.
     only
         Names of the valves that are learnt; None: all.
+    read_ahead
+        A thread reads the next batch while one is learnt from; for nothing where every processor
+        has enough to do.
 
     Returns
     -------
@@ -116,8 +120,9 @@ def replay(
     plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
     layout = None if config is None else build_layout(config)
     valves: dict[str, _Learnt] = {}
+    turn = _one_ahead if read_ahead else iter
     for file in files:
-        for name, samples in _read(file, layout, progress):
+        for name, samples in _read(file, layout, progress, turn):
             if only is not None and name not in only:
                 continue
             if name not in valves:
@@ -135,7 +140,7 @@ def replay(
         checks = {name: [_check(v, v.last, scored=False)] for name, v in valves.items()}
     else:
         checks = {name: [] for name in valves}
-        for name, samples in _read(verify, layout, progress):
+        for name, samples in _read(verify, layout, progress, turn):
             if name in valves:
                 checks[name].append(_check(valves[name], samples, scored=True))
     return {
@@ -315,10 +320,15 @@ def _report(
     return report
 
 
-def _read(file: Path, layout: Layout | None, progress: Progress) -> Iterator[tuple[str, Samples]]:
+def _read(
+    file: Path,
+    layout: Layout | None,
+    progress: Progress,
+    turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
+) -> Iterator[tuple[str, Samples]]:
     with read_recording(file, layout=layout) as recording:
         progress(file, 0.0)
-        for name, samples in _one_ahead(recording):
+        for name, samples in turn(recording):
             yield name, samples
             progress(file, recording.fraction)
 

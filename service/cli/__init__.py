@@ -41,7 +41,9 @@ _UsageError: Any = typer.BadParameter.__base__  # typer exports its children onl
 def main() -> None:
     """Run the command line; a user's mistake is one line, never a traceback."""
     gc.set_threshold(50_000, 20, 20)  # what imports and address spaces make is no garbage
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    gc.freeze()  # else all of it is looked through once more at the end
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

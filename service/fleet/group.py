@@ -28,7 +28,7 @@ from service.fleet.memory import Memory, read_memory, write_memory
 from service.fleet.result_blocks import ResultsBlock
 from service.identification.estimator import StateMismatchError
 from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
-from service.streaming.identification import MAPS_AT_ONCE, SURVEYS_AT_ONCE, Identification
+from service.streaming.identification import Identification
 from service.streaming.ports import Results
 
 REPEATED: Final = "repeated"  # blocks that had come before
@@ -128,7 +128,7 @@ class Group:
 
     def everything(self) -> Iterator[ResultsBlock]:
         """All that is known, tables and surveys made anew."""
-        self._refresh()
+        self.identification.refresh_all_maps()
         for results in self.identification.results(range(len(self.plan.plans))):
             yield self._block(results)
 
@@ -217,7 +217,7 @@ class Group:
             return
         with_tables = self._is_due(_MAPS, newest, self._rhythm.maps_ns)
         if with_tables:
-            self._refresh()
+            self.identification.refresh_all_maps()
         for results in self.identification.results(range(len(self.plan.plans))):
             yield self._block(results if with_tables else _without_tables(results))
 
@@ -228,13 +228,6 @@ class Group:
             return False
         self._due[name] = (newest // interval_ns + 1) * interval_ns if interval_ns else 0
         return True
-
-    def _refresh(self) -> None:
-        """Make all tables and surveys anew: they follow from what is remembered alone."""
-        plans = self.plan.plans
-        lanes = sum(len(plan.estimators) for plan in plans)
-        for _ in range(max(-(-len(plans) // MAPS_AT_ONCE), -(-lanes // SURVEYS_AT_ONCE))):
-            self.identification.refresh_maps()
 
     def _block(self, results: Results) -> ResultsBlock:
         names = tuple(plan.name for plan in self.plan.plans)

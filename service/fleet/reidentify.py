@@ -4,6 +4,7 @@ Valves are independent of each other, so each is learnt by itself, as `replay` l
 bit. What is done is noted beside the models: who is killed goes on with the rest.
 """
 
+import gc
 import hashlib
 import json
 import logging
@@ -14,18 +15,26 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+import dask
 from dask.distributed import Client, LocalCluster, as_completed
 
-from service.app.build import build_layout
-from service.app.models import save_models
-from service.app.replay import as_json, replay
 from service.config.models import Config
 from service.errors import FleetError, RecordingError, StorageError, ValvemapError
-from service.storage.recordings import read_recording
 
 AT_ONCE: Final = 8  # valves of the same files in one task: a file is read once for all of them
 NOTES: Final = "done"  # folder of what was done, a file for each valve
 _JSON: Final = "models.json"
+
+# Arrays of a chunk are freed and made anew: memory that goes back to the system each time costs as
+# much as learning does, and Dask would have it so. Nor need anybody see what workers do, 100 times
+# a second.
+_OF_WORKERS: Final = {
+    "distributed.nanny.pre-spawn-environ": {
+        "MALLOC_TRIM_THRESHOLD_": 1 << 28,
+        "MALLOC_MMAP_THRESHOLD_": 1 << 25,
+    },
+    "distributed.worker.profile.enabled": False,
+}
 
 Progress = Callable[[int, int], None]  # valves that are done, of how many
 
@@ -108,8 +117,13 @@ def reidentify(
 
 def learn(task: Task) -> list[str]:
     """Learn some valves, save what came of each, and note that; return what went wrong."""
+    # The workers alone import what learns: who hands out tasks would be a second late with them.
+    from service.app.models import save_models  # noqa: PLC0415
+    from service.app.replay import as_json, replay  # noqa: PLC0415
+
+    only = frozenset(task.valves)
     try:
-        report = replay(task.files, task.config, insist=task.insist, only=frozenset(task.valves))
+        report = replay(task.files, task.config, insist=task.insist, only=only, read_ahead=False)
     except RecordingError as error:
         if len(task.valves) == 1:
             return [str(error)]
@@ -154,6 +168,9 @@ def _tasks(
 
 def _valves_in(file: Path, config: Config | None) -> list[str] | str:
     """The valves in a file that are wanted; or why it cannot be read."""
+    from service.app.build import build_layout  # noqa: PLC0415 - as in `learn`
+    from service.storage.recordings import read_recording  # noqa: PLC0415
+
     layout = None if config is None else build_layout(config)
     wanted = None if config is None else {valve.name for valve in config.valves}
     try:
@@ -250,6 +267,7 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
                 yield client
             return
         with (
+            dask.config.set(_OF_WORKERS),
             LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=processes,
                 threads_per_worker=1,
@@ -261,7 +279,9 @@ def _cluster(processes: int, scheduler: str | None) -> Iterator[Client]:
             ) as cluster,
             Client(cluster) as client,  # type: ignore[no-untyped-call]
         ):
+            client.run(gc.set_threshold, 50_000, 20, 20)  # what is imported is no garbage
             yield client
+            client.run(gc.freeze)  # nor need it be looked through at the end
     except OSError as error:
         where = scheduler or "127.0.0.1"
         raise FleetError(f"{where}: no Dask cluster: {_first_line(error)}") from None

@@ -223,7 +223,9 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "compression.type": "none",  # results are packed; of memories it saves no half
             "message.max.bytes": largest,
             "transaction.timeout.ms": takeover_ms,
-            "linger.ms": 5,
+            # A commit sends what waits, and nobody sees it before. Sent in dribs and drabs to a
+            # broker that answers slowly, librdkafka would wait in a loop that takes half a core.
+            "linger.ms": min(round(work.commit_s * 1e3), takeover_ms // 2),
         },
     )
 

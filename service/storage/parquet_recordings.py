@@ -81,12 +81,14 @@ class ArrowReader:
             whose = None if found.valve is None else batch.column(found.valve)
             valves, index = _valves(whose, batch.num_rows)
             for part in found.parts:
+                if part.selects and part.valve not in valves:
+                    continue
                 samples = _samples(batch, part, quality)
                 if part.valve is None:
                     yield from columns.by_valve(samples, valves, index)
                 elif not part.selects:
                     yield part.valve, samples
-                elif part.valve in valves:
+                else:
                     own = samples[index == valves.index(part.valve)]
                     if len(own):
                         yield part.valve, own

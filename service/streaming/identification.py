@@ -316,18 +316,32 @@ class Identification:
         Or a ``share`` of those, for one whom others wait for.
         """
         for _ in range(math.ceil(share * min(MAPS_AT_ONCE, len(self.plans)))):
-            number = self._next_map % len(self.plans)
-            self._maps[number] = self._inverse_map(number)
-            self._implausible[number] |= not self._insists[number] and any(
-                finding.kind is Kind.REFUSED for finding in self.findings(number)
-            )
+            self._refresh_map(self._next_map % len(self.plans))
             self._next_map += 1
-        lanes = [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
+        lanes = self._all_lanes()
         for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
-            number, name = lanes[self._next_survey % len(lanes)]
-            found = pipeline.survey_of(self.plans[number], self._state_of(number, name), name)
-            self._surveys[number] = {**self._surveys[number], name: found}
+            self._refresh_survey(*lanes[self._next_survey % len(lanes)])
             self._next_survey += 1
+
+    def refresh_all_maps(self) -> None:
+        """Compute every inverse table and survey anew."""
+        for number in range(len(self.plans)):
+            self._refresh_map(number)
+        for number, name in self._all_lanes():
+            self._refresh_survey(number, name)
+
+    def _all_lanes(self) -> list[tuple[int, str]]:
+        return [(number, name) for number, p in enumerate(self.plans) for name in p.estimators]
+
+    def _refresh_map(self, number: int) -> None:
+        self._maps[number] = self._inverse_map(number)
+        self._implausible[number] |= not self._insists[number] and any(
+            finding.kind is Kind.REFUSED for finding in self.findings(number)
+        )
+
+    def _refresh_survey(self, number: int, name: str) -> None:
+        found = pipeline.survey_of(self.plans[number], self._state_of(number, name), name)
+        self._surveys[number] = {**self._surveys[number], name: found}
 
     def results(
         self,
