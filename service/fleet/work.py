@@ -188,7 +188,7 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
     broker, topics, work = config.broker, config.topics, config.work
     connection = ConnectionConfig.from_librdkafka_dict(client_settings(broker))
     group, largest = f"{topics.prefix}.{WORKERS}", round(topics.message_mb * 1e6)
-    takeover_ms = round(work.takeover_s * 1e3)
+    commit_ms, takeover_ms = round(work.commit_s * 1e3), round(work.takeover_s * 1e3)
     manager = _OwnNames(
         topic_name(topics, STATE),
         topic_admin=TopicAdmin(broker_address=connection),
@@ -222,10 +222,11 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
         producer_extra_config={
             "compression.type": "none",  # results are packed; of memories it saves no half
             "message.max.bytes": largest,
-            "transaction.timeout.ms": takeover_ms,
+            # It begins with what is sent first after a commit: a broker must not end it before.
+            "transaction.timeout.ms": commit_ms + takeover_ms,
             # A commit sends what waits, and nobody sees it before. Sent in dribs and drabs to a
             # broker that answers slowly, librdkafka would wait in a loop that takes half a core.
-            "linger.ms": min(round(work.commit_s * 1e3), takeover_ms // 2),
+            "linger.ms": min(commit_ms, takeover_ms // 2),
         },
     )
 

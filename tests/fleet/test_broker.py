@@ -92,7 +92,7 @@ BLOCKS = 60
 class Trial:
     """A catalogue, messages of its groups, and workers on them."""
 
-    def __init__(self, folder, broker, name, replication=1):
+    def __init__(self, folder, broker, name, replication=1, work="takeover_s = 6"):
         self.folder, self.broker, self.name = folder, broker, name
         estimators = "".join(
             f"[[valves.estimators]]\nkind = '{k}'\n" for k in ("RLS", "RML", "RBF")
@@ -100,7 +100,7 @@ class Trial:
         valves = "".join(f"[[valves]]\nname = 'V{k}'\n{estimators}" for k in range(5))
         (folder / "north.toml").write_text(valves, encoding="utf-8")
         more = "[catalogue]\nvalves_per_group = 2\nsites = { north = 'north.toml' }\n"
-        more += "[work]\nresults_s = 0\ntakeover_s = 6\n"
+        more += f"[work]\nresults_s = 0\n{work}\n"
         self.file = write(folder, broker, name, more, replication)
         assert run(["fleet", "topics", "-c", str(self.file)]) == 0
         self.known = load_catalogue(load_fleet(self.file).catalogue)
@@ -185,6 +185,19 @@ def test_a_broker_that_is_killed_and_comes_back_loses_nothing(request, tmp_path)
         trial.check_bits()
         said = [line for line in trial.log(1).read_text().splitlines() if "info " not in line]
         assert len(said) <= 4, said  # that it is away, and what was lost by it
+
+
+def test_a_commit_may_take_longer_than_a_worker_may_be_silent(broker, tmp_path):
+    trial = Trial(tmp_path, broker, "rare", work="commit_s = 6\ntakeover_s = 2")
+    with trial.worker(1) as worker:
+        trial.send(0, 30)
+        trial.until_each_is_behind(5)
+        trial.send(30, BLOCKS + 4)
+        trial.until_each_is_behind(BLOCKS)
+        assert worker.poll() is None
+    assert worker.returncode == 0, trial.log(1).read_text()
+    trial.check_bits()
+    assert all("info " in line for line in trial.log(1).read_text().splitlines())
 
 
 @pytest.mark.soak
