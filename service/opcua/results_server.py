@@ -153,8 +153,8 @@ class ResultsServer(Startable):
     on_alarm
         Takes each change of an alarm, to be kept.
     before
-        What was shown until now, where this server follows another: who comes back is told what
-        has changed; None: nobody comes back.
+        What was shown until now, where this server follows another: who comes back hears what has
+        changed; None: nobody comes back.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class ResultsServer(Startable):
         await server.start()
         self._server = server
         if self._before is not None:
-            self._tell_what_changed(server, self._before, self._valves)
+            self._say_what_changed(server, self._before, self._valves)
 
     async def follow(
         self,
@@ -263,7 +263,7 @@ class ResultsServer(Startable):
         """Go on with other valves, of another operator; sessions and subscriptions live on.
 
         Valves that are described as before keep their nodes, and who monitors these misses nothing.
-        Nodes of the others come and go; who listens to the Server object is told.
+        Nodes of the others come and go; who listens to the Server object hears it.
 
         Raises
         ------
@@ -295,7 +295,7 @@ class ResultsServer(Startable):
             for valve in came:
                 await self._add_folder(server, root, self._slots[valve.name])
         await self._demand_again(after)
-        self._tell_what_changed(server, before, valves)
+        self._say_what_changed(server, before, valves)
 
     def take_no_commands(self) -> None:
         """Refuse what would change the operator, until another one follows."""
@@ -345,7 +345,7 @@ class ResultsServer(Startable):
             past = AlarmsPast(self._store, self._alarms.event_of)
             server.add_event_history(emitters, past, event_fields())
 
-    def _tell_what_changed(
+    def _say_what_changed(
         self,
         server: HardenedServer,
         before: Sequence[ValveDescription],
@@ -356,7 +356,7 @@ class ResultsServer(Startable):
         if event is not None:
             version = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
             server.write_property(version, ua.Variant(version_of_root(after)))
-            server.tell(event, _SAID_FOR_S)
+            server.say(event, _SAID_FOR_S)
 
     async def stop(self) -> None:
         """Close every session and stop listening; safe to call twice."""
