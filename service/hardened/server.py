@@ -458,7 +458,7 @@ class HardenedServer(Startable):
         """Say once that a condition has changed; who does not listen hears it with a refresh."""
         self._conditions.report(condition)
 
-    def tell(self, event: Event, for_s: float) -> None:
+    def say(self, event: Event, for_s: float) -> None:
         """Hand an event to all who listen, and for so long to all who begin to: once to each item.
 
         It is for those who lost their sessions by what happened, and come back.

@@ -45,7 +45,7 @@ class ChangedResults:
     def __init__(self, valves: int, counters: int) -> None:
         self._counts = np.full((valves, counters), -1, np.int64)
         self._counted = np.zeros((valves, counters), np.int64)  # when it last grew, UTC ns
-        self._told: dict[tuple[int, str], tuple[Any, ...]] = {}
+        self._said: dict[tuple[int, str], tuple[Any, ...]] = {}
 
     def counts(self, results: Results, due: NDArray[np.bool_], now: int) -> Iterator[Column]:
         """Counters of those valves that are due, with the time when they were first seen so."""
@@ -114,10 +114,10 @@ class ChangedResults:
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
         """Whether it is another thing, or one of the facts is another than last time."""
         key = valve, name
-        before = self._told.get(key)
+        before = self._said.get(key)
         if before is not None and before[0] is thing and before[1:] == facts:
             return False
-        self._told[key] = thing, *facts
+        self._said[key] = thing, *facts
         return True
 
 

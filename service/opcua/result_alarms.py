@@ -18,7 +18,6 @@ from service.hardened import (
     ConditionClass,
     ConditionKey,
     ConditionKind,
-    Declarations,
     Event,
     HardenedServer,
     Role,
@@ -29,7 +28,7 @@ from service.hardened import (
 from service.hardened import CommandRejected as Refused
 from service.opcua.answers import answered
 from service.opcua.information_model import ALARMS, ROOT, SERVICE, VariableNode, alarm_variables
-from service.opcua.result_types import ALARM, type_of
+from service.opcua.result_types import ALARM, Place, type_of
 from service.opcua.result_values import Shown, alarm_values
 from service.streaming.alarm_words import ALARM_DESCRIPTIONS
 from service.streaming.ports import (
@@ -179,14 +178,14 @@ class ResultAlarms:
             folder = await _add_condition(self._server, each, kind)
             self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
 
-    async def declare(self, place: HardenedServer | Declarations, kind: ua.NodeId) -> None:
+    async def declare(self, place: Place, kind: ua.NodeId) -> None:
         """Declare what an alarm has beside its variables, for its type."""
         await self._add_methods(place, kind, None, "")
         await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
 
     async def _add_methods(
         self,
-        place: HardenedServer | Declarations,
+        place: Place,
         parent: ua.NodeId,
         valve: str | None,
         alarm: str,
@@ -293,9 +292,7 @@ class ResultAlarms:
         )
 
 
-async def _add_condition(
-    place: HardenedServer | Declarations, parent: ua.NodeId, kind: ua.NodeId
-) -> ua.NodeId:
+async def _add_condition(place: Place, parent: ua.NodeId, kind: ua.NodeId) -> ua.NodeId:
     return await add_object(
         place,
         parent,

@@ -51,7 +51,8 @@ _TEMPLATE = ValveDescription(
     map_dp=(0.0, 1.0),
     counters=tuple(COUNTERS),
 )
-AddPart = Callable[[Any, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+Place = HardenedServer | Declarations  # of instances, of types
+AddPart = Callable[[Place, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
 
 
 def type_of(server: HardenedServer, part: str) -> ua.NodeId:

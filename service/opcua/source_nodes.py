@@ -325,7 +325,7 @@ def _type_of(answer: Sequence[ua.DataValue]) -> ua.VariantType:
 
 
 def _kind(data_type: ua.DataValue, value: ua.DataValue) -> int | None:
-    """Built-in type of a variable's values; None if only the future can tell."""
+    """Built-in type of a variable's values; None if only the future can say."""
     if value.Value is not None and value.Value.VariantType != ua.VariantType.Null:
         return int(value.Value.VariantType.value)
     node_id = data_type.Value.Value if data_type.Value is not None else None

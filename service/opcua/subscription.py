@@ -35,7 +35,7 @@ from service.streaming.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
 
-_STALL_S = 1.0  # a wait that lasts so much too long tells of our own standstill
+_STALL_S = 1.0  # a wait that lasts so much too long shows our own standstill
 _LOST_KEEP_ALIVES = 3
 _LONGEST_ANSWER_S = 1.5  # on top of them
 _LIFETIME_KEEP_ALIVES = 10

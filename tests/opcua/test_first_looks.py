@@ -12,6 +12,7 @@ from support.results import results_of, results_settings
 from service.hardened import Role, UserStore
 from service.identification.samples import Quality, Status
 from service.identification.survey import Survey
+from service.opcua.result_nodes import ResultNodes
 from service.opcua.results_server import NAMESPACE, ResultsServer
 from service.streaming.ports import (
     EstimatorDescription,
@@ -222,13 +223,13 @@ async def test_a_node_that_no_valve_has_is_unknown(client):
 
 async def test_a_thousand_valves_are_served_before_their_nodes_are_made(monkeypatch):
     made = []
-    add = ResultsServer._add_valve
+    add = ResultNodes._add_below
 
-    async def counted(self, server, folder, number):
-        made.append(number)
-        await add(self, server, folder, number)
+    async def counted(self, folder, valve):
+        made.append(valve.name)
+        await add(self, folder, valve)
 
-    monkeypatch.setattr(ResultsServer, "_add_valve", counted)
+    monkeypatch.setattr(ResultNodes, "_add_below", counted)
     settings = results_settings(none_on_loopback=True)
     valves = [ValveDescription(f"V{k}", (RLS,), counters=("late",)) for k in range(1_000)]
     async with (
@@ -240,4 +241,4 @@ async def test_a_thousand_valves_are_served_before_their_nodes_are_made(monkeypa
         assert len(await root.get_children(nodeclassmask=ua.NodeClass.Object)) == 1_001
         assert not made
         assert await value(client, "V7.RLS.PredictedFlow") == (7.3, Codes.Good)
-        assert made == [7]
+        assert made == ["V7"]

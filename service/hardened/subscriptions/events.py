@@ -12,7 +12,7 @@ from service.hardened.monitoring.event_item import EventItem
 from service.hardened.security.users import Role
 from service.hardened.subscriptions.subscription import Subscription
 
-_MOST_STANDING = 10  # events that newcomers are told
+_MOST_STANDING = 10  # events that newcomers still hear
 _TURN_S = 0.001  # processor time for the events of one item, before other items' are judged
 
 
