@@ -59,8 +59,15 @@ async def rig_of(url, *names):
 
 async def once_good(node):
     """A value, once it is more than what was kept of it."""
+    found = None
+
+    async def is_good():
+        nonlocal found
+        found = await node.read_data_value(raise_on_bad_status=False)
+        return found.StatusCode.is_good()
+
     async with asyncio.timeout(30.0):
-        while not (found := await node.read_data_value(False)).StatusCode.is_good():
+        while not await is_good():  # noqa: ASYNC110
             await asyncio.sleep(0.05)
     return found.Value.Value
 
