@@ -136,8 +136,8 @@ def weigh(
 
 @inlined
 def attend(s: Floats, g: int) -> None:
-    """Look at every sample for a while, as one was far from what theta says and nothing drifts."""
-    if s[g + HASTE] <= PROVEN and not is_coloured(s, g):
+    """Look at every sample for a while: one was far from what theta says, in a steady plant."""
+    if s[g + REVISITED] >= EXPERIENCE and s[g + HASTE] <= PROVEN and not is_coloured(s, g):
         s[g + ATTENTIVE] = ATTENTION
 
 

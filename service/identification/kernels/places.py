@@ -103,7 +103,7 @@ APART = 64.0  # samples after which noise has forgotten: a longer stay is anothe
 VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
 FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
-HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
+HASTE_STEP = 0.055  # per visit: a lag is answered within a hundred of them
 PROVEN_STEP = 0.1  # the same once drift is proven: only its pace is to be found then
 TOLERATED = 0.1  # colour of visits that is let be
 ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
@@ -114,7 +114,6 @@ UNVISITED = 10.0  # times the mean square of misfit: error beside a node never v
 ALL_SURE = 0.95  # of φ that was visited, or there is one
 UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
 MOST_COLOUR = 4.0  # of one pair of visits
-MOST_ALIKE = 0.95  # correlation of successive visits
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
 EQUAL = 4.0  # looks from which all places count alike
@@ -379,10 +378,9 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
             colour = min(max(colour, -MOST_COLOUR), MOST_COLOUR)
             s[g + LAG] += recent * (mean * places[k, DEVIATION] - s[g + LAG])
             s[g + GAP] += recent * (max(now - places[k, VISITED], APART) - s[g + GAP])
-            tolerated, pace = TOLERATED, HASTE_STEP
-            if s[g + HASTE] > PROVEN:
-                tolerated, pace = ONCE_PROVEN, PROVEN_STEP
-            pace *= worth_of_a_visit(s, g)
+            tolerated, pace = ONCE_PROVEN, PROVEN_STEP
+            if s[g + HASTE] <= PROVEN:
+                tolerated, pace = TOLERATED, HASTE_STEP * worth_of_a_visit(s, g)
             haste = s[g + HASTE] + pace * min(1.0, length / FULL_VISIT) * (colour - tolerated)
             if rule.lam == 1.0:
                 most = min(rule.most, np.log(LONGEST / (1.0 + REVISITS * s[g + GAP])))
@@ -400,14 +398,14 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
 
 @inlined
 def worth_of_a_visit(s: Floats, g: int) -> float:
-    """For how many independent ones a visit counts: slow noise is the same in those that follow.
+    """What a visit counts for where successive ones share slow noise, of correlation ρ: 1 - ρ².
 
-    With ρ the correlation of successive visits that is not drift's, so (1 - ρ²)/(1 + ρ²): products
-    of two visits to a place have ρ² in common with those of the places beside it.
+    ρ² is what products of two visits to a place have in common with those to the place beside it.
+    What drift has in common with the visits before to the same places is left out of it.
     """
     of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
-    square: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), MOST_ALIKE) ** 2
-    return (1.0 - square) / (1.0 + square)
+    rho: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), 1.0)
+    return 1.0 - rho * rho
 
 
 @maker
