@@ -59,17 +59,12 @@ async def rig_of(url, *names):
 
 async def once_good(node):
     """A value, once it is more than what was kept of it."""
-    found = None
-
-    async def is_good():
-        nonlocal found
-        found = await node.read_data_value(raise_on_bad_status=False)
-        return found.StatusCode.is_good()
-
     async with asyncio.timeout(30.0):
-        while not await is_good():  # noqa: ASYNC110
+        while True:
+            found = await node.read_data_value(raise_on_bad_status=False)
+            if found.StatusCode.is_good():
+                return found.Value.Value
             await asyncio.sleep(0.05)
-    return found.Value.Value
 
 
 class Served:
