@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import structlog
 from asyncua import Client, ua
-from support.conditions import until
 from support.processes import free_port, rig_url, running, service_url, wait_for
+from support.stream import until
 
 from service.app.build import build_identification
 from service.app.reload import Reload
