@@ -104,7 +104,7 @@ VISIT_MEMORY = 30_000.0  # samples in visits that their mean square remembers
 LAG_MEMORY = 3000.0  # samples in visits that the lag is the mean of
 FULL_VISIT = 2.0  # looks of a visit that counts full in the pace of forgetting
 HASTE_STEP = 0.05  # per visit: a lag is answered within a hundred of them
-PROVEN_STEP = 0.12  # the same once drift is proven: only its pace is to be found then
+PROVEN_STEP = 0.1  # the same once drift is proven: only its pace is to be found then
 TOLERATED = 0.1  # colour of visits that is let be
 ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits speak against it
 LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
@@ -114,6 +114,7 @@ UNVISITED = 10.0  # times the mean square of misfit: error beside a node never v
 ALL_SURE = 0.95  # of φ that was visited, or there is one
 UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
 MOST_COLOUR = 4.0  # of one pair of visits
+IN_ORDER = 0.8  # share of visits that follow the one they followed a round before
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
 EQUAL = 4.0  # looks from which all places count alike
@@ -398,14 +399,14 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
 
 @inlined
 def worth_of_a_visit(s: Floats, g: int) -> float:
-    """What a visit counts for where successive ones share slow noise, of correlation ρ: 1 - ρ².
+    """What a visit counts for where successive ones share slow noise, of correlation ρ.
 
-    ρ² is what products of two visits to a place have in common with those to the place beside it.
-    What drift has in common with the visits before to the same places is left out of it.
+    ρ² is what products of two visits to a place have in common with those to the place beside it,
+    if a round takes all places in the same order. What drift has in common with the visits before to the same places is left out of it.
     """
     of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
     rho: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), 1.0)
-    return 1.0 - rho * rho
+    return 1.0 - IN_ORDER * rho * rho
 
 
 @maker
