@@ -402,7 +402,8 @@ def worth_of_a_visit(s: Floats, g: int) -> float:
     """What a visit counts for where successive ones share slow noise, of correlation ρ.
 
     ρ² is what products of two visits to a place have in common with those to the place beside it,
-    if a round takes all places in the same order. What drift has in common with the visits before to the same places is left out of it.
+    if a round takes all places in the same order. What drift has in common with the visits before
+    to the same places is left out of it.
     """
     of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
     rho: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), 1.0)
