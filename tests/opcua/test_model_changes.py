@@ -8,9 +8,9 @@ import pytest
 from asyncua import Client, ua
 from support import node_peer
 from support.clocks import TurnedClock
-from support.conditions import until
 from support.peer import Peer
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
+from support.stream import until
 
 from service.hardened import Role, UserStore
 from service.opcua.companions import DI

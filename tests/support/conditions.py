@@ -1,6 +1,5 @@
 """A results server whose alarms a test raises and clears, and clients that listen to conditions."""
 
-import asyncio
 from contextlib import asynccontextmanager, suppress
 
 import numpy as np
@@ -9,6 +8,7 @@ from support.clocks import TurnedClock
 from support.interoperation import identification
 from support.plant import START, as_changes, plant
 from support.results import results_settings
+from support.stream import until
 
 from service.hardened import Role, UserStore
 from service.opcua.results_server import NAMESPACE, ResultsServer
@@ -30,12 +30,6 @@ FIELDS = (
     *("EnabledState/Id", "Comment", "ClientUserId", "HighLimit", "LimitState/CurrentState/Id"),
     *("ConditionClassId", "SuppressedOrShelved"),
 )
-
-
-async def until(condition, patience=30.0):
-    async with asyncio.timeout(patience):
-        while not condition():  # noqa: ASYNC110 - what comes over a socket sets no event
-            await asyncio.sleep(0.02)
 
 
 class Plant:

@@ -210,5 +210,5 @@ async def watching(
 
 async def until(condition, seconds=30.0):
     async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110
+        while not condition():  # noqa: ASYNC110 - what comes over a socket sets no event
             await asyncio.sleep(0.02)
