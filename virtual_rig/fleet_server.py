@@ -25,7 +25,7 @@ _TICK_S = 0.02
 _LATE_S = 0.1
 _REPORT_S = 1.0
 _VALUES_PER_TURN = 200_000
-_QUEUED_S = 3.0  # so long may all items of one client wait to be published
+_QUEUED_S = 30.0  # so long may all items of one client wait to be published
 
 
 class FleetServer(Startable):

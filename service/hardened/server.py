@@ -8,13 +8,14 @@ from collections.abc import Callable, Collection, Coroutine, Iterable, Sequence
 from typing import Any, Self
 from urllib.parse import urlparse
 
+import numpy as np
 from asyncua import Server, ua
 from asyncua.server.address_space import AddressSpace, AttributeValue
 from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from service.hardened.address_space.asyncua_server import AsyncuaServer
 from service.hardened.address_space.attributes import Attributes
@@ -515,9 +516,9 @@ class HardenedServer(Startable):
         )
         self._write_data_value(variable.id, data)
 
-    def mark_block(self, block: Block, code: int) -> None:
-        """Change the status of a block's values, keeping values and source times."""
-        block.take(block.marked(code, self._clock.now()))
+    def mark_block(self, block: Block, code: int, columns: NDArray[np.intp] | None = None) -> None:
+        """Change the status of a block's values, of some columns or of all; the rest stays."""
+        block.take(block.marked(code, self._clock.now(), columns))
 
     def write_property(self, id_: ua.NodeId, value: ua.Variant) -> None:
         """Publish a property of the server's own."""

@@ -22,16 +22,15 @@ from service.opcua.decoding import overflown
 from service.opcua.history import NEVER, Holes, Knowledge, SourceHistory
 from service.opcua.position import Mark, Position, position_from_bytes, position_to_bytes
 from service.opcua.recall import recall
+from service.opcua.source_clock import SourceClock
 from service.opcua.source_nodes import (
     HEARTBEAT,
     REQUIRED_U,
     CheckedNodes,
     MonitoredNode,
-    SourceClock,
     ValveNodes,
     WritableNode,
     check_nodes,
-    clock_of_source,
 )
 from service.opcua.source_units import Scales, check_units
 from service.opcua.subscription import (
@@ -85,8 +84,7 @@ class OpcUaSource:
         self._heir: Callable[[Estate], None] | None = None
         self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: there is none
         self._tally = Tally()
-        self._started = 0
-        self._clock_offset_s = 0.0
+        self._source_clock = SourceClock(self._clock)
         self._connection: Connection | None = None
         self._ticket: Ticket | None = None
         self._left: Left | None = None
@@ -109,12 +107,12 @@ class OpcUaSource:
     @property
     def started(self) -> int:
         """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
-        return self._started
+        return self._source_clock.started
 
     @property
     def clock_offset_s(self) -> float:
-        """By how much the source's clock was ahead of ours when we connected."""
-        return self._clock_offset_s
+        """By how much the source's clock is ahead of ours."""
+        return self._source_clock.ahead_s
 
     async def connect(self) -> None:
         """Connect; go on with what the server holds for us, or check every node and subscribe.
@@ -131,15 +129,15 @@ class OpcUaSource:
         await self.drop()
         connection = await open_connection(self._settings, self._ticket)
         try:
-            source_clock = await self._read_clock(connection)
+            await self._source_clock.read(connection)
             subscription = await self._take_over(connection) or await self._subscribe(connection)
         except BaseException:
             await (connection.hang_up() if self.is_held else connection.close())
             raise
         self._connection, self._subscription = connection, subscription
+        self._source_clock.follow(connection)
         if self._history_s > 0.0:
             self._history.over(connection, (item.node for item in subscription.items))
-        self._started = source_clock.started
 
     async def receive(self) -> DataChanges:
         """Wait for data changes and return all that have arrived, in order and in our units.
@@ -339,13 +337,6 @@ class OpcUaSource:
                 f"{status_name(status.value)}"
             )
 
-    async def _read_clock(self, connection: Connection) -> SourceClock:
-        asked = self._clock.monotonic()
-        found = await clock_of_source(connection)
-        took_s = self._clock.monotonic() - asked
-        self._clock_offset_s = found.ahead_s(self._clock.now(), took_s)
-        return found
-
     @property
     def is_held(self) -> bool:
         """Whether the server may still hold for us what we have not heard."""
@@ -353,6 +344,7 @@ class OpcUaSource:
 
     async def drop(self) -> None:
         """Hang up without a word; the server goes on to collect for us. Safe to call twice."""
+        await self._source_clock.stop()
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
         if subscription is not None:
@@ -427,7 +419,7 @@ class OpcUaSource:
         """At a first start, go on as if we had heard the source some time ago."""
         known_to, warm_start_s = self._knowledge.known_to, self._settings.warm_start_s
         if warm_start_s > 0.0 and (known_to == NEVER).all():
-            now = self._clock.now() + round(self._clock_offset_s * 1e9)
+            now = self._clock.now() + round(self.clock_offset_s * 1e9)
             known_to[[node.item for node in nodes]] = now - round(warm_start_s * 1e9)
 
     def _estate(self) -> Estate:
@@ -448,6 +440,7 @@ class OpcUaSource:
         if heir is not None:
             await self.drop()
             heir(self._estate())
+        await self._source_clock.stop()
         self._left = self._ticket = None
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None

@@ -39,6 +39,7 @@ class Changing:
     ``name`` is the variable's within the valve, ``length`` that of its value if it is an array.
     Variables that are published side by side, in this order, share ``column``, the name under
     which they are written. ``first`` is its value before any result, None if it waits for one.
+    ``ages``: it gets old with the sample that it is of.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Changing:
     length: int | None
     column: str
     first: int | None = None
+    ages: bool = True
 
 
 def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
@@ -66,9 +68,9 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
     for node in inverse_results(valve):
         yield _by_itself(node)
     for counter in valve.counters:
-        yield replace(_by_itself(counter_variable(valve.name, counter)), first=0)
+        yield replace(_by_itself(counter_variable(valve.name, counter)), first=0, ages=False)
     for node in health_variables(valve.name):
-        yield _by_itself(node)
+        yield replace(_by_itself(node), ages=False)
 
 
 class ResultBlocks:
@@ -86,17 +88,24 @@ class ResultBlocks:
         for number, valve in enumerate(valves):
             alike.setdefault(replace(valve, name="", nameplate=BLANK), []).append(number)
         sizes: dict[_Kind, int] = {}
+        aging: list[tuple[int, NDArray[np.intp], list[int]]] = []
         for described, numbers in alike.items():
             for kind, variables in _by_kind(changing_variables(described)).items():
                 begin = sizes.setdefault(kind, 0)
                 block, width = list(sizes).index(kind), len(variables)
                 for k in reversed(range(width)):  # side by side: the first one's place is theirs
                     places = begin + k + width * np.arange(len(numbers))
+                    if variables[k].ages:
+                        aging.append((block, places, numbers))
                     for name in {variables[k].name, variables[k].column}:
                         where = self._where.setdefault(name, np.full((len(valves), 2), -1))
                         where[numbers, 0], where[numbers, 1] = block, places
                 sizes[kind] += width * len(numbers)
         self._blocks = [server.add_empty_block(*kind, n) for kind, n in sizes.items()]
+        self._valve_of = [np.full(n, len(valves), np.int32) for n in sizes.values()]  # if it ages
+        for block, places, numbers in aging:
+            self._valve_of[block][places] = numbers
+        self._valves = len(valves)
         for described, numbers in alike.items():
             counters = (v for v in changing_variables(described) if v.first is not None)
             self.write(np.array(numbers), [_at_first(v, len(numbers), now) for v in counters])
@@ -126,6 +135,17 @@ class ResultBlocks:
             self._server.write_block(
                 self._blocks[number], values[None], t[None], codes[None], columns=places
             )
+
+    def doubt(self, valves: Times) -> None:
+        """Have what is shown as Good of some valves be Uncertain: it has become old."""
+        doubted = np.zeros(self._valves + 1, np.bool_)
+        doubted[valves] = True
+        for block, valve_of in zip(self._blocks, self._valve_of, strict=True):
+            columns = np.flatnonzero(doubted[valve_of])
+            columns = columns[block.are_good(columns)]
+            if len(columns):
+                code = ua.StatusCodes.UncertainLastUsableValue
+                self._server.mark_block(block, code, columns)
 
 
 class Generations:
@@ -164,6 +184,12 @@ class Generations:
                 blocks.write(places[slots], given)
             elif own.any():
                 blocks.write(places[slots][own], (column[own] for column in given))
+
+    def doubt(self, slots: Times) -> None:
+        """Have what is shown as Good of the valves in some slots be Uncertain."""
+        for blocks, places in self._parts:
+            own = places[slots]
+            blocks.doubt(own[own >= 0])
 
 
 def _by_kind(variables: Iterable[Changing]) -> dict[_Kind, list[Changing]]:

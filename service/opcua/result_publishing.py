@@ -7,7 +7,7 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from service.hardened import Clock
-from service.identification.samples import Quality
+from service.identification.samples import Quality, Times
 from service.opcua.changed_results import ChangedResults
 from service.opcua.information_model import PENDING, SAMPLE_AGE
 from service.opcua.result_alarms import ResultAlarms
@@ -97,6 +97,10 @@ class ResultPublishing:
             name = self._slots[number].name
             if name in self._health:
                 self._health.stands(name, self._operator.alarms(name))
+
+    def doubt(self, valves: Times) -> None:
+        """Have what is shown of the operator's valves, by number, be at best Uncertain."""
+        self._blocks.doubt(self._slots.of(valves))
 
     def publish_waits(self, health: Health, now: int) -> None:
         """Show how old each valve's newest sample is, and how many wait; ``now`` in UTC ns."""

@@ -16,6 +16,7 @@ from service.hardened import (
     event_fields,
     many_nodes,
 )
+from service.identification.samples import Times
 from service.opcua.companions import add_companions
 from service.opcua.information_model import NAMESPACE, NODE_VERSION, ROOT, SERVICE, check_names
 from service.opcua.model_changes import model_change, version_of_root
@@ -202,6 +203,11 @@ class ResultsServer(Startable):
         """Show results; a later call for the same valve replaces the earlier one."""
         if self._server is not None and len(results.valves):
             self._publishing.publish(results)
+
+    async def doubt(self, valves: Times) -> None:
+        """Have what is shown of some valves be at best Uncertain: it has become old."""
+        if self._server is not None and len(valves):
+            self._publishing.doubt(valves)
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""

@@ -3,15 +3,13 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from uuid import UUID
 
 from asyncua import ua
 
-from service.clock import utc_ns
 from service.errors import ConfigurationError, SourceRejected
 from service.opcua.connection import Connection, in_one_line, status_name
-from service.opcua.requests import namespaces_of, read_attributes, read_values
+from service.opcua.requests import namespaces_of, read_attributes
 from service.opcua.wire import NUMERIC_FORMATS
 from service.streaming.data_changes import SIGNALS_PER_VALVE, Signal
 from service.streaming.units import READ, Measure
@@ -206,57 +204,6 @@ def _checked(
         more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
         raise SourceRejected(faults[0] + more)
     return CheckedNodes(tuple(monitored), writable)
-
-
-@dataclass(frozen=True)
-class SourceClock:
-    """When the server was started and what time it has, UTC ns; 0 where it does not say."""
-
-    started: int
-    now: int
-
-    def ahead_s(self, now: int, took_s: float) -> float:
-        """By how much it is ahead of our clock, UTC ns, s; 0 where both may be the same.
-
-        Reading it took ``took_s``. Many servers renew what they say of their time once a second:
-        one that seems to be behind by less may be as late as that, and samples would look younger
-        than they are.
-
-        Examples
-        --------
-        >>> clock, took_s = SourceClock(started=0, now=10_000_000_000), 0.01
-        >>> [clock.ahead_s(now, took_s) for now in (10_000_000_000, 10_900_000_000, 13_000_000_000)]
-        [0.0, 0.0, -3.0]
-        """
-        ahead_s = (self.now - now) * 1e-9
-        doubt_s = took_s / 2 + _CLOCKS_AGREE_S
-        agree = -_RENEWED_S - doubt_s <= ahead_s <= doubt_s
-        return 0.0 if agree or not self.now else ahead_s
-
-
-_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
-_RENEWED_S = 1.0  # between two times that a server says
-
-
-async def clock_of_source(connection: Connection) -> SourceClock:
-    """Read what the server says of its time.
-
-    Raises
-    ------
-    SourceLost
-    """
-    ids = (
-        ua.ObjectIds.Server_ServerStatus_StartTime,
-        ua.ObjectIds.Server_ServerStatus_CurrentTime,
-    )
-    with connection.errors("reading the source's time"):
-        started, now = await read_values(connection, [ua.NodeId(number) for number in ids])
-        return SourceClock(_ns_of(started), _ns_of(now))
-
-
-def _ns_of(answer: ua.DataValue) -> int:
-    value = None if answer.Value is None else answer.Value.Value
-    return utc_ns(value) if isinstance(value, datetime) else 0
 
 
 def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:

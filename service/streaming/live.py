@@ -210,6 +210,7 @@ class LiveService:
             await self._use(samples, own)
             self._worked_s += self._clock.monotonic() - began
             if len(rest):
+                await self._doubt_old(self._ages())
                 await self._show_health(self._clock.monotonic())
                 await asyncio.sleep(0.0)
         self._mark = self._source.mark
@@ -280,9 +281,15 @@ class LiveService:
         silent_now = np.flatnonzero(stale)
         overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
         self._note_new(overdue)
-        old = np.flatnonzero((ages > limit) & ~self._old & ~silent)
+        await self._doubt_old(ages)
+
+    async def _doubt_old(self, ages: Floats) -> None:
+        """Have what is shown of a valve be Uncertain at once, what becomes of it in its turn."""
+        limit, silent = self._settings.stale_after_s, self.identification.holds()
+        old = np.flatnonzero((ages > limit) & ~self._old & ~(silent & self._connected))
         if len(old):
             self._old[old] = True
+            await self._sink.doubt(old)
             self._note_new(old.tolist())
 
     def _ages(self, valves: slice = slice(None)) -> Floats:

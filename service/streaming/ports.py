@@ -77,7 +77,7 @@ class Upstream(Protocol):
 
     @property
     def clock_offset_s(self) -> float | Floats:
-        """By how much the source's clock was ahead of ours at `connect`; 0 if it did not say.
+        """By how much the source's clock is ahead of ours; 0 if it did not say.
 
         Where there are several sources, by valve.
         """
@@ -481,6 +481,9 @@ class ResultSink(Protocol):
 
     async def publish(self, results: Results) -> None:
         """Show results; a later call for the same valve replaces the earlier one."""
+
+    async def doubt(self, valves: Times) -> None:
+        """Have what is shown of some valves be at best Uncertain at once: it has become old."""
 
     async def show_health(self, health: Health) -> None:
         """Show how the service itself stands."""

@@ -129,7 +129,7 @@ class Sources:
 
     @property
     def clock_offset_s(self) -> Floats:
-        """By valve, how much its source's clock was ahead of ours."""
+        """By valve, how much its source's clock is ahead of ours."""
         offsets = np.array([part.source.clock_offset_s for part in self.parts], np.float64)
         return np.asarray(offsets[self._part_of[:, 0]])
 

@@ -90,6 +90,7 @@ ESTIMATOR = EstimatorResult(
     survey=SURVEY,
     adaptation=Adaptation.DRIFT,
 )
+SHORT = replace(ESTIMATOR, theta=np.array([1.0]), std=np.array([0.1]))
 WITHOUT_PARAMETERS = replace(ESTIMATOR, theta=np.empty(0), std=np.empty(0))
 MAP = np.arange(6.0).reshape(3, 2)
 INVERSE = InverseResult(T, Quality.GOOD, 42.0, 0, MAP)
@@ -353,6 +354,23 @@ async def test_lost_sensors_leave_nothing_good(server, observer):
     assert await value(observer, "Valvistor.RLS.Status") == (0, Codes.UncertainLastUsableValue, T)
     await server.publish(result())
     assert (await value(observer, "Valvistor.Inverse.Map"))[0] == MAP.tolist()
+
+
+async def test_what_has_become_old_is_uncertain_at_once_and_counters_stay(server, observer):
+    await server.publish(result(late=3))
+    await server.publish(results_of(1, {"RLS": SHORT}, INVERSE))
+    old = Codes.UncertainLastUsableValue
+    for name in ("RLS.PredictedFlow", "RLS.SampleCount", "RBF.ParameterVector", "Frame"):
+        assert (await value(observer, f"Valvistor.{name}"))[1:] == (Codes.Good, T), name
+    before = await value(observer, "Valvistor.RLS.ParameterVector")
+    missing = await value(observer, "Valvistor.RLS.SystematicStd")
+    await server.doubt(np.array([0]))
+    assert await value(observer, "Valvistor.RLS.ParameterVector") == (before[0], old, T)
+    assert await value(observer, "Valvistor.RLS.SystematicStd") == missing
+    for name in ("RLS.PredictedFlow", "RLS.SampleCount", "RBF.ParameterVector", "Frame"):
+        assert (await value(observer, f"Valvistor.{name}"))[1:] == (old, T), name
+    assert (await value(observer, "Valvistor.Diagnostics.Late"))[1] == Codes.Good
+    assert (await value(observer, "V2.RLS.PredictedFlow"))[1] == Codes.Good
 
 
 async def test_counters_are_told_as_they_grow(server, observer):

@@ -103,10 +103,14 @@ class FakeSource:
 @dataclass
 class FakeSink:
     published: list = field(default_factory=list)
+    doubted: list = field(default_factory=list)
     health: Health | None = None
 
     async def publish(self, results):
         self.published += [results.one(m) for m in range(len(results.valves))]
+
+    async def doubt(self, valves):
+        self.doubted += valves.tolist()
 
     async def show_health(self, health):
         self.health = health

@@ -495,6 +495,23 @@ async def test_much_at_once_is_learnt_in_pieces_and_others_are_served_between(
     assert live.identification.checkpoints() == once.checkpoints()
 
 
+async def test_what_becomes_old_while_others_are_learnt_is_doubted_at_once(live, sink, clock):
+    samples = plant(300)
+    await live.take(as_changes(samples))
+    clock.advance((int(samples.t[-1]) - clock.now()) * 1e-9 + 1.9)
+    learn, doubted = live.identification.take, []
+
+    def slowly(_):
+        doubted.append(list(sink.doubted))
+        clock.advance(0.3)
+        return learn(DataChanges.empty())
+
+    live.identification.take = slowly
+    await live.take(as_changes(plant(1000, first=300)))
+    assert doubted[:2] == [[], [0]]
+    assert sink.doubted == [0]
+
+
 async def test_an_end_does_not_learn_all_that_has_come_and_the_source_is_asked_again(
     live, source, clock
 ):

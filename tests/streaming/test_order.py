@@ -157,6 +157,19 @@ def test_a_sample_without_one_of_its_signals_is_missing_not_a_gap():
     assert losses == {"missing": 1}
 
 
+@pytest.mark.parametrize("room", [64, 4096])
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
+def test_what_queues_lost_of_some_signals_and_numbers_is_counted_once(share, room):
+    align = Alignment(AlignmentSettings(max_pending=room), (True,), (True,))
+    changes = stream(np.arange(2000))
+    for seed in range(5):
+        within = np.isin(np.arange(12000) // 6, np.arange(500, 1500))
+        lost = within & (np.random.default_rng(seed).random(12000) < share)
+        times, _, losses = run(align, rows(changes, ~lost))
+        assert 2000 - len(times) == losses.get("gaps", 0) + losses.get("missing", 0), seed
+        assert set(losses) <= {"gaps", "missing"}
+
+
 def test_a_restarted_source_is_gone_on_with_and_what_it_cost_is_counted_by_time():
     before = stream(np.arange(1000, 1600))
     t = START + 655 * STEP + np.arange(900) * STEP

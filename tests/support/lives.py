@@ -25,6 +25,9 @@ class Sink:
     async def publish(self, results):
         pass
 
+    async def doubt(self, valves):
+        pass
+
     async def show_health(self, health):
         pass
 

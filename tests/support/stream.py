@@ -48,7 +48,7 @@ class NumberedServer:
         self.pace_ns = 0  # from sample to sample; 0: as time goes on
 
     @classmethod
-    async def create(cls, *, remembers=0, valves=("V1",), shows=saw, **more):
+    async def create(cls, *, remembers=0, valves=("V1",), shows=saw, clock=None, **more):
         server = await HardenedServer.create(
             ServerSettings(
                 url="opc.tcp://127.0.0.1:0/plant/",
@@ -57,7 +57,8 @@ class NumberedServer:
                 namespace_uri="urn:plant",
                 none_on_loopback=True,
                 **more,
-            )
+            ),
+            clock,
         )
         kinds = {"Sequence": ua.VariantType.UInt32}
         variables = []

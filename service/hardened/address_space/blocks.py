@@ -22,7 +22,7 @@ from service.hardened.binary.encoding import DTYPES, TICKS_1970, instant, ticks,
 from service.hardened.errors import ServerError
 from service.hardened.ledger import Ledger
 
-_BAD = 0x8000_0000
+_UNCERTAIN, _BAD = 0x4000_0000, 0x8000_0000
 
 Values = NDArray[Any]
 Bools = NDArray[np.bool_]
@@ -253,16 +253,22 @@ class Block:
             content = ua.Variant(value.tolist(), self.type, is_array=True)
         return ua.DataValue(content, ua.StatusCode(code), _instant(source), _instant(server))
 
-    def marked(self, code: int, now: int) -> Batch:
-        """Make a batch of the newest values with another StatusCode."""
+    def marked(self, code: int, now: int, columns: Columns | None = None) -> Batch:
+        """Make a batch of the newest values, of some columns or of all, with another StatusCode."""
+        which = slice(None) if columns is None else columns
         return Batch(
-            self._values[None].copy(),
-            np.full((1, len(self)), code, np.uint32),
-            self._has[None].copy(),
-            self._source[None].copy(),
+            self._values[None, which].copy(),
+            np.full((1, len(self) if columns is None else len(columns)), code, np.uint32),
+            self._has[None, which].copy(),
+            self._source[None, which].copy(),
             ticks_of_ns(now),
             None,
+            columns,
         )
+
+    def are_good(self, columns: Columns) -> NDArray[np.bool_]:
+        """Whether the newest values of some columns are Good."""
+        return np.asarray(self._codes[columns] < _UNCERTAIN)
 
     def unknown(self, columns: Sequence[int], now: int) -> Batch:
         """Make a batch that says of some columns that their variables are gone."""

@@ -168,8 +168,9 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
         order[HIGH] = max(order[HIGH], time)
         order[GIVEN_UP] = 0
     if command == MAKE_ROOM and gone == 0 and size > 0:
-        order[GIVEN_UP] += (w.slots[v, 0, FILLED] & _NUMBERED) != 0
-        w.slots[v, 0, SINCE] = _NOT_YET
+        first = w.slots[v, 0]
+        order[GIVEN_UP] += _is_missing(first)
+        first[SINCE] = _NOT_YET
     if command == BEGIN_ANEW:
         order[LAST] = order[BASE] = NO_NUMBER
         order[FLOOR] = order[NEWEST] = NEVER
@@ -253,7 +254,7 @@ def _is_jump(order: NDArray[np.int64], step: int, max_wait: int, reorder: int) -
 def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
     """Give up what lies between two numbers: incomplete samples are missing, the rest gaps."""
     order = w.order[v]
-    numbered = order[GIVEN_UP]
+    given_up = order[GIVEN_UP]
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
         if slot[FILLED] == _GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
@@ -267,11 +268,11 @@ def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
             continue
         if not known and slot[TIME] <= order[HIGH]:
             continue
-        numbered += known
+        given_up += 1
         w.counters[v, MISSING] += 1
         slot[FILLED] = _GONE
     if last != NO_NUMBER:
-        w.counters[v, GAPS] += max(np.int64(0), number - last - 1 - numbered)
+        w.counters[v, GAPS] += max(np.int64(0), number - last - 1 - given_up)
         row = w.lost[v, order[GAPS_KEPT] % w.lost.shape[1]]
         row[0], row[1] = order[LAST_TIME], time
         order[GAPS_KEPT] += 1
@@ -289,12 +290,18 @@ def _sweep(w: Waiting, v: int, rules: Rules) -> None:
         opened, since = slot[OPENED], slot[SINCE]
         passed = since == NEVER and high != NEVER and slot[TIME] <= high
         if since == _NOT_YET or (passed and (opened == NEVER or high - opened > rules.max_wait)):
-            w.counters[v, MISSING] += opened != NEVER and slot[TIME] > opened
+            w.counters[v, MISSING] += _is_missing(slot)
             continue
         if kept != k:
             move(w, v, k, kept)
         kept += 1
     order[SIZE] = kept
+
+
+@inner
+def _is_missing(slot: NDArray[np.int64]) -> bool:
+    """Whether an incomplete sample was never counted: not before the first, nor given up before."""
+    return bool(slot[OPENED] != NEVER and slot[TIME] > slot[OPENED])
 
 
 @inner

@@ -44,7 +44,7 @@ TIME, FILLED, NUMBER, SINCE, OPENED, SLOT_FIELDS = range(6)
     FIRST,  # running number and time where the present course of the source's clock began …
     FIRST_TIME,
     BEFORE_FIRST,  # … and the time of the sample before
-    GIVEN_UP,  # numbered samples given up singly since the last sample that left
+    GIVEN_UP,  # samples given up singly since the last sample that left
     GAPS_KEPT,  # rows of ``lost`` written
     PERIOD,  # usual time from sample to sample, ns; 0: unknown
     REGULAR,  # how far that can be relied on, up to ENOUGH
