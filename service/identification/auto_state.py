@@ -124,7 +124,7 @@ class AutoState(State):
         known = (self.shapes[:, whole] == np.rint(self.shapes[:, whole])).all()
         if not known or not np.isin(self.shapes[:, ladder.CELLS_OF], CELLS).all():
             return False
-        return all(_is_of_itsshape_of(self, which) for which in (CHAMPION, CHALLENGER)) and (
+        return all(_is_of_its_shape(self, which) for which in (CHAMPION, CHALLENGER)) and (
             shape_of(self, EXPLORER).size <= MOST
         )
 
@@ -199,7 +199,7 @@ def write_map(state: AutoState, which: int, shape: Shape, theta: Floats, top: fl
     state.coefficients[which, : table.size] = table.ravel()
 
 
-def _is_of_itsshape_of(state: AutoState, which: int) -> bool:
+def _is_of_its_shape(state: AutoState, which: int) -> bool:
     n_U, n_s = state.sizes[which].tolist()
     shape = shape_of(state, which)
     if not n_U:

@@ -64,7 +64,8 @@ def trusted(
         suffices = support.is_eq7_enough
         if support.is_eq7_refuted:
             std = np.hypot(std, support.misfit(U, dp, Q))
-    if not (far > SURE).any():
+    level = np.maximum(level, support.below(dp))
+    if not (np.maximum(far, level) > SURE).any():
         return std, outside
     with np.errstate(all="ignore"):
         widened = std * (1.0 + (TOGETHER - 1.0) * np.clip((far - SURE) / (1.0 - SURE), 0.0, 1.0))

@@ -104,6 +104,9 @@ def invert(
             std = np.hypot(std, off)
             return _answer(found, std, finite & ~lacking, U_range_of(estimator))
         std, guessed = trusted(estimator, state, support, points, demand, std)
+        unknown = guessed & np.isinf(std)
+        if unknown.any() and np.isfinite(estimator.parameters(state)[0]).any():
+            std = np.where(unknown, support.Q_max, std)  # nothing is known here, elsewhere it is
         std = np.hypot(std, off)
         answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
         has_U = answer.status <= InverseStatus.BELOW_REACH

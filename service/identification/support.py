@@ -128,6 +128,19 @@ class Support:
             anywhere = np.where(np.isnan(gap), 0.0, gap)
         return far, level, np.where(far > level, far, anywhere)
 
+    def below(self, dp: Floats) -> Floats:
+        """How far N pressure drops (bar) lie below the least that was seen (N,), 1 where it counts.
+
+        In √dp, as flows go: from 5 bar to 2 is further than from 65 to 60. Nought where samples lie
+        on both sides of dp = 0, or there are none.
+        """
+        low = self.boxes[:, support.DP_LOW].min(initial=np.inf)
+        high = self.boxes[:, support.DP_HIGH].max(initial=-np.inf)
+        least = max(low, -high)
+        if not 0.0 < least < np.inf:
+            return np.zeros(len(dp))
+        return np.maximum(np.sqrt(least) - np.sqrt(np.abs(dp)), 0.0) / support.NEAR_ROOT
+
     @cached_property
     def is_eq7_enough(self) -> bool:
         """Whether no further term explains more of Q than the noise would."""

@@ -88,6 +88,28 @@ def test_an_opening_never_seen_is_a_guess_with_a_wide_interval(fleet, name):
     assert answer.U[0] == pytest.approx(20.0, abs=2.0)
 
 
+def test_where_a_map_says_nothing_its_inverse_is_a_guess_of_any_opening():
+    valve, (U, dp) = VALVES["laminar"], np.full((2, 50), 80.0) + np.linspace(0.0, 20.0, 50)
+    fleet, _ = learnt(valve, PARTS[0], 3)
+    lane, at = fleet.lane(0, "Auto"), np.full(50, 40.0)
+    assert np.isnan(predicted(lane, U, dp + 90.0, at)[0]).any()
+    answer = invert(
+        lane.estimator, lane.state, valve(U, dp + 90.0), dp + 90.0, at, support=lane.support
+    )
+    assert (answer.status == InverseStatus.EXTRAPOLATING).all()
+    assert (answer.lower <= U).all()
+    assert (answer.upper >= U).all()
+
+
+def test_below_the_least_pressure_that_was_seen_the_interval_grows_as_roots_do(fleet):
+    lane, dp, T = fleet.lane(0, "RBF"), np.array([1.0, 2.0, 4.5, 30.0]), np.full(4, 40.0)
+    below = lane.support.below(dp)
+    assert below == pytest.approx(np.maximum(np.sqrt(5.0) - np.sqrt(dp), 0.0) / 0.5, abs=0.05)
+    _, std, status = predicted(lane, np.full(4, 20.0), dp, T)
+    assert (status != Status.EXTRAPOLATING).all()
+    assert std[0] > std[1] > 2.0 * std[2]
+
+
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_a_measurement_to_come_is_as_uncertain_as_the_map(fleet, name):
     lane = fleet.lane(0, name)

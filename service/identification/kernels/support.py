@@ -20,6 +20,7 @@ FINEST = 256.0
 T_LOWEST, T_STEP = -24.0, 0.5  # °C; up to 103.5
 
 NEAR_U, NEAR_DP, NEAR_T = 5.0, 5.0, 5.0  # %, bar, °C: what counts as near a sample
+NEAR_ROOT = 0.5  # √bar: as 5 bar are at 25
 ENOUGH = 3.0  # samples near a point, for it to be inside
 BEYOND = 1.0001  # just outside
 
