@@ -64,10 +64,12 @@ def check_what_stays(before: Config, config: Config) -> None:
     ConfigurationError
         naming the field.
     """
-    for name, old, new in (
-        ("state.file", before.state.file, config.state.file),
-        ("history", before.history, config.history),
-    ):
+    changed = [("state.file", before.state.file, config.state.file)]
+    changed += [
+        (f"history.{field}", getattr(before.history, field), getattr(config.history, field))
+        for field in type(config.history).model_fields
+    ]
+    for name, old, new in changed:
         if new != old:
             raise ConfigurationError(
                 f"{name} = '{new}': cannot change while the service runs; restart it"

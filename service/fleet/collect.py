@@ -138,7 +138,7 @@ class Collector:
         self._numbers = {group.name: 0 for group in self._groups}
         self._given_up = 0  # samples, since the first start
         self._parts: list[ByValve] = []
-        self._news = False
+        self._has_new_data = False
         self._unsaved: list[Packed] = []
         self._saving: asyncio.Task[None] | None = None
         now = self._clock.monotonic()
@@ -177,7 +177,7 @@ class Collector:
         """Make samples; save them when it is time."""
         own = self._own(valves)
         self._connected[own] = True
-        self._news = True
+        self._has_new_data = True
         self._use(self._arrivals.take(changes))
         self._save_in_time()
 
@@ -227,12 +227,12 @@ class Collector:
         self._held_s[~self._arrivals.waits()] = 0.0
         due = self._connected & (self._held_s > self._reorder_s)
         if due.any():
-            self._news = True
+            self._has_new_data = True
             self._use(self._arrivals.wait_no_longer(np.flatnonzero(due)))
 
     def _save_in_time(self) -> None:
         under_way = self._saving is not None and not self._saving.done()
-        if under_way or not self._news or self._clock.monotonic() < self._due:
+        if under_way or not self._has_new_data or self._clock.monotonic() < self._due:
             return
         self._due = self._clock.monotonic() + self._commit_s
         self._saving = asyncio.create_task(self._save(self._taken()))
@@ -240,7 +240,7 @@ class Collector:
     def _taken(self) -> _Taken:
         """What has come since the last time, as it stands now."""
         blocks = list(self._cut())
-        self._parts, self._news = [], False
+        self._parts, self._has_new_data = [], False
         mark = self._sources.mark
         kept = {
             _NUMBERS: json.dumps({"groups": self._numbers, "given_up": self._given_up}).encode(),
@@ -285,7 +285,7 @@ class Collector:
         try:
             given_up = await asyncio.to_thread(self._put_down, taken)
         except StorageError as error:
-            self._news = True
+            self._has_new_data = True
             self._hold_no_more_than_allowed()
             self._say("samples not kept, they are held in memory", reason=str(error))
             return

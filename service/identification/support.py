@@ -139,7 +139,8 @@ class Support:
         least = max(low, -high)
         if not 0.0 < least < np.inf:
             return np.zeros(len(dp))
-        return np.maximum(np.sqrt(least) - np.sqrt(np.abs(dp)), 0.0) / support.NEAR_ROOT
+        roots = np.sqrt(least) - np.sqrt(np.abs(dp))
+        return np.asarray(np.maximum(roots, 0.0) / support.NEAR_ROOT)
 
     @cached_property
     def is_eq7_enough(self) -> bool:

@@ -26,7 +26,6 @@ RULES = [
     SlidingWindow(100),
     Adaptive(0.99),
 ]
-CORNERS = np.array([[0.0, 1.0], [0.0, 200.0], [100.0, 1.0], [100.0, 200.0], [50.0, 100.0]])
 MAP = FiveTerms().regressors(
     *(a.ravel() for a in np.meshgrid(np.linspace(0, 100, 21), np.linspace(0, 200, 21))),
     np.zeros(441),

@@ -149,7 +149,7 @@ def make(
     return Identity(certificate, own_key)
 
 
-def make_crl(issuer, revoked=(), *, signer=None, days=(-1, 30), extra=(), critical=True, weak=None):
+def make_crl(issuer, revoked=(), *, signer=None, days=(-1, 30), extra=(), critical=True):
     """Make a revocation list; ``revoked`` are identities or revoked certificates."""
     builder = (
         x509.CertificateRevocationListBuilder()

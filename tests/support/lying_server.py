@@ -13,7 +13,6 @@ from typing import Self
 OPEN = b"OPN"
 _HEAD, _SEQUENCE = 8, 8
 _SYMMETRIC = 12 + 4  # header with channel, then the token
-_NULL = struct.pack("<i", -1)
 
 
 @dataclass

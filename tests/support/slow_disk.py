@@ -1,7 +1,6 @@
 """A disk whose syncs take long, for any program: a library that is loaded before the system's."""
 
 import os
-import shutil
 import subprocess
 
 SOURCE = """
@@ -18,10 +17,6 @@ static int late(const char *name, int file) {
 int fsync(int file) { return late("fsync", file); }
 int fdatasync(int file) { return late("fdatasync", file); }
 """
-
-
-def is_possible():
-    return shutil.which("gcc") is not None
 
 
 def environment(folder, seconds):

@@ -18,13 +18,8 @@ class Unit(Enum):
     LITRE_PER_MINUTE = (19506, "l/min", "litre per minute")
     DEGREE_CELSIUS = (4408652, "°C", "degree Celsius")
     PERCENT = (20529, "%", "percent")
-    VOLT = (5655636, "V", "volt")
-    SQUARE_MILLIMETRE_PER_SECOND = (4403511, "mm²/s", "square millimetre per second")
-    KILOGRAM_PER_CUBIC_METRE = (4934993, "kg/m³", "kilogram per cubic metre")
     SECOND = (5457219, "s", "second")
-    MILLISECOND = (4403766, "ms", "millisecond")
     HERTZ = (4740186, "Hz", "hertz")
-    MILLIMETRE = (5066068, "mm", "millimetre")
     ONE = (4404786, "1", "one")
 
     @property

@@ -13,7 +13,6 @@ from asyncua.ua import ua_binary
 
 TICKS_1970 = 116_444_736_000_000_000  # 100 ns from 1601 to 1970
 _EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
-_MICROSECOND = dt.timedelta(microseconds=1)
 VALUE, STATUS, SOURCE, SERVER = 1, 2, 4, 8  # what a DataValue holds
 ARRAY = 0x80
 
