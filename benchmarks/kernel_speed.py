@@ -44,7 +44,7 @@ def one_model() -> Figures:
     few = X[:PEER_N], y[:PEER_N]
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         f"ours, {rule}": (lambda r=rule: recursive_least_squares(X, y, r), N)
-        for rule in (Adaptive(LAM), Exponential(LAM))
+        for rule in (Adaptive(), Exponential(LAM))
     }
     library = _compiled()
     if library is not None:
@@ -86,7 +86,7 @@ def whole_estimators() -> Figures:
     """Time per sample, ns, of the estimators as the service runs them: signals in, trace out."""
     samples = _samples(N)
     estimators: dict[str, Estimator] = {
-        "RLS": RecursiveLeastSquares(forgetting=Adaptive(LAM)),
+        "RLS": RecursiveLeastSquares(forgetting=Adaptive()),
         "RML": MaximumLikelihood(),
         "RBF": RbfNetwork(),
     }
@@ -129,7 +129,7 @@ def compared() -> dict[str, Figures]:
     return {
         "One model, n = 5, ns per update": one_model(),
         "Estimators as the service runs them, ns per sample": whole_estimators(),
-        "10,000 models, default forgetting, ns": many_models(Adaptive(LAM)),
+        "10,000 models, default forgetting, ns": many_models(Adaptive()),
         "10,000 models, exponential, ns": many_models(Exponential(LAM)),
     }
 
