@@ -16,18 +16,22 @@ log = structlog.get_logger(__name__)
 
 
 class Compilation:
-    """Compiling what a configuration needs, in a thread, once somebody waits for it."""
+    """Compiling what a configuration needs, or loading what was compiled before, in a thread."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self._task: asyncio.Task[None] | None = None
 
-    async def ended(self) -> None:
-        """Wait for the end of it."""
+    def begin(self) -> asyncio.Task[None]:
+        """Begin with it, if it was not begun."""
         if self._task is None:
             compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
             self._task = asyncio.create_task(compile_all)
-        await asyncio.shield(self._task)
+        return self._task
+
+    async def ended(self) -> None:
+        """Wait for the end of it."""
+        await asyncio.shield(self.begin())
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def make_plan(
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
     compiled = Compilation(config)
-    source = build_sources(config, compiled.ended)  # no sample waits for a compiler
+    source = build_sources(config, compiled.ended)  # until then samples wait at the source
     return Plan(config, settings, identification, source, compiled, server_settings, after_another)
 
 

@@ -126,6 +126,7 @@ async def _live(
     ended = asyncio.Event()
     await live.start(known)
     log.info("results served", url=server.url)
+    plan.compiled.begin()
     if not was_warmed_up():
         await plan.compiled.ended()
     stopping = asyncio.create_task(_pass_on(stop, live, ended))

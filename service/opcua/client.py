@@ -67,7 +67,7 @@ class OpcUaSource:
     clock
         For the watchdog.
     ready
-        Waited for between connecting and subscribing: from then on samples are taken.
+        Waited for before the first changes are handed out; what comes meanwhile is held.
     """
 
     def __init__(
@@ -149,6 +149,9 @@ class OpcUaSource:
         SourceLost
             if the connection was cut, or fell silent for longer than its keep-alives allow.
         """
+        if self._ready is not None:
+            await self._ready()
+            self._ready = None
         changes = DataChanges.empty()
         while not len(changes):
             if not self._parts:
@@ -394,8 +397,6 @@ class OpcUaSource:
         nodes = await check_nodes(connection, self._valves)
         await check_units(connection, self._valves, nodes)
         self._writable = nodes.writable
-        if self._ready is not None:
-            await self._ready()
         return nodes
 
     @cached_property

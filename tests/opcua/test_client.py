@@ -151,6 +151,20 @@ async def received(source, count, seconds=5.0):
     return DataChanges.concatenate(parts)
 
 
+async def test_what_comes_before_all_is_ready_is_held_and_handed_out_then(plant):
+    ready = asyncio.Event()
+    source = OpcUaSource(plant.settings, [NODES], ready=ready.wait)
+    await source.connect()
+    first = asyncio.create_task(received(source, 20))
+    for _ in range(20):
+        plant.sample()
+        await asyncio.sleep(0.01)  # more than one publishing
+    assert not first.done()
+    ready.set()
+    assert of(await first, Signal.SEQUENCE).value[-20:].tolist() == list(range(20))
+    await source.close()
+
+
 def of(changes, signal):
     return changes[changes.item == signal]
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit, types
+from numba.core import base
 from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -97,6 +98,14 @@ def _load_numba_without_scipy() -> None:
         linalg.ensure_blas = look_for_blas
 
 
+def _note_no_calls_of_llvm() -> None:
+    """Have numba make no events of each call of LLVM: a start makes 15,000, and nobody listens.
+
+    Private seam of llvmlite: the list of what is called with its lock.
+    """
+    base.ll.ffi.lib._lock._cblist.clear()  # noqa: SLF001
+
+
 def _nothing() -> None:
     pass
 
@@ -123,6 +132,7 @@ def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's disp
 
 
 _load_numba_without_scipy()
+_note_no_calls_of_llvm()
 
 
 @kernel
