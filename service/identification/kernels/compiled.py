@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from llvmlite.binding import ffi
 from numba import njit, types
-from numba.core import base
 from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -103,7 +103,7 @@ def _note_no_calls_of_llvm() -> None:
 
     Private seam of llvmlite: the list of what is called with its lock.
     """
-    base.ll.ffi.lib._lock._cblist.clear()  # noqa: SLF001
+    ffi.lib._lock._cblist.clear()  # noqa: SLF001
 
 
 def _nothing() -> None:
