@@ -22,7 +22,7 @@ from support.slow_disk import environment
 
 from benchmarks.live_speed import free_url, names_of, rig
 from service.opcua.results_server import NAMESPACE
-from service.streaming.identification import MEMORY
+from service.streaming.kept_states import MEMORY
 from service.streaming.kernels import waiting
 
 START_S = 600.0  # on a busy machine

@@ -2,8 +2,9 @@
 
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -11,15 +12,17 @@ from numpy.typing import NDArray
 
 from service.identification.estimator import State, StateMismatchError, key_of
 from service.identification.samples import Times
-from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
+from service.streaming.alignment import COUNTER_NAMES, Alignment, AlignmentSettings, ByValve
 from service.streaming.data_changes import DataChanges
 from service.streaming.kernels import waiting as slots
-from service.streaming.kernels.waiting import Waiting
+from service.streaming.kernels.waiting import NEVER, Waiting
 from service.streaming.timing import Timing, TimingSettings, TimingState
-from service.streaming.valve_timing import ALIKE
+from service.streaming.valve_timing import ALIKE, IN_SCANS, LISTENING
+from service.streaming.waiting import waited_for
 
 _BY_SLOT: Final = ("slots", "values", "status")
 _DIGEST_BYTES: Final = 4
+_MISSING: Final = COUNTER_NAMES.index("missing")
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,11 @@ class Arrivals:
         How their signals find together, and how it is found in what way they come (None: it is
         configured).
 
+    Attributes
+    ----------
+    finds_timing : bool
+        Whether it is found in what way the signals come.
+
     Examples
     --------
     >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), has_T=(False,)))
@@ -71,18 +79,10 @@ class Arrivals:
         self, names: Sequence[str], alignment: Alignment, timing: Timing | None = None
     ) -> None:
         self.names = tuple(names)
-        self._alignment = alignment
-        self._waiting = alignment.initial_state()
+        self.alignment = alignment
+        self.finds_timing = timing is not None
         self.timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
-        self._key = key_of(
-            _Key(
-                self.names,
-                alignment.settings,
-                alignment.has_T,
-                alignment.has_sequence,
-                None if timing is None else timing.settings,
-            )
-        )
+        self._waiting = alignment.initial_state()
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take changes in; return the samples that they completed."""
@@ -90,7 +90,11 @@ class Arrivals:
 
     def waits(self) -> NDArray[np.bool_]:
         """Which valves have samples that wait for earlier ones."""
-        return self._alignment.waits(self._waiting) | (self.timing.pending > 0)
+        return self.alignment.waits(self._waiting) | (self.timing.pending > 0)
+
+    def pending(self) -> Times:
+        """How many samples of each valve wait for signals or for earlier samples, (V,)."""
+        return self.alignment.pending(self._waiting) + self.timing.pending
 
     def wait_no_longer(self, valves: Times) -> ByValve:
         """What waits for earlier samples, without them."""
@@ -101,13 +105,52 @@ class Arrivals:
 
     def begin_source_anew(self, valves: Times) -> ByValve:
         """The source of some valves was restarted: its running numbers begin anew."""
-        self._waiting, samples = self._alignment.begin_anew(self._waiting, valves)
+        self._waiting, samples = self.alignment.begin_anew(self._waiting, valves)
         return samples
 
     def finish(self) -> list[ByValve]:
         """All that waits, whatever for."""
         every = np.arange(len(self.names))
         return [self._align(self.timing.flush(every)), self._flush(every)]
+
+    def counts(self, valves: Times) -> Times:
+        """What was aligned and lost of some valves, a column for each of ``COUNTER_NAMES``."""
+        counts: Times = self._waiting.counters[valves]
+        counts[:, _MISSING] += self.timing.not_made(valves)
+        return counts
+
+    def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """Which signals keep a valve's samples from being made, and what would help."""
+        timing, has_T = self.timing.valves[valve], self.alignment.has_T[valve]
+        newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
+        if timing.stands == IN_SCANS:
+            return (*timing.words.losses(nodes), *timing.words.still(nodes))
+        said = waited_for(newest, self.alignment.settings, has_T=has_T, nodes=nodes)
+        if timing.stands == LISTENING and (newest[: 4 + has_T] != NEVER).all():
+            return ("how the signals come is not found yet: it takes some seconds of changes",)
+        return said
+
+    def stand_still(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """Which of a valve's signals, written on change, have not moved for long."""
+        return self.timing.valves[valve].words.still(nodes)
+
+    def how_signals_come(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """How each of a valve's signals comes, in words."""
+        return self.timing.valves[valve].words.sentences(nodes)
+
+    def of(self, valve: int) -> Waiting:
+        """Copies of what waits at one valve, see :meth:`Alignment.of`."""
+        return self.alignment.of(self._waiting, valve)
+
+    def put(self, valve: int, one: Waiting) -> None:
+        """Have copies of `of` wait at a valve.
+
+        Raises
+        ------
+        StateMismatchError
+            if more wait than the alignment lets.
+        """
+        self._waiting = self.alignment.put(self._waiting, valve, one)
 
     def to_bytes(self) -> bytes:
         """Pack what is under way."""
@@ -146,16 +189,27 @@ class Arrivals:
             states[number] = TimingState.from_bytes(rest[at : at + length], self._key)
             at += length
         for number in range(len(self.names)):
-            one = self._alignment.of(waiting, number)
-            self._waiting = self._alignment.put(self._waiting, number, one)
+            self.put(number, self.alignment.of(waiting, number))
             self.timing.put(number, states.get(number, _ALIKE))
 
+    @cached_property
+    def _key(self) -> str:
+        return key_of(
+            _Key(
+                self.names,
+                self.alignment.settings,
+                self.alignment.has_T,
+                self.alignment.has_sequence,
+                self.timing.settings if self.finds_timing else None,
+            )
+        )
+
     def _align(self, changes: DataChanges) -> ByValve:
-        self._waiting, samples = self._alignment.take(self._waiting, changes)
+        self._waiting, samples = self.alignment.take(self._waiting, changes)
         return samples
 
     def _flush(self, valves: Times) -> ByValve:
-        self._waiting, samples = self._alignment.flush(self._waiting, valves)
+        self._waiting, samples = self.alignment.flush(self._waiting, valves)
         return samples
 
 

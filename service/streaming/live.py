@@ -23,7 +23,8 @@ from service.streaming.feedforward import (
     decide,
     written,
 )
-from service.streaming.identification import MAPS_AT_ONCE, Identification
+from service.streaming.identification import Identification
+from service.streaming.maps_and_surveys import MAPS_AT_ONCE
 from service.streaming.past import PastKeeper
 from service.streaming.ports import (
     AlarmReport,

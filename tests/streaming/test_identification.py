@@ -12,7 +12,8 @@ from service.identification.samples import Quality, Status
 from service.identification.sensor_accuracy import SensorAccuracy
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
-from service.streaming.identification import SURVEYS_AT_ONCE, Identification
+from service.streaming.identification import Identification
+from service.streaming.maps_and_surveys import SURVEYS_AT_ONCE
 from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
 
 

@@ -14,7 +14,8 @@ from service.identification.samples import Quality
 from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.identification import ALARMS, MEMORY, Identification
+from service.streaming.identification import Identification
+from service.streaming.kept_states import ALARMS, MEMORY
 from service.streaming.live import LiveService, LiveSettings
 from service.streaming.publishing_turns import VALVES_AT_ONCE
 from service.streaming.supervisor import SupervisorSettings, supervise

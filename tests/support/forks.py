@@ -15,7 +15,7 @@ from service.config.loading import load_config
 from service.config.models import GateConfig, ValveConfig
 from service.storage.checkpoints import LOG, CheckpointFile
 from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.identification import ALARMS
+from service.streaming.kept_states import ALARMS
 from service.streaming.ports import Checkpoint
 
 GATE = {"U": {"max_rate_per_s": 400.0}, "T": {"frozen_s": 1e6}, "Q": {"spike": 60.0}}

@@ -17,7 +17,7 @@ from service.app.build import build_identification
 from service.config.loading import load_config
 from service.hardened import UserStore
 from service.storage.checkpoints import LOG, CheckpointFile
-from service.streaming.identification import ALARMS, MEMORY
+from service.streaming.kept_states import ALARMS, MEMORY
 from service.streaming.live import POSITION
 
 GATES = "{ U = { max_rate_per_s = 400.0 }, T = { frozen_s = 1e6 }, Q = { spike = 60.0 } }"

@@ -1,0 +1,74 @@
+"""What all valves remember as columns, given out and written back, and the maps people approved."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.streaming.all_valves import AllValves
+from service.streaming.approved_maps import ApprovedMaps
+from service.streaming.baseline import Baseline
+from service.streaming.sample_intake import SampleIntake
+from service.streaming.valve_columns import Columns, copy_rows
+
+
+class KeptColumns:
+    """All valves at once, for whom samples are aligned before they arrive: none wait here.
+
+    Parameters
+    ----------
+    valves
+        Of these.
+    intake, approved
+        What is remembered beside what the fleets remember.
+    """
+
+    def __init__(self, valves: AllValves, intake: SampleIntake, approved: ApprovedMaps) -> None:
+        self._valves = valves
+        self._intake = intake
+        self._approved = approved
+
+    def columns(self) -> list[Columns]:
+        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        names = tuple(plan.name for plan in self._valves.plans)
+        intake = self._intake
+        plausibility = intake.plausibility.columns()
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": intake.newest.t,
+            "newest_quality": intake.newest.quality,
+            "newest_values": intake.newest.values,
+            "implausible": intake.implausible,
+            "approved": self._approved.counts,
+            **{f"plausibility_{name}": array for name, array in plausibility.items()},
+        }
+        found = [Columns("signals", names, every)]
+        for fleet, own in self._valves.by_fleet(np.arange(len(names))):
+            found += fleet.columns([names[valve] for valve in own])
+        return found
+
+    def remember(
+        self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
+    ) -> set[tuple[str, str]]:
+        """Take up columns and baselines; return (key, valve) of what starts afresh.
+
+        Raises
+        ------
+        StateMismatchError
+            if a baseline is damaged.
+        """
+        afresh = copy_rows(columns, self.columns())
+        for fleet in self._valves.fleets:
+            fleet.columns_written()
+        for valve, packed in baselines.items():
+            if valve in self._valves.numbers:
+                number = self._valves.numbers[valve]
+                self._approved.baselines[number] = Baseline.from_bytes(packed)
+        return afresh
+
+    def baselines(self) -> dict[str, bytes]:
+        """The approved maps, packed, by valve."""
+        return {
+            self._valves.plans[number].name: found.to_bytes()
+            for number, found in self._approved.baselines.items()
+        }
