@@ -130,8 +130,7 @@ def replay(
                 if plan is None:
                     continue
                 valves[name] = _Learnt(replace(plan, insist=plan.insist or insist))
-            valves[name].look_at(samples, file)
-            judged, traces = valves[name].learn(samples)
+            judged, traces = valves[name].learn(valves[name].look_at(samples, file))
             tap(name, judged, traces)
     if not valves:
         named = ", ".join(plans or ())
@@ -189,18 +188,21 @@ class _Learnt:
         self._plausibility = Plausibility(1)
         self.samples = 0
 
-    def look_at(self, samples: Samples, file: Path) -> None:
-        """Refuse to learn from what cannot be what it is called."""
+    def look_at(self, samples: Samples, file: Path) -> Samples:
+        """Refuse to learn from what cannot be what it is called; of a moment, from that alone."""
         if len(samples) == 0:
-            return
+            return samples
         self.samples += len(samples)
-        self._plausibility.count(samples, Segments.one(len(samples)))
+        refused = self._plausibility.count(samples, Segments.one(len(samples)))
         for finding in self._plausibility.findings(0):
             if finding.kind is Kind.REFUSED and not self.plan.insist:
                 raise RecordingError(
                     f"{file}: valve {self.plan.name}: {finding.sentence}; --insist learns from it "
                     "all the same"
                 )
+        if self.plan.insist or not refused.any():
+            return samples
+        return replace(samples, quality=np.where(refused, np.uint8(Quality.BAD), samples.quality))
 
     def hints(self) -> tuple[str, ...]:
         """What looks odd, and what was insisted upon."""

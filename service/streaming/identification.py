@@ -125,7 +125,8 @@ class Identification:
     def implausible(self) -> NDArray[np.bool_]:
         """Which valves are not learnt from, because their signals cannot be what they are called.
 
-        Once refused, a valve is learnt from again after a restart, with what is wrong mended.
+        Pressures that cannot be are refused until they have been right for ten times as many
+        samples; where flow and pressures contradict each other, until a restart.
         """
         return self._intake.implausible
 

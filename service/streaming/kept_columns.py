@@ -38,7 +38,7 @@ class KeptColumns:
             "newest_t": intake.newest.t,
             "newest_quality": intake.newest.quality,
             "newest_values": intake.newest.values,
-            "implausible": intake.implausible,
+            "refuted": intake.refuted,
             "approved": self._approved.counts,
             **{f"plausibility_{name}": array for name, array in plausibility.items()},
         }

@@ -452,8 +452,12 @@ class LiveService:
             self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
 
     def _say_what_is_doubted(self) -> None:
-        """Name the valves that are not learnt from, each once."""
+        """Name the valves that are not learnt from, each once, and those that are again."""
         implausible = self.identification.implausible()
+        for valve in np.flatnonzero(self._doubted & ~implausible).tolist():
+            self._doubted[valve] = False
+            name = self.identification.plans[valve].name
+            log.info("learnt from again", valve=name, why="its pressures have been right for long")
         for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
             self._doubted[valve] = True
             name = self.identification.plans[valve].name

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 from service.identification.samples import Floats, Samples, Segments, Times
 from service.streaming.kernels import plausibility as kernel
 
-NEARLY_ALWAYS: Final = 0.9  # share of samples
-FEW: Final = 10  # samples; with fewer nothing is said
-SOME_HIGH: Final = 0.05  # share of samples: single spikes are the gate's matter
 SOME_BACKWARD: Final = 0.01  # share of samples: a clock steps now and then
 ENOUGH: Final = 2_000  # samples before a slope is judged
 LEAST_SPREAD_S: Final = 0.5  # √bar, of √dp at a given U: less shows no slope
@@ -69,21 +66,26 @@ class Plausibility:
         """All counts, each (M, …): the arrays themselves."""
         return {"counts": self._counts, "times": self._times, "sums": self._sums}
 
-    def count(self, samples: Samples, segments: Segments) -> None:
-        """Count samples in, as they come from the sensors."""
-        columns = np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1)
-        kernel.count(
-            samples.t, columns, samples.quality, self._counts, self._times, self._sums, segments
-        )
+    def count(self, samples: Samples, segments: Segments) -> NDArray[np.bool_]:
+        """Count N samples in, as they come from the sensors; return which are refused, (N,).
 
-    def suspicious(self, members: Times) -> NDArray[np.bool_]:
-        """Which of some valves may have something to refuse, (len(members),); a quick look."""
-        own = self._counts[members]
-        n = own[:, kernel.SAMPLES]
-        pressed = own[:, kernel.REVERSED] + own[:, kernel.FORWARD]
-        bad = (pressed >= FEW) & (own[:, kernel.REVERSED] > NEARLY_ALWAYS * pressed)
-        bad |= (n >= FEW) & (own[:, kernel.HIGH] > SOME_HIGH * n)
-        return np.asarray(bad)
+        From the first on whose pressures cannot be, until they have been right for ten times as
+        many samples as they were wrong: a sensor that failed for seconds is no reason to learn
+        nothing for good, pressures in psi that are high in each cycle are.
+        """
+        columns = np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1)
+        refused = np.empty(len(samples), np.bool_)
+        counted = self._counts, self._times, self._sums
+        kernel.count(samples.t, columns, samples.quality, *counted, segments, refused)
+        return refused
+
+    def refused(self) -> NDArray[np.bool_]:
+        """Whose newest sample is refused, (M,)."""
+        return np.asarray(self._counts[:, kernel.REFUSED] != kernel.NOT_REFUSED)
+
+    def is_refuted(self, m: int) -> bool:
+        """Whether flow and pressures of one valve, or its times, contradict each other."""
+        return any((*_of_slope(self._sums[m]), *_of_times(self._counts[m])))
 
     def findings(self, m: int) -> list[Finding]:
         """What speaks against one valve's signals, the weightiest first."""
@@ -97,15 +99,13 @@ class Plausibility:
 
 
 def _of_pressures(own: Floats) -> Iterator[str]:
-    n, pressed = own[kernel.SAMPLES], own[kernel.REVERSED] + own[kernel.FORWARD]
-    if n >= FEW and own[kernel.HIGH] > SOME_HIGH * n:
+    if own[kernel.REFUSED] == kernel.TOO_HIGH:
         highest = own[kernel.HIGHEST_P]
-        yield (
-            f"a pressure of {highest:.4g} bar is none of a hydraulic valve: "
-            f"is it {_likely_unit(highest)}? signals.p1.unit and signals.p2.unit say so"
-        )
-    elif pressed >= FEW and own[kernel.REVERSED] > NEARLY_ALWAYS * pressed:
-        share = 100.0 * own[kernel.REVERSED] / pressed
+        likely = f"is it {_likely_unit(highest)}? signals.p1.unit and signals.p2.unit say so"
+        remedy = likely if highest > 0.0 else "has its sensor failed?"
+        yield f"a pressure of {highest:.4g} bar is none of a hydraulic valve: {remedy}"
+    elif own[kernel.REFUSED] == kernel.SWAPPED:
+        share = 100.0 * own[kernel.SHARE]
         yield f"p1 is below p2 in {share:.0f} % of the samples: are the two swapped?"
 
 
@@ -117,7 +117,7 @@ def _likely_unit(highest: float) -> str:
 
 def _of_slope(sums: Floats) -> Iterator[str]:
     """Q against √dp at a given U: partial correlation within cells of U, pooled."""
-    rows = sums[sums[:, kernel.N] >= FEW]
+    rows = sums[sums[:, kernel.N] >= kernel.FEW]
     n, U, s, Q, UU, US, UQ, SS, SQ, QQ = rows.T
     U_U, U_s, U_Q = UU - U * U / n, US - U * s / n, UQ - U * Q / n
     by_U = np.where(_STILL * n < U_U, 1.0 / np.maximum(U_U, _STILL), 0.0)
@@ -138,9 +138,9 @@ def _of_slope(sums: Floats) -> Iterator[str]:
 
 def _of_times(own: Floats) -> Iterator[str]:
     steps, back = own[kernel.SEEN] - 1.0, own[kernel.BACKWARD]
-    if steps < FEW or back <= SOME_BACKWARD * steps:
+    if steps < kernel.FEW or back <= SOME_BACKWARD * steps:
         return
-    if back > NEARLY_ALWAYS * steps:
+    if back > kernel.NEARLY_ALWAYS * steps:
         yield "the times run backwards: sort the rows by t"
     else:
         yield f"the times step back at {back:.0f} of {steps + 1:.0f} samples: sort the rows by t"
@@ -148,7 +148,7 @@ def _of_times(own: Floats) -> Iterator[str]:
 
 def _of_repeated_times(own: Floats) -> Iterator[str]:
     steps, back, same = own[kernel.SEEN] - 1.0, own[kernel.BACKWARD], own[kernel.REPEATED]
-    if steps >= FEW and same > SOME_BACKWARD * steps:
+    if steps >= kernel.FEW and same > SOME_BACKWARD * steps:
         yield (
             f"{same:.0f} of {steps + 1:.0f} samples have the time of the one before: are rows "
             "doubled, or were the times cut off?"
@@ -163,7 +163,7 @@ def _of_opening(own: Floats, sums: Floats) -> Iterator[str]:
     clipped = min(own[kernel.AT_LOWEST], own[kernel.AT_HIGHEST]) >= CLIPPED
     for least, most, symbol in _SPANS:
         slack = _ROUNDING * (most - least)
-        passes = sums[_cell(0.5 * (least + most)), kernel.N] >= FEW
+        passes = sums[_cell(0.5 * (least + most)), kernel.N] >= kernel.FEW
         if clipped and passes and abs(low - least) <= slack and abs(high - most) <= slack:
             yield (
                 f"U runs from {least:g} to {most:g} and is cut off at both ends: is it {symbol}? "
@@ -177,5 +177,5 @@ def _cell(U: float) -> int:
 
 
 def _of_temperature(own: Floats) -> Iterator[str]:
-    if own[kernel.WITH_T] >= FEW and own[kernel.HOT] > 0.5 * own[kernel.WITH_T]:
+    if own[kernel.WITH_T] >= kernel.FEW and own[kernel.HOT] > 0.5 * own[kernel.WITH_T]:
         yield f"T is above {kernel.HOT_T:g} °C: is it °F or K? signals.T.unit says so"

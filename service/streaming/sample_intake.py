@@ -15,6 +15,9 @@ from service.streaming.fleet import Fleet
 from service.streaming.plausibility import Finding, Kind, Plausibility
 from service.streaming.ports import SIGNALS, SignalResults
 
+_CONTRADICTED = (
+    "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
+)
 _LOST = [COUNTER_NAMES.index(name) for name in ("missing", "gaps", "lost_by_time")]
 _ALIGNED = COUNTER_NAMES.index("aligned")
 
@@ -33,8 +36,8 @@ class SampleIntake:
     ----------
     newest : SignalResults
         The newest sample of each of the V valves, as it came.
-    implausible : bool
-        Which valves (V,) are not learnt from, because their signals cannot be what they are called.
+    refuted : bool
+        Which valves' signals (V,) contradict each other: not learnt from until a restart.
     plausibility : Plausibility
         What was seen that speaks for or against that.
     """
@@ -49,7 +52,7 @@ class SampleIntake:
             values=np.full((V, len(SIGNALS)), np.nan),
         )
         self.plausibility = Plausibility(V)
-        self.implausible = np.zeros(V, np.bool_)
+        self.refuted = np.zeros(V, np.bool_)
         self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
 
     def take(self, changes: DataChanges) -> ByValve:
@@ -83,15 +86,21 @@ class SampleIntake:
         fleet, m = self._valves.at(valve)
         return fleet.take(samples, Segments.one(len(samples))._replace(members=np.array([m])))
 
+    @property
+    def implausible(self) -> NDArray[np.bool_]:
+        """Which valves (V,) are not learnt from: their signals cannot be what they are called."""
+        return self.refuted | (self.plausibility.refused() & ~self._insists)
+
     def findings(self, valve: int) -> list[Finding]:
         """What speaks against a valve's signals being what they are called."""
-        return self.plausibility.findings(valve)
+        found = self.plausibility.findings(valve)
+        if self.refuted[valve] and all(finding.kind is Kind.HINT for finding in found):
+            return [Finding(Kind.REFUSED, _CONTRADICTED), *found]
+        return found
 
     def judge(self, valve: int) -> None:
-        """Refuse a valve's samples from now on if anything speaks against its signals enough."""
-        self.implausible[valve] |= not self._insists[valve] and any(
-            finding.kind is Kind.REFUSED for finding in self.findings(valve)
-        )
+        """Refuse a valve's samples from now on if its signals contradict each other."""
+        self.refuted[valve] |= not self._insists[valve] and self.plausibility.is_refuted(valve)
 
     def signals(self, valves: Times, at_best: Codes) -> SignalResults:
         """The newest sample of some valves (M,), of a quality no better than ``at_best`` (M,)."""
@@ -107,16 +116,16 @@ class SampleIntake:
         newest.values[valves] = np.stack(list(columns), axis=1)
 
     def _without_implausible(self, arrived: ByValve) -> ByValve:
-        """The same samples; those of valves that cannot be what they are called are BAD."""
-        self.plausibility.count(arrived.samples, arrived.segments)
+        """The same samples; those that cannot be what they are called are BAD."""
+        refused = self.plausibility.count(arrived.samples, arrived.segments)
         valves, starts, stops = arrived.segments
-        self.implausible[valves] |= self.plausibility.suspicious(valves) & ~self._insists[valves]
-        refused = np.flatnonzero(self.implausible[valves])
-        if not len(refused):
+        for k in np.flatnonzero(self._insists[valves]):
+            refused[starts[k] : stops[k]] = False
+        for k in np.flatnonzero(self.refuted[valves]):
+            refused[starts[k] : stops[k]] = True
+        if not refused.any():
             return arrived
-        quality = arrived.samples.quality.copy()
-        for k in refused:
-            quality[starts[k] : stops[k]] = Quality.BAD
+        quality = np.where(refused, np.uint8(Quality.BAD), arrived.samples.quality)
         return replace(arrived, samples=replace(arrived.samples, quality=quality))
 
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:

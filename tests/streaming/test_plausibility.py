@@ -100,11 +100,67 @@ def test_a_pump_that_stands_and_a_closed_valve_say_nothing():
     assert findings(plant(U=lambda c: 0 * c["U"], Q=lambda c: 1 + noise(c))) == []
 
 
+def refused(samples, parts=1):
+    """Which samples are refused (N,), and what is said at the end."""
+    plausibility, found = Plausibility(1), []
+    for rows in np.array_split(np.arange(len(samples)), parts):
+        part = samples[slice(rows[0], rows[-1] + 1)]
+        found.append(plausibility.count(part, Segments.one(len(part))))
+    return np.concatenate(found), plausibility.findings(0)
+
+
+def during(first, last, signal, value):
+    """Have a signal show something else for some samples."""
+
+    def change(columns):
+        changed = columns[signal].copy()
+        changed[first:last] = value(columns)[first:last]
+        return changed
+
+    return {signal: change}
+
+
 def test_it_does_not_matter_how_samples_are_cut():
-    samples = plant(Q=lambda c: -c["Q"])
-    whole = findings(samples)
-    for parts in (2, 7, 600):
-        assert findings(samples, parts) == whole
+    swapped = during(0, 40, "p1", lambda c: c["p2"]) | during(0, 40, "p2", lambda c: c["p1"])
+    for changes in ({"Q": lambda c: -c["Q"]}, swapped):
+        samples = plant(**changes)
+        whole = refused(samples)
+        for parts in (2, 7, 600):
+            which, said_then = refused(samples, parts)
+            assert (which == whole[0]).all()
+            assert said_then == whole[1]
+
+
+def test_a_spike_at_the_very_start_is_the_gate_s_matter():
+    which, found = refused(plant(**during(3, 5, "p2", lambda c: 0 * c["p2"] - 900.0)))
+    assert np.flatnonzero(which).tolist() == [3, 4]
+    assert found == []
+
+
+def test_a_sensor_that_failed_for_seconds_is_learnt_from_again_after_ten_times_as_long():
+    which, found = refused(plant(**during(100, 200, "p2", lambda c: 0 * c["p2"] - 900.0)))
+    assert which[109:1199].all()
+    assert not which[1201:].any()
+    assert found == []
+    failing = plant(n=250, **during(100, 250, "p2", lambda c: 0 * c["p2"][:250] - 900.0))
+    (finding,) = refused(failing)[1]
+    assert finding.sentence.startswith("a pressure of -900 bar is none of a hydraulic valve: has")
+
+
+def test_pressures_swapped_for_a_moment_are_learnt_from_soon_and_for_long_later():
+    for n, last in ((40, 80), (3_000, 5_000)):
+        at_first = during(0, n, "p1", lambda c: c["p2"]) | during(0, n, "p2", lambda c: c["p1"])
+        which, found = refused(plant(**at_first))
+        assert which[n - 1]
+        assert not which[last + 1 :].any()
+        assert found == []
+
+
+def test_pressures_in_psi_that_are_high_in_each_cycle_alone_stay_refused():
+    high = 500.0 * (np.arange(N) % 1_000 > 900)
+    which, found = refused(plant(p1=lambda c: 100.0 + 0 * c["p1"] + 14.5 * high / 10.0))
+    assert which[1_100:].all()
+    assert "is it psi?" in found[0].sentence
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,10 @@ SAMPLES, REVERSED, FORWARD, HIGH, LOWEST_U, AT_LOWEST, HIGHEST_U, AT_HIGHEST, WI
     10
 )
 HIGHEST_P, BACKWARD, REPEATED, LAST_T, SEEN = range(10, 15)
-FIELDS = 15
+REFUSED, BAD, CLEAN, SHARE = range(15, 19)  # why; how many ever, none since; their share then
+FIELDS = 19
+
+NOT_REFUSED, TOO_HIGH, SWAPPED = range(3)
 
 N, SUM_U, SUM_S, SUM_Q, UU, US, UQ, SS, SQ, QQ = range(10)
 SUMS = 10
@@ -20,6 +23,12 @@ LOWEST_CELL, HIGHEST_CELL = -5.0, 105.0  # %, of U: a sensor may read that much 
 CLEAR_DP = 2.0  # bar: less is what sensors are off by
 MOST_DP = 700.0  # bar: no hydraulic valve stands more
 HOT_T = 95.0  # °C: no hydraulic oil is kept so hot
+
+FEW = 10.0  # samples; with fewer nothing is said
+SOME_HIGH = 0.05  # share of samples: single spikes are the gate's matter
+NEARLY_ALWAYS, SELDOM = 0.9, 0.5  # share of samples with p1 < p2: are swapped, are not
+AGAIN = 10.0  # times as many clean samples in a row as there were bad ones end a refusal …
+CLEAN_AGAIN = 2_000.0  # … and so many do where the pressures were swapped
 
 _BAD = int(Quality.BAD)
 
@@ -33,11 +42,13 @@ def count(
     times: NDArray[np.int64],
     sums: NDArray[np.float64],
     segments: Segments,
+    refused: NDArray[np.bool_],
 ) -> None:
     """Count N samples of many valves in; ``columns`` (N, 5) are U, p1, p2, Q, T.
 
     ``counts`` (M, FIELDS), ``times`` (M,) of the newest sample and ``sums`` (M, CELLS, SUMS) by
-    cells of U are written in place.
+    cells of U are written in place, and whether the pressures cannot be, sample by sample, into
+    ``refused`` (N,).
     """
     members, starts, stops = segments
     width = (HIGHEST_CELL - LOWEST_CELL) / CELLS
@@ -52,6 +63,7 @@ def count(
                     own[REPEATED] += 1
             own[SEEN] += 1
             times[m] = t[i]
+            refused[i] = own[REFUSED] != NOT_REFUSED
             U, p1, p2, Q, T = columns[i]
             if quality[i] == _BAD or not np.isfinite(U + p1 + p2 + Q):
                 continue
@@ -61,9 +73,22 @@ def count(
                 own[REVERSED] += 1
             elif dp > CLEAR_DP:
                 own[FORWARD] += 1
-            if max(abs(dp), p1, p2) > MOST_DP:
-                own[HIGH] += 1
-            own[HIGHEST_P] = max(own[HIGHEST_P], p1, p2)
+            furthest = p1 if abs(p1) > abs(p2) else p2
+            if abs(furthest) <= MOST_DP < abs(dp):
+                furthest = dp
+            if abs(furthest) > abs(own[HIGHEST_P]):
+                own[HIGHEST_P] = furthest
+            too_high = abs(furthest) > MOST_DP
+            own[HIGH] += too_high
+            bad = too_high or dp < -CLEAR_DP
+            if bad:
+                own[BAD] += 1
+                own[CLEAN] = 0
+            elif dp > CLEAR_DP:
+                own[CLEAN] += 1
+            _judge(own)
+            undecided = own[REVERSED] + own[FORWARD] < FEW
+            refused[i] = own[REFUSED] != NOT_REFUSED or (bad and undecided)
             if own[LOWEST_U] > U:
                 own[LOWEST_U], own[AT_LOWEST] = U, 0
             if own[HIGHEST_U] < U:
@@ -73,7 +98,7 @@ def count(
             if np.isfinite(T):
                 own[WITH_T] += 1
                 own[HOT] += T > HOT_T
-            if not LOWEST_CELL <= U < HIGHEST_CELL:
+            if refused[i] or not LOWEST_CELL <= U < HIGHEST_CELL:
                 continue
             cell = sums[m, int((U - LOWEST_CELL) / width)]
             s = np.sign(dp) * np.sqrt(abs(dp))
@@ -87,3 +112,21 @@ def count(
             cell[SS] += s * s
             cell[SQ] += s * Q
             cell[QQ] += Q * Q
+
+
+@njit(cache=True)
+def _judge(own: NDArray[np.float64]) -> None:
+    """Refuse pressures that cannot be; let them in again once they have been right for long."""
+    pressed = own[REVERSED] + own[FORWARD]
+    if own[REFUSED] == NOT_REFUSED:
+        if own[HIGH] >= FEW and own[HIGH] > SOME_HIGH * own[SAMPLES]:
+            own[REFUSED], own[SHARE] = TOO_HIGH, own[HIGH] / own[SAMPLES]
+        elif own[REVERSED] >= FEW and own[REVERSED] > NEARLY_ALWAYS * pressed:
+            own[REFUSED], own[SHARE] = SWAPPED, own[REVERSED] / pressed
+        return
+    ended = own[CLEAN] >= AGAIN * own[BAD]
+    if own[REFUSED] == SWAPPED:
+        ended = ended or own[REVERSED] < SELDOM * pressed or own[CLEAN] >= CLEAN_AGAIN
+    if ended:
+        own[REFUSED] = NOT_REFUSED
+        own[SAMPLES] = own[REVERSED] = own[FORWARD] = own[HIGH] = own[HIGHEST_P] = 0.0
