@@ -39,8 +39,8 @@ COMMIT_S, QUICK_COMMIT_S = 1.0, 0.05  # s between commits: where much is learnt,
 WARM = 3  # blocks of each group before anything is measured
 CACHE = Path.home() / ".cache" / "valvemap" / "kafka"
 BARS = {"rls": 500_000, "three": 180_000, "default": 40_000, "two": 800_000}
-LATENCY_S, LATENCY_HZ = 20.0, 50.0  # blocks/s: a tenth of what one worker learns
-SETTLING_S = 8.0  # of the same before: a young broker is slow
+LATENCY_S, LATENCY_HZ = 30.0, 50.0  # blocks/s: a tenth of what one worker learns
+SETTLING_S = 90.0  # of the same before: a young broker compiles, and takes a core for that
 CLOCK, PER_CORE = "samples/s, by the clock", "samples/s per worker core (processor's time)"
 _TICKS = os.sysconf("SC_CLK_TCK")
 

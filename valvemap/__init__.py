@@ -38,6 +38,7 @@ array([2., 3.])
 
 from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Config",
-    "FlowMapRegressor",
     "Model",
     "Samples",
     "ValvemapError",
@@ -68,6 +68,9 @@ __all__ = [
     "recursive_maximum_likelihood",
     "replay",
 ]
+
+if find_spec("sklearn") is not None:  # help() looks at every name
+    __all__ += ["FlowMapRegressor"]
 
 __version__ = version("valvemap")
 

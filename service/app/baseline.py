@@ -5,7 +5,7 @@ from enum import StrEnum
 from service.app.page_access import Watched, settings_of
 from service.errors import CommandRejected
 from service.opcua.namespaces import SERVICE_NAMESPACE
-from service.opcua.results_client import ResultsClient
+from service.opcua.results_client import UNKNOWN_NODE, ResultsClient
 
 
 class Action(StrEnum):
@@ -58,6 +58,8 @@ async def _done(client: ResultsClient, valve: str, action: Action, estimator: st
     if action in _METHODS:
         await client.call(node, _METHODS[action], [[]])
     version, digest = await client.read([f"{node}.Version", f"{node}.DataHash"])
+    if version.code == UNKNOWN_NODE:
+        raise CommandRejected(f"{valve}: the service has no such valve")
     if not version.value:
         return f"{valve}: no map is approved"
     return f"{valve}: builds on {version.value}, SHA-256 {digest.value}"

@@ -172,8 +172,22 @@ def _of_valve(valve: ValveProposal) -> str:
     units = [line for role, node in valve.nodes.items() for line in _of_unit(role, node)]
     if units:
         lines += ["", "[valves.signals]", *units]
+    lines += _assumed(valve)
     lines += [f"# decide: {text}" for text in valve.open]
     return "\n".join([*lines, ""])
+
+
+def _assumed(valve: ValveProposal) -> list[str]:
+    """What is taken for the units that the server does not say."""
+    roles = without_unit(valve)
+    if not roles:
+        return []
+    taken = ", ".join(f"{role} in {inside(QUANTITY_OF[role]).symbol}" for role in roles)
+    return [
+        f"# the server says no unit of {', '.join(roles)}: taken as {taken};",
+        "# if not so, [valves.signals] says what is, such as",
+        '#   U = { raw = [4, 20], range = [0, 100] } or p1 = { unit = "psi" }',
+    ]
 
 
 def _of_unit(role: str, node: Candidate) -> list[str]:
@@ -197,6 +211,14 @@ def measure_of(role: str, node: Candidate) -> Measure:
     if role == "U" and unit is None and node.bounds in {(4.0, 20.0), (0.0, 10.0)}:
         return Measure(raw=node.bounds, scaled=(0.0, 100.0))
     return Measure(unit=unit)
+
+
+def without_unit(valve: ValveProposal) -> list[str]:
+    """Signals of a valve whose unit the server does not say."""
+    nodes = valve.nodes
+    return [
+        role for role in MEASURED if role in nodes and measure_of(role, nodes[role]) == Measure()
+    ]
 
 
 async def _watch(

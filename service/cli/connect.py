@@ -51,7 +51,7 @@ def connect(
     ] = False,
 ) -> None:
     """Find the valves of a server, watch their signals, write a configuration."""
-    from service.app.connect import configuration, look_around
+    from service.app.connect import configuration, look_around, without_unit
     from service.config.template import configuration_template
 
     check_folder("--out", out)
@@ -80,6 +80,10 @@ def connect(
         raise typer.Abort
     make_users(data, None)
     _write(out, configuration(found, settings, configuration_template(data)))
+    for valve in found.valves:
+        if roles := without_unit(valve):
+            unsaid = f"{valve.name}: the server says no unit of {', '.join(roles)};"
+            console.print(f"{unsaid} {out} says what is taken for it", soft_wrap=True)
     console.print(f"written: {out}; `valvemap serve --config {out}` starts", soft_wrap=True)
     if found.questions:
         raise StorageError(f"{out}: to be decided: {'; '.join(found.questions)}")

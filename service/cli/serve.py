@@ -11,6 +11,7 @@ from service.cli.options import ConfigOption, SourceOption, check_folder, of_sou
 from service.cli.progress import working
 from service.config.loading import load_config
 from service.config.models import NamedSourceConfig
+from service.errors import ConfigurationError, RecordingError
 
 
 def serve(config: ConfigOption = None) -> None:
@@ -37,12 +38,20 @@ def record(
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds.")
     ] = None,
     source: SourceOption = None,
+    *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Write over a recording that is there.")
+    ] = False,
 ) -> None:
     """Record the source's samples to a file."""
     from service.app.record import record as run
     from service.app.signals import stop_on_signal
 
     check_folder("FILE", file)
+    if file.exists() and not overwrite:
+        raise ConfigurationError(
+            f"{file}: is there already; another name, or --overwrite, is needed"
+        )
 
     loaded = of_source(load_config(config), source)
     set_up_logs(loaded.log)
@@ -55,6 +64,10 @@ def record(
             return await run(loaded, file, stop, duration, recorded)
 
     n = asyncio.run(until_stopped())
+    if n == 0:
+        raise RecordingError(
+            f"{file}: no sample was made; `valvemap check-config --online` says how signals come"
+        )
     typer.echo(f"{file}: {n:,} samples")
 
 

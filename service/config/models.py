@@ -262,6 +262,15 @@ class NodesConfig(Section):
             raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
         return self
 
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        names: dict[str, str] = {}
+        for name in type(self).model_fields:
+            node = self.of(name)
+            if node is not None and names.setdefault(node, name) != name:
+                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        return self
+
     @field_validator("*")
     @classmethod
     def _is_node_id(cls, text: str | None) -> str | None:

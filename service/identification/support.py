@@ -155,10 +155,14 @@ class Support:
 
     @cached_property
     def is_eq7_refuted(self) -> bool:
-        """Whether a further term explains more of Q than noise of any colour, or drift, would."""
+        """Whether a further term explains more of Q than noise of any colour, or drift, would.
+
+        With few blocks the noise's colour is not known, and taken for white: better an interval too
+        wide in coloured noise than one too narrow where eq. (7) does not fit.
+        """
         _, white, long_run = self._contrasts
-        counts = self.fit[lack_of_fit.BLOCKS] >= FEW
-        return bool(counts and (np.minimum(white, long_run) > BEYOND_DOUBT).any())
+        many = self.fit[lack_of_fit.BLOCKS] >= FEW
+        return bool(((np.minimum(white, long_run) if many else white) > BEYOND_DOUBT).any())
 
     @cached_property
     def _contrasts(self) -> tuple[float, Floats, Floats]:

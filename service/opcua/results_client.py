@@ -29,6 +29,8 @@ from service.opcua.requests import (
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
+UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # of a reading: there is no such variable
+
 _METHODS_AT_ONCE = 50  # of one request: others want their turn
 _LATE = 10  # values of a variable that is watched which the server keeps if we are late
 

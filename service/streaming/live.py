@@ -120,6 +120,7 @@ class LiveService:
         self._last_sample = np.full(len(identification.plans), now)
         self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
         self._held_until = now
+        self._heard_at = np.full(len(identification.plans), now)  # anything of their source
         self._source_started = np.zeros(len(identification.plans), np.int64)
         self._lost = np.zeros(len(identification.plans), np.bool_)
         self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
@@ -195,6 +196,7 @@ class LiveService:
         """Identify, publish, feed forward; what is much, in pieces: others are served between."""
         own = self._own(valves)
         self._connected[own] = True
+        self._heard_at[own] = self._clock.monotonic()
         rest = changes
         while len(rest):
             began = self._clock.monotonic()
@@ -474,7 +476,11 @@ class LiveService:
         for valve in valves:
             self._lost[valve] = True
             name = self.identification.plans[valve].name
-            why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
+            silent_s = self._clock.monotonic() - self._heard_at[valve]
+            if silent_s > self._settings.stale_after_s or not self._connected[valve]:
+                why = f"nothing has come from its source for {silent_s:.1f} s"
+            else:
+                why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
             log.warning("sensors lost", valve=name, why=why)
         if valves:
             self._note_new(valves)

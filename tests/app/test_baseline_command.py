@@ -40,6 +40,8 @@ async def test_an_operator_approves_compares_and_goes_back(served):
     identification, server, who = served
     operator = who("operator")
     assert await act(who(), VALVE, Action.SHOW) == "V7: no map is approved"
+    with pytest.raises(CommandRejected, match="V8: the service has no such valve"):
+        await act(who(), "V8", Action.SHOW)
     with pytest.raises(CommandRejected, match=r"V7: the map of RLS is not one .* nothing was"):
         await act(operator, VALVE, Action.APPROVE)
     identification.take(as_changes(plant(600)))

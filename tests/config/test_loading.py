@@ -92,6 +92,7 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         (FED + "max_width_percent = nan\n", "valves[0].feed_forward.max_width_percent"),
         ("[[valves]]\n[valves.feed_forward]\n", "nodes.required_U is needed"),
         ("[[valves]]\n" + NODES + "heartbeat = 's=B'\n", "heartbeat: required_U is needed, too"),
+        ("[[valves]]\n" + NODES + "T = 's=p1'\n", "p1 and T are the same node, 's=p1'"),
         (
             "[[valves]]\nU_range_percent = [-100, 100]\n",
             "valves[0].U_range_percent: [-100, 100] is more than RLS, RML, Auto can describe; with",

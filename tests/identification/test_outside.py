@@ -120,6 +120,15 @@ def test_a_measurement_to_come_is_as_uncertain_as_the_map(fleet, name):
     assert status[1] == Status.EXTRAPOLATING != status[0]
 
 
+@pytest.mark.parametrize("valve", ["dead band", "S-shape", "ordinary", "saturating"])
+@pytest.mark.parametrize("n", [600, 1_500])
+def test_a_young_map_of_eq_7_that_misfits_widens_its_interval(valve, n):
+    fleet, samples = learnt(VALVES[valve], ((0, 60), (20, 120)), 1, n=n)
+    Q, std, _ = predicted(fleet.lane(0, "RLS"), samples.U, samples.dp, samples.T)
+    off = np.abs(Q - VALVES[valve](samples.U, samples.dp)) > TWO_SIDED_95 * std
+    assert off.mean() < 0.3
+
+
 def test_eq_7_stops_being_followed_where_its_interval_is_no_longer_narrow():
     fleet, _ = learnt(VALVES["eq. (7)"], ((5, 40), (5, 60)), 1, n=60)
     U, dp = np.linspace(20, 100, 50), np.linspace(30, 200, 50)
