@@ -51,7 +51,7 @@ class Plausibility:
     --------
     >>> swapped = Samples.of(t=range(50), U=[50] * 50, p1=[10] * 50, p2=[100] * 50, Q=[30] * 50)
     >>> plausibility = Plausibility(1)
-    >>> plausibility.count(swapped, Segments.one(50))
+    >>> refused = plausibility.count(swapped, Segments.one(50))
     >>> [finding.sentence for finding in plausibility.findings(0)]
     ['p1 is below p2 in 100 % of the samples: are the two swapped?']
     """
