@@ -155,7 +155,7 @@ async def test_what_comes_before_all_is_ready_is_held_and_handed_out_then(plant)
     ready = asyncio.Event()
     source = OpcUaSource(plant.settings, [NODES], ready=ready.wait)
     await source.connect()
-    first = asyncio.create_task(received(source, 20))
+    first = asyncio.create_task(received(source, 21))  # and that there is no value yet
     for _ in range(20):
         plant.sample()
         await asyncio.sleep(0.01)  # more than one publishing
