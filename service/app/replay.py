@@ -24,7 +24,7 @@ from service.storage.recordings import read_recording
 from service.streaming import pipeline
 from service.streaming.fleet import COUNTER_NAMES, Fleet
 from service.streaming.pipeline import Lane, ValvePlan, ValveState
-from service.streaming.plausibility import Kind, Plausibility
+from service.streaming.plausibility import Kind, Plausibility, refuse
 from service.streaming.ports import EstimatorResults
 from service.streaming.score import Score
 
@@ -200,9 +200,7 @@ class _Learnt:
                     f"{file}: valve {self.plan.name}: {finding.sentence}; --insist learns from it "
                     "all the same"
                 )
-        if self.plan.insist or not refused.any():
-            return samples
-        return replace(samples, quality=np.where(refused, np.uint8(Quality.BAD), samples.quality))
+        return samples if self.plan.insist else refuse(samples, refused)
 
     def hints(self) -> tuple[str, ...]:
         """What looks odd, and what was insisted upon."""

@@ -6,14 +6,14 @@ be is a hint. Pure; samples are counted, so it does not matter how they are cut 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.samples import Floats, Samples, Segments, Times
+from service.identification.samples import Floats, Quality, Samples, Segments, Times
 from service.streaming.kernels import plausibility as kernel
 
 SOME_BACKWARD: Final = 0.01  # share of samples: a clock steps now and then
@@ -98,6 +98,14 @@ class Plausibility:
         ]
 
 
+def refuse(samples: Samples, refused: NDArray[np.bool_]) -> Samples:
+    """The same N samples, those that are refused (N,) BAD."""
+    if not refused.any():
+        return samples
+    quality = np.where(refused, np.uint8(Quality.BAD), samples.quality)
+    return replace(samples, quality=quality)
+
+
 def _of_pressures(own: Floats) -> Iterator[str]:
     if own[kernel.REFUSED] == kernel.TOO_HIGH:
         highest = own[kernel.HIGHEST_P]
@@ -105,7 +113,7 @@ def _of_pressures(own: Floats) -> Iterator[str]:
         remedy = likely if highest > 0.0 else "has its sensor failed?"
         yield f"a pressure of {highest:.4g} bar is none of a hydraulic valve: {remedy}"
     elif own[kernel.REFUSED] == kernel.SWAPPED:
-        share = 100.0 * own[kernel.SHARE]
+        share = 100.0 * own[kernel.REVERSED] / (own[kernel.REVERSED] + own[kernel.FORWARD])
         yield f"p1 is below p2 in {share:.0f} % of the samples: are the two swapped?"
 
 

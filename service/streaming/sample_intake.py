@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.samples import Codes, Quality, Samples, Segments, Times, Trace
+from service.identification.samples import Codes, Samples, Segments, Times, Trace
 from service.streaming.alignment import COUNTER_NAMES, ByValve
 from service.streaming.all_valves import AllValves
 from service.streaming.arrivals import Arrivals
 from service.streaming.data_changes import DataChanges
 from service.streaming.fleet import Fleet
-from service.streaming.plausibility import Finding, Kind, Plausibility
+from service.streaming.plausibility import Finding, Kind, Plausibility, refuse
 from service.streaming.ports import SIGNALS, SignalResults
 
 _CONTRADICTED = (
@@ -123,10 +123,7 @@ class SampleIntake:
             refused[starts[k] : stops[k]] = False
         for k in np.flatnonzero(self.refuted[valves]):
             refused[starts[k] : stops[k]] = True
-        if not refused.any():
-            return arrived
-        quality = np.where(refused, np.uint8(Quality.BAD), arrived.samples.quality)
-        return replace(arrived, samples=replace(arrived.samples, quality=quality))
+        return replace(arrived, samples=refuse(arrived.samples, refused))
 
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:
         counts, places = self._arrivals.counts(valves), self._valves.places[valves]

@@ -10,8 +10,8 @@ SAMPLES, REVERSED, FORWARD, HIGH, LOWEST_U, AT_LOWEST, HIGHEST_U, AT_HIGHEST, WI
     10
 )
 HIGHEST_P, BACKWARD, REPEATED, LAST_T, SEEN = range(10, 15)
-REFUSED, BAD, CLEAN, SHARE = range(15, 19)  # why; how many ever, none since; their share then
-FIELDS = 19
+REFUSED, WRONG, CLEAN = range(15, 18)  # why; samples that cannot be, ever, and those since then
+FIELDS = 18
 
 NOT_REFUSED, TOO_HIGH, SWAPPED = range(3)
 
@@ -27,7 +27,7 @@ HOT_T = 95.0  # °C: no hydraulic oil is kept so hot
 FEW = 10.0  # samples; with fewer nothing is said
 SOME_HIGH = 0.05  # share of samples: single spikes are the gate's matter
 NEARLY_ALWAYS, SELDOM = 0.9, 0.5  # share of samples with p1 < p2: are swapped, are not
-AGAIN = 10.0  # times as many clean samples in a row as there were bad ones end a refusal …
+AGAIN = 10.0  # times as many clean samples in a row as there were wrong ones end a refusal …
 CLEAN_AGAIN = 2_000.0  # … and so many do where the pressures were swapped
 
 _BAD = int(Quality.BAD)
@@ -80,15 +80,15 @@ def count(
                 own[HIGHEST_P] = furthest
             too_high = abs(furthest) > MOST_DP
             own[HIGH] += too_high
-            bad = too_high or dp < -CLEAR_DP
-            if bad:
-                own[BAD] += 1
+            wrong = too_high or dp < -CLEAR_DP
+            if wrong:
+                own[WRONG] += 1
                 own[CLEAN] = 0
             elif dp > CLEAR_DP:
                 own[CLEAN] += 1
             _judge(own)
             undecided = own[REVERSED] + own[FORWARD] < FEW
-            refused[i] = own[REFUSED] != NOT_REFUSED or (bad and undecided)
+            refused[i] = own[REFUSED] != NOT_REFUSED or (wrong and undecided)
             if own[LOWEST_U] > U:
                 own[LOWEST_U], own[AT_LOWEST] = U, 0
             if own[HIGHEST_U] < U:
@@ -120,11 +120,11 @@ def _judge(own: NDArray[np.float64]) -> None:
     pressed = own[REVERSED] + own[FORWARD]
     if own[REFUSED] == NOT_REFUSED:
         if own[HIGH] >= FEW and own[HIGH] > SOME_HIGH * own[SAMPLES]:
-            own[REFUSED], own[SHARE] = TOO_HIGH, own[HIGH] / own[SAMPLES]
+            own[REFUSED] = TOO_HIGH
         elif own[REVERSED] >= FEW and own[REVERSED] > NEARLY_ALWAYS * pressed:
-            own[REFUSED], own[SHARE] = SWAPPED, own[REVERSED] / pressed
+            own[REFUSED] = SWAPPED
         return
-    ended = own[CLEAN] >= AGAIN * own[BAD]
+    ended = own[CLEAN] >= AGAIN * own[WRONG]
     if own[REFUSED] == SWAPPED:
         ended = ended or own[REVERSED] < SELDOM * pressed or own[CLEAN] >= CLEAN_AGAIN
     if ended:
