@@ -1,9 +1,11 @@
 """Compiling every kernel ahead, so that no sample waits for a compiler."""
 
+import gc
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import Synchronized
@@ -24,9 +26,11 @@ from service.identification.residual_spread import ResidualSpread
 from service.identification.samples import Samples, Segments, Trace
 from service.identification.support import Support
 from service.opcua.decoding import decode_data_changes
+from service.streaming.alarms import RULES, Alarms
 from service.streaming.data_changes import DataChanges
 from service.streaming.plausibility import Plausibility
 from service.streaming.quality_gate import QualityGate
+from service.streaming.score import Score
 from service.streaming.valve_timing import make_one_scan
 
 _NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
@@ -40,6 +44,7 @@ _ONE_CHANGE = DataChanges(
 
 Progress = Callable[[int, int], None]  # parts that are done, of how many
 _REPORT_EVERY_S = 5.0
+_OBJECTS_TO_A_COLLECTION = 50_000  # 700 by default; a tenth more memory
 _OF_ONE = {"name", "nodes", "source", "identification"}  # a valve alone; nothing is compiled for it
 
 
@@ -50,18 +55,30 @@ def warm_up(
 ) -> None:
     """Have every kernel compiled that this configuration needs.
 
-    The first run on a machine compiles for a minute and caches the result on disk; later runs
+    The first run on a machine compiles for half a minute and caches the result on disk; later runs
     load it. A second process helps at that: each takes the next part that nobody has taken, and
     ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
     """
     decode_data_changes(_NO_CHANGES)
     config = _one_of_each_kind(config)
-    if not was_warmed_up():
-        _compile_in_parts(config, progress, is_over)
-    if is_over():
-        return
-    compile_here(config)
+    with _collecting_garbage_seldom():
+        if not was_warmed_up():
+            _compile_in_parts(config, progress, is_over)
+        if is_over():
+            return
+        compile_here(config)
     note_warm_up()
+
+
+@contextmanager
+def _collecting_garbage_seldom() -> Iterator[None]:
+    """Leave garbage for a while: looking for it takes a fifth of compiling, and finds little."""
+    usual = gc.get_threshold()
+    gc.set_threshold(_OBJECTS_TO_A_COLLECTION, *usual[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
 
 
 def _one_of_each_kind(config: Config) -> Config:
@@ -98,7 +115,8 @@ def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], 
 def _help(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
     """Take parts as well; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _take_parts(config, taken, done, lambda: False)
+    with _collecting_garbage_seldom():
+        _take_parts(config, taken, done, lambda: False)
 
 
 def _take_parts(
@@ -130,12 +148,15 @@ def _parts(config: Config) -> list[Callable[[], None]]:
     finds_structure = any(isinstance(one, Auto) for one in estimators.values())
     others = [one for one in estimators.values() if not isinstance(one, Auto)]
     return [
-        *([_fit, _fill_cells] if finds_structure else []),
-        *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
-        partial(_align, config),
-        partial(_first_maps, config),
+        *([_fit] if finds_structure else []),
         *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
+        *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
+        *([_fill_cells] if finds_structure else []),
+        partial(_align, config),
         _look_around,
+        _watch,
+        partial(_first_maps, config),
+        *([_what_auto_seldom_needs] if finds_structure else []),
     ]
 
 
@@ -192,6 +213,14 @@ def _look_around() -> None:
     ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
 
 
+def _watch() -> None:
+    """What alarms and scores make of results."""
+    samples, one = _samples(), Segments.one(len(_samples()))
+    trace = Trace(samples.Q, samples.Q, samples.Q, np.zeros(len(samples), np.uint8))
+    Alarms(1, RULES, 200.0).watch(samples, trace, one)
+    Score.none().add(samples, trace)
+
+
 def compile_here(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
     identification = build_identification(config)
@@ -211,10 +240,10 @@ def compile_here(config: Config) -> None:
     identification.refresh_maps()
     plans = identification.plans
     if any(isinstance(one, Auto) for plan in plans for one in plan.estimators.values()):
-        _compile_what_auto_seldom_needs()
+        _what_auto_seldom_needs()
 
 
-def _compile_what_auto_seldom_needs() -> None:
+def _what_auto_seldom_needs() -> None:
     """... as only some samples lead to it: a look for lags, a rival from elsewhere, a drift."""
     state = Auto().initial_state()
     scalars, shape = state.scalars, Shape.from_array(state.shapes[0])

@@ -6,21 +6,26 @@ compiled here, so that none is ever run with a callee of yesterday.
 """
 
 import hashlib
-import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
-from llvmlite.binding import ffi
 from numba import njit, types
-from numba.np import linalg
+
+from service.identification.kernels.linked_only import OnlyLinked
+from service.identification.kernels.numba_seams import spare
 
 F = TypeVar("F", bound=Callable[..., object])
 
 Index = np.uint64  # place in an array: a signed one may count from the end, and no loop of such
 # becomes a vector
 
+_LINKED: Final[dict[str, Any]] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": OnlyLinked,
+}
 _ROOMS = Path(__file__).parents[2].glob("*/kernels/*.py")
 _SOURCES = [path.read_bytes() for path in sorted(_ROOMS)]
 _STAMP = hashlib.sha256(b"".join(s for s in _SOURCES if b"kernels.compiled" in s)).hexdigest()[:12]
@@ -44,12 +49,12 @@ def inner(function: F) -> F:
 
     It makes no array and hands none back: see `maker`. Private seam of numba: the option ``_nrt``.
     """
-    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+    return _compile(function, **_LINKED, _nrt=False)
 
 
 def maker(function: F) -> F:
     """`inner` for what makes arrays or hands them back."""
-    return _compile(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=True)
+    return _compile(function, **_LINKED, _nrt=True)
 
 
 def inlined(function: F) -> F:
@@ -57,9 +62,7 @@ def inlined(function: F) -> F:
 
     Only for what few kernels call: each gets a copy.
     """
-    return _compile(
-        function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, _nrt=False
-    )
+    return _compile(function, **_LINKED, forceinline=True, _nrt=False)
 
 
 def spliced(function: F) -> F:
@@ -85,34 +88,9 @@ def note_warm_up() -> None:
     _end_of_warm_up()
 
 
-def _load_numba_without_scipy() -> None:
-    """Have numba load its array functions now, without the look for BLAS that they begin with.
-
-    It imports scipy.linalg, a tenth of what a start of the service takes, and no kernel here uses
-    it; one that does imports it then. Private seam of numba: ``numba.np.arraymath._check_blas``.
-    """
-    look_for_blas, linalg.ensure_blas = linalg.ensure_blas, _nothing
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        linalg.ensure_blas = look_for_blas
-
-
-def _note_no_calls_of_llvm() -> None:
-    """Have numba make no events of each call of LLVM: a start makes 15,000, and nobody listens.
-
-    Private seam of llvmlite: the list of what is called with its lock.
-    """
-    ffi.lib._lock._cblist.clear()  # noqa: SLF001
-
-
-def _nothing() -> None:
-    pass
-
-
-def _compile(function: F, **options: bool | str) -> F:
+def _compile(function: F, **options: Any) -> F:  # noqa: ANN401 - numba's options
     function.__qualname__ = f"{function.__name__}_{_STAMP}"
-    compiled: F = njit(cache=True, error_model="numpy", **options)(function)  # type: ignore[call-overload]
+    compiled: F = njit(cache=True, error_model="numpy", **options)(function)
     _once_for_all_numbers(compiled)
     return compiled
 
@@ -123,7 +101,7 @@ def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's disp
     Constants still reach what is inlined. Private seam of numba: ``get_call_template``.
     """
     find = compiled.get_call_template
-    plain: Callable[[Any], Any] = types.unliteral
+    plain: Callable[[Any], Any] = types.unliteral  # type: ignore[attr-defined]
 
     def find_for_any_number(args: Any, kws: Any) -> Any:  # noqa: ANN401
         return find(tuple(map(plain, args)), {name: plain(kind) for name, kind in kws.items()})
@@ -131,8 +109,7 @@ def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's disp
     compiled.get_call_template = find_for_any_number
 
 
-_load_numba_without_scipy()
-_note_no_calls_of_llvm()
+spare()
 
 
 @kernel
