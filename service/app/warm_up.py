@@ -59,7 +59,6 @@ def warm_up(
     load it. A second process helps at that: each takes the next part that nobody has taken, and
     ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
     """
-    decode_data_changes(_NO_CHANGES)
     config = _one_of_each_kind(config)
     with _collecting_garbage_seldom():
         if not was_warmed_up():
@@ -152,7 +151,7 @@ def _parts(config: Config) -> list[Callable[[], None]]:
         *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
         *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
         *([_fill_cells] if finds_structure else []),
-        partial(_align, config),
+        partial(compile_alignment, config),
         _look_around,
         _watch,
         partial(_first_maps, config),
@@ -185,10 +184,6 @@ def _learn(estimator: Estimator[Any]) -> None:
 def compile_alignment(config: Config) -> None:
     """What makes samples of changes: all that is needed by one who learns nothing."""
     decode_data_changes(_NO_CHANGES)
-    _align(config)
-
-
-def _align(config: Config) -> None:
     alignment = build_alignment(config)
     waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
     alignment.waits(waiting)
@@ -223,6 +218,7 @@ def _watch() -> None:
 
 def compile_here(config: Config) -> None:
     """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
+    decode_data_changes(_NO_CHANGES)
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
     make_one_scan()

@@ -4,7 +4,10 @@ import logging
 import sys
 from typing import Any, Literal
 
-import structlog
+from service.cli.without import without
+
+with without("rich"):  # for tracebacks in colour: a fortieth of a start
+    import structlog
 
 from service.config.logs import LogConfig
 from service.hardened.logs import IS_ESCAPED, escaped

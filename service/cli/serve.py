@@ -9,6 +9,7 @@ import typer
 from service.cli.logs import set_up_logs
 from service.cli.options import ConfigOption, SourceOption, check_folder, of_source
 from service.cli.progress import working
+from service.cli.without import without
 from service.config.loading import load_config
 from service.config.models import NamedSourceConfig
 from service.errors import ConfigurationError, RecordingError
@@ -16,6 +17,9 @@ from service.errors import ConfigurationError, RecordingError
 
 def serve(config: ConfigOption = None) -> None:
     """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
+    with without("cffi"):  # numba calls its functions, our kernels call none
+        from numba.core.typing import cffi_utils as _  # noqa: F401
+
     from service.app.reload import Reload
     from service.app.serve import serve as run
     from service.app.signals import stop_on_signal
