@@ -20,7 +20,14 @@ what is said of the plant does not change by that, but it is said sooner.
 import numpy as np
 
 from service.identification.kernels.compiled import inlined
-from service.identification.kernels.places import CLIP, POWER_MEMORY, PROVEN, Remembered, shake
+from service.identification.kernels.places import (
+    CLIP,
+    POWER_MEMORY,
+    PROVEN,
+    Remembered,
+    noise_lasts,
+    shake,
+)
 from service.identification.kernels.row_layout import (
     ATTENTIVE,
     CHANGES,
@@ -59,7 +66,6 @@ WINDOW = 1.0 / 100.0
 IN_WINDOW = 60.0  # of 2/WINDOW, the squared sum of the weights over the sum of their squares: what
 # is the same all along the window may add 3n to T, far below any threshold
 IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
-LONG_VISIT = 8.0  # looks after which a stay at one place is another, as far as evidence goes
 IN_VISIT = 3.0  # the same for the samples of a visit so far, each
 SETTLED = 20.0
 FEWEST_BETWEEN = 8  # looks at least from a change to the next
@@ -71,6 +77,7 @@ FIRST = 1500  # samples before which a map is learnt rather than changed
 PATIENCE = 300  # samples after which what was suspected is taken for noise
 EXPERIENCE = 100.0  # looks at places known before, before which all is noise
 STARTLING = 36.0  # times the mean square of residuals: no drift comes to that in one step
+UNEXPECTED = 10.0  # times its variance that the square of what is new may be by chance
 ATTENTION = 32.0  # looks that follow a startling sample
 SUSPICIOUS = 3.0  # standard deviations
 
@@ -81,6 +88,19 @@ def value_of(deviations: float, n: int) -> float:
     """T of so many standard deviations: Wilson and Hilferty, its cube root is nearly normal."""
     spread = 2.0 / (9.0 * n)
     return float(n * max(0.0, 1.0 - spread + deviations * np.sqrt(spread)) ** 3)
+
+
+@inlined
+def lasts(s: Floats, g: int) -> bool:
+    """Whether noise lasts, beyond doubt: then to look at every sample tells the same again."""
+    return is_coloured(s, g) and noise_lasts(s, g)
+
+
+@inlined
+def attend(s: Floats, g: int) -> None:
+    """Look at every sample for a while: one was far from what theta says, in a steady plant."""
+    if s[g + REVISITED] >= EXPERIENCE and s[g + HASTE] <= PROVEN and not lasts(s, g):
+        s[g + ATTENTIVE] = ATTENTION
 
 
 @inlined
@@ -122,9 +142,13 @@ def weigh(
             d = e
     if local == np.inf or s[g + FLOOR_WEIGHT] <= SETTLED or count < FIRST or r == 0.0:
         return
+    # Where places drift, theta lags behind; what is new does not, beyond COMMON.
+    unexpected = d * d > UNEXPECTED * (s[g + FLOOR] + local + s[g + COMMON])
+    if unexpected and s[g + REVISITED] >= EXPERIENCE and not lasts(s, g):
+        s[g + ATTENTIVE] = ATTENTION
     s[g + SUM] += d
     s[g + SUMMED] += 1.0
-    alike = 1.0 + (s[g + VISIT_LENGTH] - 1.0) % LONG_VISIT + IN_SWEEP * s[g + SWEPT]
+    alike = s[g + VISIT_LENGTH] + IN_SWEEP * s[g + SWEPT]
     doubt = IN_WINDOW * s[g + COMMON] + IN_VISIT * alike * local
     z = d / np.sqrt(s[g + FLOOR] + doubt + ROUNDING * y * y + TINY)
     z = min(max(z, -CLIP), CLIP)
@@ -132,13 +156,6 @@ def weigh(
     for j in range(len(size)):
         s[at.score + j] = _KEEP * s[at.score + j] + z * s[at.x + j]
     add_square(size, s, at.variance, at.x, _KEEP * _KEEP)
-
-
-@inlined
-def attend(s: Floats, g: int) -> None:
-    """Look at every sample for a while: one was far from what theta says, in a steady plant."""
-    if s[g + REVISITED] >= EXPERIENCE and s[g + HASTE] <= PROVEN and not is_coloured(s, g):
-        s[g + ATTENTIVE] = ATTENTION
 
 
 @inlined
@@ -181,7 +198,7 @@ def has_changed(
         s[g + SUSPECTED] = 0.0
     # Every sample is looked at under suspicion, unless noise lasts: it would count once too often.
     s[g + ATTENTIVE] = max(s[g + ATTENTIVE] - 1.0, s[g + SUSPECTED])
-    if s[g + ATTENTIVE] > 0.0 and is_coloured(s, g):
+    if s[g + ATTENTIVE] > 0.0 and lasts(s, g):
         s[g + ATTENTIVE] = 0.0
     if not rule.threshold < T:
         return False
@@ -193,7 +210,7 @@ def has_changed(
     counters[SAMPLE] = max(since, 1)
     counters[TIME] = counters[SUSPECT_TIME]
     s[g + SIZE] = s[g + SUM] / max(1.0, s[g + SUMMED])
-    for place in (EVIDENCE, SUM, SUMMED, SUSPECTED, ATTENTIVE):
+    for place in (EVIDENCE, SUM, SUMMED, SUSPECTED, ATTENTIVE, REVISITED):
         s[g + place] = 0.0
     for j in range(n):
         s[at.score + j] = 0.0

@@ -49,10 +49,12 @@ from service.identification.kernels.row_layout import (
     NODE,
     POWER,
     POWER_WEIGHT,
+    PRODUCT,
     REST_A,
     REST_B,
     RESTED,
     REVISITED,
+    SQUARE,
     SUSPECTED,
     SWEPT,
     VARIANCE,
@@ -91,6 +93,7 @@ LEAST = 0.02  # samples that must be known of a node, or it is new again
 FIRST = 0.05  # samples that the first one counts for at least
 CHANGED = 0.01  # samples that a node counts for once the plant has changed
 BENT = 0.25  # of the second difference of nodes: error between them, at a kink rather more
+BELIEVED = 2.0  # visits after which half of that bend is: they have shown what it leaves
 SURE = 3.0  # standard deviations by which noise of visits must agree to be more than chance
 NEAR = 0.2  # φ from which a sample makes a node known
 PRIOR = 10.0  # samples that the mean square of all d counts for in a node's own
@@ -110,10 +113,10 @@ ONCE_PROVEN = 0.03  # the same while drift is proven: it goes on until visits sp
 LONGEST = 2e5  # samples that a place is remembered as long as nothing is seen to drift
 PROVEN = 2.0  # logarithm of how many times shorter memory is drift
 REVISITS = 0.5  # of the mean time between visits to a node: memory is no shorter
-UNVISITED = 10.0  # times the mean square of misfit: error beside a node never visited
-ALL_SURE = 0.95  # of φ that was visited, or there is one
+UNVISITED = 4.0  # times the mean square of misfit: error of a node never visited
 UNSURE = 4.0  # times the mean square of visits that a place seen once may be wrong by
 MOST_COLOUR = 4.0  # of one pair of visits
+WHITE = 0.85  # of the noise between looks: noise between samples from which on it does not last
 IN_ORDER = 0.8  # share of visits that follow the one they followed a round before
 MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
@@ -124,6 +127,7 @@ LOOK_EVERY = 8  # of later ones one of so many; under suspicion all
 SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
+MOST_HALVINGS = 30  # of d: nothing of it is left
 LATE, BACK = 2.0**23, 2.0**22  # samples: where the clock is set back, and by how many
 MOST = 1e30  # l/min, or its square: more than any flow, and single precision holds it
 REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
@@ -211,6 +215,8 @@ def look(
             expected += nodes[k, m] * s[at.theta + m]
         box[corner] = f
         box[4 + corner] = expected
+        if visits[k, VISITS] == 0 and s[g + VISIT_LENGTH] == 0.0:
+            places[k, KNOWN] = 0.0  # what theta of then made of it, from another side
         weight = np.float64(places[k, KNOWN])
         if weight > LEAST:
             gone = now - places[k, TOUCHED]
@@ -226,6 +232,9 @@ def look(
         places[k, TOUCHED] = now
     d = np.nan
     s[g + VISIT_LENGTH] += 1.0
+    # Carried to a node by theta, a flow is as wrong as its residuals are large.
+    variance = s[at.noise + VARIANCE]
+    guess = max(FIRST, min(1.0, s[g + FLOOR] / variance)) if variance > 0.0 else 1.0
     if known >= SHARE:
         c /= known
         S /= known * known
@@ -236,10 +245,14 @@ def look(
         spread = spread * (1.0 + S) + wear * wear
         own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
         young = 1.0 + UNSURE / (1.0 + visits[nearest, VISITS])
-        between = max(young * max(0.0, s[g + VISIT_COMMON]), s[g + BEND] * s[g + BEND])
-        # A node never visited, and those beside it, hold what theta made of them once.
-        guessed = UNVISITED * max(0.0, s[g + MISFIT]) if sure < ALL_SURE else 0.0
-        s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed
+        bent = s[g + BEND] * s[g + BEND] * BELIEVED / (BELIEVED + visits[nearest, VISITS])
+        between = max(young * max(0.0, s[g + VISIT_COMMON]), bent)
+        # A node never visited holds what theta made of it.
+        unsure = max(0.0, 1.0 - sure)
+        guessed = UNVISITED * unsure * unsure * max(0.0, s[g + MISFIT])
+        # Few visits leave open whether the place was ever as it seemed: no stay there decides.
+        few = d / float(1 << min(int(visits[nearest, VISITS]), MOST_HALVINGS))
+        s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed + few * few
         whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
         chance = SURE * s[g + VISIT_POWER] / np.sqrt(1.0 + s[g + CLOSED])
         s[g + COMMON] = WORN * wear * wear + 2.0 * (
@@ -263,11 +276,11 @@ def look(
         for corner in range(4):
             k = first + (corner & 1) + (corner >> 1) * NODES_B
             weight, f = np.float64(places[k, KNOWN]), box[corner]
-            if weight > LEAST:
+            if weight > LEAST and s[g + SUSPECTED] == 0.0:  # a change must not be learnt away
                 flows[k] += gain * f / weight
                 weight /= 1.0 - f * f / (weight * (1.0 + S))
                 if visits[k, VISITS] == 0 and k != nearest:  # seen from one side alone, so far
-                    weight = min(weight, 1.0)
+                    weight = min(weight, guess)
                 places[k, KNOWN] = weight
     if sure >= SHARE:
         s[g + NEW] -= NEW_RATE * s[g + NEW]
@@ -283,9 +296,7 @@ def look(
             if whiten(size, s, at.factor, at.g, at.L) > FIT:
                 continue
             flows[k] = box[4 + corner] + e
-            # Carried there by theta, it is as wrong as its residuals are large.
-            whole = s[at.noise + VARIANCE]
-            places[k, KNOWN] = max(FIRST, min(1.0, s[g + FLOOR] / whole)) if whole > 0.0 else 1.0
+            places[k, KNOWN] = guess
             places[k, SPREAD] = min(s[g + POWER], MOST)
             visits[k, VISITS] = 0
     return d
@@ -408,6 +419,12 @@ def worth_of_a_visit(s: Floats, g: int) -> float:
     of_noise = max(0.0, s[g + CARRIED] - max(0.0, s[g + LAG]))
     rho: float = min(of_noise / max(s[g + VISIT_POWER], 1e-300), 1.0)
     return 1.0 - IN_ORDER * rho * rho
+
+
+@inlined
+def noise_lasts(s: Floats, g: int) -> bool:
+    """Whether noise lasts from sample to sample: misfit lasts, too, but is not in the step of e."""
+    return bool(s[g + SQUARE] - s[g + PRODUCT] < WHITE * s[g + FLOOR])
 
 
 @maker
