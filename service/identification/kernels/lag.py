@@ -37,6 +37,7 @@ COUNTERS = 4
 ROWS = 704  # samples that are looked at for lags: 7 s at 100 Hz, 11 kB
 STEP, LEFT_U, LEFT_S, LEFT_Q = 0, 1, 2, 3  # columns: s since the row before, %, √bar, l/min
 LEAST_STEP = 0.0079  # s: of faster signals not every sample is kept
+NOISIER = 3.0  # variance of S·f over Q's: what S makes of the map's bends harms more than noise
 NEWTONS = 30  # steps to the root of a cubic: each takes a third of what is left, then far more
 GAP = 1.0  # s without samples: what lags starts anew
 SETTLED = 4.0  # lags from a start until the signals belong together
@@ -57,7 +58,7 @@ def share(step: float, tau: float) -> float:
 
 @lean_kernel
 def smoothing(step: float, lag_Q: float) -> float:
-    """Time constant of S's stages, s: the shortest with which S·f is no noisier than Q.
+    """Time constant of S's stages, s: the shortest with which S·f is as noisy as that.
 
     White noise of variance 1 in Q is one of ``(1 + (lag_Q / x)²) / 4 · step / x`` in S·f.
     """
@@ -65,8 +66,8 @@ def smoothing(step: float, lag_Q: float) -> float:
         return 0.0
     x = max(lag_Q, step)  # from above the root, where Newton's steps go down to it
     for _ in range(NEWTONS):
-        excess, slope = 4.0 * x**3 - step * (x * x + lag_Q**2), 12.0 * x * x - 2.0 * step * x
-        x -= excess / slope
+        excess = 4.0 * NOISIER * x**3 - step * (x * x + lag_Q**2)
+        x -= excess / (12.0 * NOISIER * x * x - 2.0 * step * x)
     return x
 
 
