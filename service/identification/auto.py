@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.identification import auto_lags
 from service.identification.adaptation import Adaptation
+from service.identification.auto_anew import Rule
 from service.identification.auto_fits import refit
 from service.identification.auto_state import (
     CHAMPION,
@@ -140,6 +141,7 @@ class Auto:
         )
         fleet = memory.Fleet(*(getattr(states, name) for name in memory.Fleet._fields))
         longest = math.inf if self.lam == 1.0 else 1.0 / (1.0 - self.lam)
+        rule = Rule((self.lag_U, self.lag_Q), longest, self.steps)
         scratch = np.empty((4, 4))
         segment, row = 0, int(segments.starts[0]) if len(segments.starts) else 0
         with np.errstate(all="ignore"):
@@ -149,7 +151,7 @@ class Auto:
                 )
                 if segment < len(segments.members):
                     state = member(states, int(segments.members[segment]))
-                    auto_lags.attend(state, (self.lag_U, self.lag_Q))
+                    auto_lags.attend(state, rule, float(samples.T[row - 1]))
                     if memory.is_due(state.counters):
                         refit(state, self.steps)
         return trace

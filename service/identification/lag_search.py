@@ -65,10 +65,8 @@ def look(
     against them, not else. Jitter of U and s is taken off before, as a lag would smooth it and seem
     to explain the flow better; what is left of it lets a look count for less.
     """
-    rows, worth = np.array(rows, np.float64), 1.0
-    for column, unit in ((kernel.LEFT_U, 1.0), (kernel.LEFT_S, PERCENT_OF_S)):
-        if jitter.is_small(unit * rows[:, column]):
-            rows[:, column], worth = jitter.taken_off(rows[:, column]), WORTH_OF_JITTERY
+    rows, is_jittery = _calmed(rows)
+    worth = WORTH_OF_JITTERY if is_jittery else 1.0
     step = _usual_step(rows)
     squares, counted = kernel.misfit(rows, 0.0, 0.0, 0.0)
     if counted >= LEAST_ROWS and squares > 0.0:
@@ -101,6 +99,13 @@ def look(
     return U, Q
 
 
+def excess(rows: Floats, before: Pair, now: Pair) -> float:
+    """By what share the squares are larger that ``rows`` leave behind the lags of ``before``."""
+    rows, _ = _calmed(rows)
+    larger, least = (kernel.misfit(rows, *lags, 0.0)[0] for lags in (before, now))
+    return max(larger / max(least, 1e-12 * larger, 1e-30) - 1.0, 0.0)
+
+
 def delay(lag: float, step: float) -> float:
     """By how much samples ``step`` s apart come later behind a first-order ``lag``, s.
 
@@ -108,6 +113,15 @@ def delay(lag: float, step: float) -> float:
     (0.195, 0.0007)
     """
     return step / math.expm1(min(step / lag, MOST_STEPS)) if lag > 0.0 else 0.0
+
+
+def _calmed(rows: Floats) -> tuple[Floats, bool]:
+    """The rows without jitter of U and s, and whether there was any."""
+    rows, is_jittery = np.array(rows, np.float64), False
+    for column, unit in ((kernel.LEFT_U, 1.0), (kernel.LEFT_S, PERCENT_OF_S)):
+        if jitter.is_small(unit * rows[:, column]):
+            rows[:, column], is_jittery = jitter.taken_off(rows[:, column]), True
+    return rows, is_jittery
 
 
 def _lags(delays: Pair, step: float) -> Pair:

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from service.identification.auto import Auto
+from service.identification.auto_anew import Rule, begin_anew
+from service.identification.fleet import copied
 from service.identification.kernels import cells as memory
+from service.identification.kernels import grid
 from service.identification.kernels import lag as kernel
 from service.identification.lag_search import look
 from service.identification.map_shapes import Shape
@@ -102,6 +105,63 @@ def test_smoothing_leaves_as_much_noise_as_it_may():
         noisier = np.std(found) / np.sqrt(kernel.NOISIER)
         assert noisier <= 1.2
         assert noisier >= 0.8 or of_S < step  # of lags so short all of S is one step
+
+
+def anew(seed, n, before=(0.0, 0.3), now=(0.03, 0.3)):
+    """A state behind lags that turn out to be others: before its map begins anew, and after."""
+    auto, samples = Auto(), machine(seed, *now, n=n)
+    state, _ = Auto(lag_U=before[0], lag_Q=before[1]).update(
+        Auto(lag_U=before[0], lag_Q=before[1]).initial_state(), samples
+    )
+    after = copied(state)
+    path = after.scalars[memory.LAGS :]
+    path[kernel.LAG_U], path[kernel.LAG_Q] = now
+    begin_anew(after, Rule((None, None), 500.0, auto.steps), before, 40.0)
+    return auto, samples, state, after
+
+
+def test_a_map_that_begins_anew_keeps_the_places_it_came_to_long_ago_for_what_they_are_worth():
+    errors = []
+    for seed in (3, 4, 5, 6):
+        auto, samples, before, after = anew(seed, 5000)
+        bare = copied(before)
+        bare.cells[:, grid.WEIGHT] = 0.0
+        begin_anew(bare, Rule((None, None), 500.0, auto.steps), (0.0, 0.3), 40.0)
+        early = samples[: len(samples) - 2 * kernel.ROWS]
+        errors.append([error_inside(auto, state, early) for state in (after, bare)])
+        weights = [state.cells[:, grid.WEIGHT] for state in (before, after)]
+        visited = weights[0] > 10.0
+        assert 0.0 < np.median(weights[1][visited]) < 0.5 * np.median(weights[0][visited])
+    kept, forgotten = np.mean(errors, axis=0)
+    assert kept < 0.8 * forgotten
+
+
+def test_what_was_learnt_behind_lags_far_off_is_forgotten_but_for_the_last_rows():
+    _, _, _, after = anew(3, 5000, before=(0.0, 0.0), now=(0.0, 0.3))
+    points = after.cells[after.cells[:, grid.WEIGHT] > 0.0]
+    assert points[:, grid.WEIGHT].sum() <= kernel.ROWS
+    assert len(points) > 0
+
+
+def test_rows_that_are_learnt_again_count_once():
+    _, _, before, after = anew(4, 3000)
+    kept = [memory.USED, memory.TOO_FAST, memory.ALARMS, memory.NEXT_LOOK]
+    kept += range(memory.LAGGING, memory.COUNTERS)
+    np.testing.assert_array_equal(after.counters[kept], before.counters[kept])
+    np.testing.assert_array_equal(after.recent, before.recent)
+    assert after.counters[memory.BEGAN] == before.counters[memory.USED]
+    assert after.counters[memory.FITTED] == 1
+
+
+def test_rows_from_before_a_change_are_not_learnt_again():
+    auto, samples, before, _ = anew(4, 3000)
+    for since, learns in ((samples.t[-300], True), (samples.t[-1] + 1, False)):
+        state = copied(before)
+        state.cells[:, grid.WEIGHT] = 0.0
+        state.counters[memory.ALARMS], state.counters[memory.CHANGE_TIME] = 1, since
+        begin_anew(state, Rule((None, None), 500.0, auto.steps), (0.0, 0.3), 40.0)
+        assert 0.0 <= state.cells[:, grid.WEIGHT].sum() <= 300.0
+        assert (state.counters[memory.FITTED] == 1) == learns
 
 
 def test_the_rate_of_the_samples_does_not_matter_to_a_lag():
