@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from service.identification.estimator import Estimator, State
+from service.identification.estimator import State
 from service.identification.forgetting import Forgetting
 from service.identification.least_squares_state import RlsState, batch_of, learn_segments
 from service.identification.place_grid import Grid
@@ -83,14 +83,6 @@ def members(fleet: S, chosen: Times) -> S:
     kind, nothing = type(fleet), np.empty((len(chosen), 0))
     arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
     return kind(**{k: nothing if k in UNREAD else a[chosen] for k, a in arrays.items()})
-
-
-def one_by_one(estimator: Estimator[S], states: S) -> tuple[Floats, Floats]:
-    """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
-    M = len(getattr(states, fields(states)[0].name))
-    found = [estimator.parameters(member(states, m)) for m in range(M)]
-    theta, std = zip(*found, strict=True)
-    return np.stack(theta), np.stack(std)
 
 
 def update_one(estimator: ManyModels[S], state: S, samples: Samples) -> tuple[S, Trace]:

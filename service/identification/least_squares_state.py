@@ -62,7 +62,7 @@ from service.identification.kernels.row_layout import (
 from service.identification.kernels.rules import EVERY_NTH, RESETTING, Rule
 from service.identification.kernels.stepwise import run_stepwise
 from service.identification.place_grid import Grid, nowhere
-from service.identification.samples import Codes, Floats, Segments, Singles, Times, Trace
+from service.identification.samples import Codes, Flags, Floats, Segments, Singles, Times, Trace
 
 A = TypeVar("A", Floats, Times, Codes)
 
@@ -269,23 +269,20 @@ def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
     return np.asarray(P * _noise_variance(state))
 
 
-def variances(fleet: RlsState, forgetting: Forgetting) -> Floats | None:
-    """Variance of each parameter of M models (M, n); None where it is not at hand for all."""
-    ready = (fleet.counters[:, FACTORED] == 1) & (fleet.noise[:, WEIGHT] > 0.0)
-    if not ready.all():
-        return None
+def variances(fleet: RlsState, forgetting: Forgetting) -> tuple[Floats, Flags]:
+    """Variance of each parameter of M models (M, n), and whether it is at hand (M,)."""
     known = np.empty(fleet.theta.shape)
     kind = rule_of(forgetting, fleet.rhs.shape[-1]).kind
     scored = int(_keeps(forgetting))
     uncertainty.parameter_variances(_writable(fleet.row), kind, scored, known)
-    return known
+    return known, (fleet.counters[:, FACTORED] == 1) & (fleet.noise[:, WEIGHT] > 0.0)
 
 
 def parameter_variance(state: RlsState, forgetting: Forgetting) -> Floats:
     """Variance of each parameter (n,), as `variances`; NaN while not determined."""
     alone = RlsState(*(getattr(state, name)[None] for name in Memory._fields))
-    known = variances(alone, forgetting)
-    return np.diag(parameter_covariance(state, forgetting)) if known is None else known[0]
+    known, is_known = variances(alone, forgetting)
+    return known[0] if is_known[0] else np.diag(parameter_covariance(state, forgetting))
 
 
 def matrix_P(state: RlsState) -> Floats:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from service.identification.adaptation import Adaptation
 from service.identification.change import Change
-from service.identification.fleet import learn_many, one_by_one, update_one
+from service.identification.fleet import learn_many, member, update_one
 from service.identification.forgetting import Adaptive, Exponential, Forgetting, with_lam
 from service.identification.kernels.change_detection import FEWEST_BETWEEN
 from service.identification.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
@@ -140,10 +140,11 @@ class RecursiveLeastSquares:
 
     def parameters_many(self, states: RlsState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
-        known = variances(states, self.forgetting)
-        if known is None:
-            return one_by_one(self, states)
-        return states.theta, np.sqrt(np.maximum(known, 0.0))
+        variance, is_known = variances(states, self.forgetting)
+        theta, std = states.theta.copy(), np.sqrt(np.maximum(variance, 0.0))
+        for m in np.flatnonzero(~is_known).tolist():
+            theta[m], std[m] = self.parameters(member(states, m))
+        return theta, std
 
     def adaptation(self, state: RlsState) -> Adaptation:
         """What it makes of its residuals; undecided but with `Adaptive` that keeps its memory."""

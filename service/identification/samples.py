@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Times = NDArray[np.int64]
 Codes = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 
 
 class Quality(IntEnum):

@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 
 from service.identification.adaptation import Adaptation
 from service.identification.estimator import State, StateMismatchError
-from service.identification.samples import Codes, Floats, Samples, Segments, Times, Trace
+from service.identification.samples import Codes, Flags, Floats, Samples, Segments, Times, Trace
 from service.streaming.alarm_states import AlarmRule, AlarmStates
 from service.streaming.kernels import alarms as kernel
-from service.streaming.kernels.alarms import Flags, Senses, Watched
+from service.streaming.kernels.alarms import Senses, Watched
 from service.streaming.ports import AlarmReport, Remark
 
 LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned

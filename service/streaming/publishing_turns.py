@@ -7,6 +7,7 @@ from typing import Final
 VALVES_AT_ONCE: Final = 64  # 20 ms: of fewer each costs more
 SOON_S, SOON = 0.7, 0.35  # s, and share of `stale_after_s`: results that wait longer get more time
 HURRY: Final = 0.5  # share of the time then, unless samples wait, too
+CALM_S, CALM = 0.5, 0.1  # s, and share of the time while none of many valves has waited so long
 LATE: Final = 0.95  # of `stale_after_s`: results that have waited for so long may get old, shown
 ON_TIME: Final = 0.85  # of it: once they wait no longer, they do not
 
@@ -77,7 +78,13 @@ class PublishingTurns:
 
     def pause(self, began: float, now: float, *, samples_wait: bool) -> None:
         """Rest after publishing from ``began`` on: samples that come in go first."""
-        oldest = next(iter(self._since.values()), now)
-        hurry = now - oldest > self._soon_s and not samples_wait
-        share = max(self._share, HURRY) if hurry else self._share
+        share = self._share_of_time(now, samples_wait=samples_wait)
         self._due = now + (now - began) * (1.0 / share - 1.0)
+
+    def _share_of_time(self, now: float, *, samples_wait: bool) -> float:
+        waited = now - next(iter(self._since.values()), now)
+        if waited > self._soon_s and not samples_wait:
+            return max(self._share, HURRY)
+        if len(self._since) > VALVES_AT_ONCE and waited < min(CALM_S, self._soon_s):
+            return min(self._share, CALM)
+        return self._share

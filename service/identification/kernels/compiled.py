@@ -13,7 +13,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numba import njit, types
 
-from service.identification.kernels.linked_only import OnlyLinked
+from service.identification.kernels.numba_libraries import OfInnerFunctions, OfKernels
 from service.identification.kernels.numba_seams import spare
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -21,10 +21,15 @@ F = TypeVar("F", bound=Callable[..., object])
 Index = np.uint64  # place in an array: a signed one may count from the end, and no loop of such
 # becomes a vector
 
+_CALLED: Final[dict[str, Any]] = {
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": OfKernels,
+}
 _LINKED: Final[dict[str, Any]] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": OnlyLinked,
+    "pipeline_class": OfInnerFunctions,
 }
 _ROOMS = Path(__file__).parents[2].glob("*/kernels/*.py")
 _SOURCES = [path.read_bytes() for path in sorted(_ROOMS)]
@@ -33,7 +38,7 @@ _STAMP = hashlib.sha256(b"".join(s for s in _SOURCES if b"kernels.compiled" in s
 
 def kernel(function: F) -> F:
     """Compile a function that Python calls."""
-    return _compile(function, nogil=True, no_cfunc_wrapper=True, _nrt=True)
+    return _compile(function, **_CALLED, _nrt=True)
 
 
 def lean_kernel(function: F) -> F:
@@ -41,7 +46,7 @@ def lean_kernel(function: F) -> F:
 
     Each call that hands on a tuple of thirty arrays counts sixty times, which costs a microsecond.
     """
-    return _compile(function, nogil=True, no_cfunc_wrapper=True, _nrt=False)
+    return _compile(function, **_CALLED, _nrt=False)
 
 
 def inner(function: F) -> F:

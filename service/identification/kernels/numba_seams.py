@@ -1,6 +1,6 @@
 """What numba does at length and can be spared, by private seams of numba and llvmlite.
 
-Nothing here changes what is compiled. Together they take a quarter off a first start and a tenth
+Nothing here changes what is compiled. Together they take a seventh off a first start and a tenth
 off every later one (`python -m benchmarks.start_up first`).
 """
 

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inlined, lean_kernel
-from service.identification.samples import Floats, Segments, Times
-
-Flags = NDArray[np.bool_]
+from service.identification.samples import Flags, Floats, Segments, Times
 
 # Alarms of a valve, in the order of `streaming.alarms.Alarm`; those that are judged here.
 RESIDUAL, SENSOR_LOST, SENSOR_FROZEN, UNEXCITED = 1, 3, 4, 5

@@ -1,0 +1,135 @@
+"""What numba makes of a function: a library, compiled no further and loaded no further than needed.
+
+Numba optimises each function by itself, makes machine code of it, and optimises it once more in
+every kernel that it is linked into. The first two are for callers from Python, of which an inner
+function has none: without them a first start takes an eighth less. And with a kernel that was
+compiled before numba loads what it would need to link it into others, which hardly ever happens:
+without it kernels are loaded in a third of the time.
+
+Private seams of numba: all names of its libraries with an underscore.
+"""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from llvmlite import binding
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import IRProcessing
+
+_KIND: Final = "object, its names"
+_load_as_usual: Final = JITCodeLibrary._unserialize  # noqa: SLF001
+
+
+class OfKernels(CompilerBase):
+    """Numba's pipeline for what Python calls: option ``pipeline_class`` of a function."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Numba's passes, and where their code goes."""
+        return _pipelines(self.state, _IntoKernel)
+
+
+class OfInnerFunctions(CompilerBase):
+    """Numba's pipeline for what only kernels call."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Numba's passes, and where their code goes."""
+        return _pipelines(self.state, _IntoPart)
+
+
+class _Kernel(JITCodeLibrary):
+    """Is kept with the names that it defines: nothing needs to be parsed to know them."""
+
+    _unparsed: bytes | None = None
+
+    def serialize_using_object_code(self) -> tuple[str, str, Any]:
+        name, _, (machine_code, bitcode) = super().serialize_using_object_code()
+        return name, _KIND, (machine_code, bitcode, sorted(_defined(self._final_module)))
+
+    @classmethod
+    def loaded(cls, codegen: Any, name: str, data: Any) -> "_Kernel":  # noqa: ANN401
+        library = cls(codegen, name)
+        machine_code, library._unparsed, names = data
+        library.enable_object_caching()
+        library._set_compiled_object(machine_code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(names)  # noqa: SLF001
+        return library
+
+    def _get_module_for_linking(self) -> Any:  # noqa: ANN401
+        if self._unparsed is not None:
+            self._shared_module, self._unparsed = binding.parse_bitcode(self._unparsed), None
+        return super()._get_module_for_linking()
+
+
+class _Part(JITCodeLibrary):
+    """Code as lowered, to be linked."""
+
+    @property
+    def codegen(self) -> "_NoEnvironments":
+        return _NoEnvironments()
+
+    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
+        serialized: tuple[str, str, bytes] = self.serialize_using_bitcode()
+        return serialized
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _NoEnvironments:
+    """There is no place for Python's objects here: numba says so where code refers to any."""
+
+    @staticmethod
+    def set_env(name: str, environment: Any) -> None:  # noqa: ANN401
+        pass
+
+
+class _Into(FunctionPass):
+    kind: type[JITCodeLibrary]
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)  # abstract in numba
+
+    def run_pass(self, state: Any) -> bool:  # noqa: ANN401
+        state.library = self.kind(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return False
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class _IntoKernel(_Into):
+    _name, kind = "into_kernel", _Kernel
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class _IntoPart(_Into):
+    _name, kind = "into_part", _Part
+
+
+def _pipelines(state: Any, into: type[_Into]) -> list[Any]:  # noqa: ANN401
+    passes = DefaultPassBuilder.define_nopython_pipeline(state)
+    passes.add_pass_after(into, IRProcessing)
+    passes.finalize()
+    return [passes]
+
+
+def _defined(module: Any) -> Iterable[str]:  # noqa: ANN401
+    for one in (*module.functions, *module.global_variables):
+        if not one.is_declaration:
+            yield one.name
+
+
+def _load(_: type[JITCodeLibrary], codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
+    name, kind, data = state
+    if kind == _KIND:
+        return _Kernel.loaded(codegen, name, data)
+    return _load_as_usual(codegen, state)
+
+
+JITCodeLibrary._unserialize = classmethod(_load)  # noqa: SLF001
