@@ -28,7 +28,7 @@ from service.config.logs import LogConfig
 from service.hardened import Limits
 from service.opcua.results_server import NAMESPACE
 
-ROUNDS = 4
+ROUNDS = 8
 READ_AT_ONCE = 20  # valves
 EVENTS = "results served", "source connected", "first results published"
 

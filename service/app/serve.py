@@ -112,9 +112,6 @@ async def _live(
     """Run one configuration until the end; return what is to run then, and all that is known."""
     config, clock = plan.config, SystemClock()
     keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
-    is_compiled = was_warmed_up()
-    if is_compiled:
-        plan.compiled.begin()  # to load it, while the server is built
     server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
     live = LiveService(
         plan.identification,
@@ -129,7 +126,8 @@ async def _live(
     ended = asyncio.Event()
     await live.start(known)
     log.info("results served", url=server.url)
-    if not is_compiled:
+    plan.compiled.begin()
+    if not was_warmed_up():
         await plan.compiled.ended()
     stopping = asyncio.create_task(_pass_on(stop, live, ended))
     following = asyncio.create_task(_following(plan, reload, ended))
