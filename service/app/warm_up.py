@@ -4,8 +4,7 @@ import gc
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import Synchronized
@@ -44,7 +43,6 @@ _ONE_CHANGE = DataChanges(
 
 Progress = Callable[[int, int], None]  # parts that are done, of how many
 _REPORT_EVERY_S = 5.0
-_OBJECTS_TO_A_COLLECTION = 50_000  # 700 by default; a tenth more memory
 _OF_ONE = {"name", "nodes", "source", "identification"}  # a valve alone; nothing is compiled for it
 
 
@@ -55,29 +53,17 @@ def warm_up(
 ) -> None:
     """Have every kernel compiled that this configuration needs.
 
-    The first run on a machine compiles for half a minute and caches the result on disk; later runs
+    The first run on a machine compiles for 40 s and caches the result on disk; later runs
     load it. A second process helps at that: each takes the next part that nobody has taken, and
     ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
     """
     config = _one_of_each_kind(config)
-    with _collecting_garbage_seldom():
-        if not was_warmed_up():
-            _compile_in_parts(config, progress, is_over)
-        if is_over():
-            return
-        compile_here(config)
+    if not was_warmed_up():
+        _compile_in_parts(config, progress, is_over)
+    if is_over():
+        return
+    compile_here(config)
     note_warm_up()
-
-
-@contextmanager
-def _collecting_garbage_seldom() -> Iterator[None]:
-    """Leave garbage for a while: looking for it takes a fifth of compiling, and finds little."""
-    usual = gc.get_threshold()
-    gc.set_threshold(_OBJECTS_TO_A_COLLECTION, *usual[1:])
-    try:
-        yield
-    finally:
-        gc.set_threshold(*usual)
 
 
 def _one_of_each_kind(config: Config) -> Config:
@@ -94,7 +80,8 @@ def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], 
     taken, done = context.Value("i", 0), context.Value("i", 0)
     helper = None
     if (os.cpu_count() or 1) > 1:
-        helper = context.Process(target=_help, args=(config, taken, done), daemon=True)
+        given = config, taken, done, gc.get_threshold()
+        helper = context.Process(target=_help, args=given, daemon=True)
         helper.start()
     finished, of = threading.Event(), len(_parts(config))
 
@@ -111,11 +98,16 @@ def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], 
         helper.join()
 
 
-def _help(config: Config, taken: "Synchronized[int]", done: "Synchronized[int]") -> None:
-    """Take parts as well; Ctrl-C is for the service to answer."""
+def _help(
+    config: Config,
+    taken: "Synchronized[int]",
+    done: "Synchronized[int]",
+    collecting: tuple[int, int, int],
+) -> None:
+    """Take parts as well, and look for garbage as seldom; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with _collecting_garbage_seldom():
-        _take_parts(config, taken, done, lambda: False)
+    gc.set_threshold(*collecting)
+    _take_parts(config, taken, done, lambda: False)
 
 
 def _take_parts(
