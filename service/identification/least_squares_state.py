@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, TypeVar, assert_never
 
 import numpy as np
@@ -181,7 +182,7 @@ class RlsState(State):
 
     @property
     def _places(self) -> Places:
-        return places(self.rhs.shape[-1])
+        return _places_of(self.rhs.shape[-1])
 
 
 def initial_state(
@@ -254,6 +255,17 @@ def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
     found = np.where(undecided, Adaptation.UNDECIDED, found)
     found = np.where(detectors[:, HASTE] > PROVEN, Adaptation.DRIFT, found)
     return np.where(reacting, Adaptation.REACTING, found).astype(np.uint8)
+
+
+def known_theta(state: RlsState) -> Floats:
+    """Theta (n,), NaN where the samples do not fix it."""
+    if is_determined(state):
+        return state.theta.copy()
+    n = len(state.rhs)
+    values, unknown = np.empty(n), np.full((n, n), np.nan)
+    known = _writable(state.theta), _writable(state.R), unknown, _writable(state.scale)
+    evaluate(*known, state.counters, np.eye(n), values, np.empty(n))
+    return values
 
 
 def parameter_covariance(state: RlsState, forgetting: Forgetting) -> Floats:
@@ -393,6 +405,9 @@ def batch_of(
     )
 
 
+_places_of = lru_cache(maxsize=64)(places)
+
+
 def _writable(array: A) -> A:
     """The array or a copy: the kernel is compiled once, for plain writable arrays."""
     return np.require(array, requirements=["C", "W", "A"])
@@ -414,6 +429,7 @@ def _symmetric(lower: Floats) -> Floats:
     return np.asarray(lower + np.tril(lower, -1).T)
 
 
+@lru_cache(maxsize=64)
 def rule_of(forgetting: Forgetting, n: int) -> Rule:
     """The rule in numbers, for n parameters."""
     match forgetting:

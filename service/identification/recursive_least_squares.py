@@ -19,6 +19,7 @@ from service.identification.least_squares_state import (
     information,
     initial_state,
     is_determined,
+    known_theta,
     learn,
     parameter_covariance,
     parameter_variance,
@@ -132,10 +133,9 @@ class RecursiveLeastSquares:
 
     def parameters(self, state: RlsState) -> tuple[Floats, Floats]:
         """Theta (n,) and its standard deviations (n,), NaN while not determined."""
-        theta = state.theta.copy()
+        theta = known_theta(state)
         if not is_determined(state):
-            values, _ = predict(state, np.eye(len(theta)), self.forgetting)
-            theta[np.isnan(values)] = np.nan
+            return theta, np.full_like(theta, np.nan)
         return theta, np.sqrt(np.maximum(parameter_variance(state, self.forgetting), 0.0))
 
     def parameters_many(self, states: RlsState) -> tuple[Floats, Floats]:
