@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,13 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import DataChanges
 from service.streaming.identification import Identification
 from service.streaming.pipeline import ValvePlan
+from service.streaming.ports import Checkpoint
 from service.streaming.quality_gate import QualityGate
 
 SIGNALS, STRIDE = 5, 6
 START, SPACING = 1_700_000_000_000_000_000, 10_000_000  # ns
 MESSAGES, WARM = 14, 4
+AGE = 40_000  # samples of a valve after which it is looked at as seldom as ever
 
 DOUBLE, INT32, BAD = 11, 6, 0x80000000
 RECORD = np.dtype(
@@ -70,16 +73,21 @@ def service(valves: int, estimators: Estimators) -> Identification:
     return Identification(plans, Alignment(AlignmentSettings(), (True,) * valves))
 
 
-def rate(valves: int, each: int, estimators: Estimators, odd: float = 0.0) -> float:
+def rate(
+    valves: int, each: int, estimators: Estimators, odd: float = 0.0, age: int = 0
+) -> float:
     """Notifications per second of CPU time; ``each`` samples of every valve in a message.
 
-    The median of the messages; ``odd`` is the share that is Bad or of another type.
+    The median of the messages; ``odd`` is the share that is Bad or of another type, ``age`` how
+    many samples of each valve have been learnt from before.
     """
     identification = service(valves, estimators)
     rng = np.random.default_rng(0)
+    if age:
+        identification.restore(_as_if_aged(valves, age, estimators, rng))
     times = []
     for k in range(MESSAGES):
-        message = _message(valves, each, k * each, odd, rng)
+        message = _message(valves, each, age + k * each, odd, rng)
         start = time.process_time()
         changes = decode_publish_response(message).message.changes
         identification.take(changes)
@@ -119,9 +127,12 @@ def profile() -> Figures:
 
 
 def scaling(each: Callable[[int], int]) -> Figures:
-    """Time per sample, ns, of 10 to 10,000 valves; ``each``: samples of a valve in a message."""
+    """Time per sample, ns, of 10 to 10,000 valves; ``each``: samples of a valve in a message.
+
+    The valves are of one age: a young one is looked at more often, whatever their number.
+    """
     return {
-        f"{valves:,} valves": SIGNALS * 1e9 / rate(valves, each(valves), rls)
+        f"{valves:,} valves": SIGNALS * 1e9 / rate(valves, each(valves), rls, age=AGE)
         for valves in (10, 100, 1_000, 10_000)
     }
 
@@ -182,6 +193,21 @@ def main(arguments: Sequence[str]) -> int:
         for name, value in values.items():
             print(f"  {name:24} {value:16,.1f}")
     return 0
+
+
+def _as_if_aged(
+    valves: int, age: int, estimators: Estimators, rng: np.random.Generator
+) -> list[Checkpoint]:
+    """What is kept of so many valves that have learnt: of ten, over and over again."""
+    few = service(min(valves, 10), estimators)
+    for first in range(0, age, 1_000):
+        few.take(_changes(len(few.plans), min(1_000, age - first), first, rng))
+    kept = [few.kept([v]) for v in range(len(few.plans))]
+    return [
+        replace(checkpoint, valve=f"V{v}")
+        for v in range(valves)
+        for checkpoint in kept[v % len(kept)]
+    ]
 
 
 def _changes(valves: int, each: int, first: int, rng: np.random.Generator) -> DataChanges:
