@@ -53,6 +53,7 @@ from service.streaming.valve_columns import Columns
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
 
+CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)])  # see `Change`
 COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
 
 
@@ -100,12 +101,8 @@ class Fleet:
     def _note(self, chosen: Times) -> None:
         """Take up for the alarms what estimators found in the last samples."""
         if self._finder is not None:
-            found = self._lanes[self._finder].changes(chosen)
-            count, t, size = (
-                np.array([getattr(change, name) if change else 0 for change in found])
-                for name in ("count", "t", "size")
-            )
-            self.alarms.note_changes(chosen, count, t, size.astype(np.float64))
+            found = self._lanes[self._finder].newest_changes(chosen)
+            self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
         if self._laggard is not None:
             self.alarms.note_lags(chosen, self._lanes[self._laggard].largest_lags(chosen))
         due = chosen[self._t[chosen] >= self._misfit_due[chosen]]
@@ -253,6 +250,10 @@ class _Lanes:
         """The newest change of some valves that was found."""
         return self._states.changes(chosen)
 
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        return self._states.newest_changes(chosen)
+
     def largest_lags(self, chosen: Times) -> Floats:
         """The larger of the two lags that were found at some valves, s."""
         return self._states.largest_lags(chosen)
@@ -388,6 +389,7 @@ class _Stacked:
         self._estimator = estimator
         self._all = repeated(estimator.initial_state(), M)
         self._changes: list[Change | None] = [None] * M
+        self._newest_changes = np.zeros(M, CHANGE)
         self._changed = np.zeros(M, np.int64)  # how often, when `_changes` was made; -1: unknown
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
@@ -401,12 +403,21 @@ class _Stacked:
         return self._estimator.parameters_many(members(self._all, chosen))
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        if isinstance(self._estimator, FindsChanges):
-            counts = self._estimator.change_counts(self._all)[chosen]
-            for m in chosen[counts != self._changed[chosen]]:
-                self._changes[m] = self._estimator.last_change(member(self._all, m))
-            self._changed[chosen] = counts
+        self._look_for_changes(chosen)
         return [self._changes[m] for m in chosen]
+
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        self._look_for_changes(chosen)
+        return self._newest_changes[chosen]
+
+    def _look_for_changes(self, chosen: Times) -> None:
+        if not isinstance(self._estimator, FindsChanges):
+            return
+        counts = self._estimator.change_counts(self._all)[chosen]
+        for m in chosen[counts != self._changed[chosen]]:
+            self._changes[m] = found = self._estimator.last_change(member(self._all, m))
+            self._newest_changes[m] = (found.count, found.t, found.size) if found else 0
+        self._changed[chosen] = counts
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
         if isinstance(self._estimator, Auto):
@@ -484,6 +495,9 @@ class _Listed:
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         return [None] * len(chosen)
+
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        return np.zeros(len(chosen), CHANGE)
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
         return [None] * len(chosen)

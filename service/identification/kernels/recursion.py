@@ -37,6 +37,7 @@ from service.identification.kernels.places import (
     look,
     refit,
 )
+from service.identification.kernels.prefetch import fetch
 from service.identification.kernels.reaction import weigh_in as weigh_reaction
 from service.identification.kernels.residual_spread import EARLIER
 from service.identification.kernels.row_layout import (
@@ -159,6 +160,8 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
     for one in range(len(segments.members)):
         m, first, stop = segments.members[one], segments.starts[one], segments.stops[one]
         kept = Remembered(flows[m], places[m], visits[m])
+        if one + 1 < len(segments.members):
+            fetch((row, counters, flows, places, visits), segments.members[one + 1])
         for p in range(at.x):
             s[p] = row[m, p]
         for p in range(PLACES_OF_COUNTERS):

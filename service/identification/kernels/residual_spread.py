@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.prefetch import fetch
 from service.identification.samples import Codes, Floats, Segments, Singles, Times
 
 CELLS_U, CELLS_S = 10, 12
@@ -82,6 +83,8 @@ def learn(
         m = members[s]
         cells, stamps, overall = memory.cells[m], memory.stamps[m], memory.overall[m]
         ages = memory.ages[m]
+        if s + 1 < len(members):
+            fetch(memory, members[s + 1])
         for i in range(starts[s], stops[s]):
             e = residual[i]
             if not (abs(e) < BEYOND_ALL and np.isfinite(U[i]) and np.isfinite(dp[i])):

@@ -7,6 +7,7 @@ fell into it and the box that they span, in bytes: finer than the cells, as smal
 import numpy as np
 
 from service.identification.kernels.compiled import inner, kernel
+from service.identification.kernels.prefetch import fetch
 from service.identification.samples import Codes, Floats, Segments
 
 INNER_U, INNER_DP = 20, 20
@@ -51,6 +52,8 @@ def learn(
     members, starts, stops = segments
     for s in range(len(members)):
         cells, ranges = every_cells[members[s]], every_ranges[members[s]]
+        if s + 1 < len(members):
+            fetch((every_cells, every_ranges), members[s + 1])
         for i in range(starts[s], stops[s]):
             if status[i] > _LEARNT or not np.isfinite(U[i] + dp[i]):
                 continue

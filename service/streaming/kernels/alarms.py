@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.kernels.compiled import inlined, lean_kernel
+from service.identification.kernels.prefetch import fetch
 from service.identification.samples import Flags, Floats, Segments, Times
 
 # Alarms of a valve, in the order of `streaming.alarms.Alarm`; those that are judged here.
@@ -143,6 +144,9 @@ def watch(
     """
     for s in range(len(segments.members)):
         m = segments.members[s]
+        if s + 1 < len(segments.members):
+            fetch(conditions, segments.members[s + 1])
+            fetch(senses, segments.members[s + 1])
         for i in range(segments.starts[s], segments.stops[s]):
             before = senses.times[m, NEWEST]
             _keep_time(m, seen.t[i], seen.T[i], conditions, senses)

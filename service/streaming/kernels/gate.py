@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.kernels.prefetch import fetch
 from service.identification.samples import Segments
+from service.streaming.kernels.compiled import inner, kernel
 
 SIGNALS = 5
 T = 4
@@ -38,7 +39,7 @@ class Memory(NamedTuple):
     counters: NDArray[np.int64]
 
 
-@njit(cache=True)
+@kernel
 def judge_samples(
     t: NDArray[np.int64],
     values: NDArray[np.float64],
@@ -55,6 +56,8 @@ def judge_samples(
     """
     for s in range(len(segments.members)):
         m = segments.members[s]
+        if s + 1 < len(segments.members):
+            fetch(memory, segments.members[s + 1])
         start, stop = segments.starts[s], segments.stops[s]
         for i in range(start, stop):
             if quality[i] == 1 and not use_uncertain:
@@ -70,7 +73,7 @@ def judge_samples(
         _judge(t, values, limits, own, quality, start, stop)
 
 
-@njit(cache=True)
+@inner
 def _judge(
     t: NDArray[np.int64],
     values: NDArray[np.float64],
@@ -117,7 +120,7 @@ def _judge(
             last_time[j] = t[i]
 
 
-@njit(cache=True)
+@inner
 def _median(window: NDArray[np.float64]) -> float:
     """Median of the window; of what it holds while it still fills (the lower of two)."""
     n = 0

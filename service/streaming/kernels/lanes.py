@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from service.identification.samples import Segments, Status
+from service.streaming.kernels.compiled import kernel
 
 NO_STATUS = 255
 
@@ -23,7 +23,7 @@ class Notes(NamedTuple):
     status: NDArray[np.uint8]
 
 
-@njit(cache=True)
+@kernel
 def note(
     t: NDArray[np.int64],
     predicted: NDArray[np.float64],
@@ -44,7 +44,7 @@ def note(
         notes.status[m] = status[last]
 
 
-@njit(cache=True)
+@kernel
 def last_T(
     T: NDArray[np.float64],
     quality: NDArray[np.uint8],

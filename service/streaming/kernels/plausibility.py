@@ -1,10 +1,11 @@
 """The loop that counts what speaks for and against a valve's signals being what they are called."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from service.identification.kernels.prefetch import fetch
 from service.identification.samples import Quality, Segments
+from service.streaming.kernels.compiled import inner, kernel
 
 SAMPLES, REVERSED, FORWARD, HIGH, LOWEST_U, AT_LOWEST, HIGHEST_U, AT_HIGHEST, WITH_T, HOT = range(
     10
@@ -33,7 +34,7 @@ CLEAN_AGAIN = 2_000.0  # … and so many do where the pressures were swapped
 _BAD = int(Quality.BAD)
 
 
-@njit(cache=True)
+@kernel
 def count(
     t: NDArray[np.int64],
     columns: NDArray[np.float64],
@@ -55,6 +56,8 @@ def count(
     for k in range(len(members)):
         m = members[k]
         own = counts[m]
+        if k + 1 < len(members):
+            fetch((counts, sums), members[k + 1])
         for i in range(starts[k], stops[k]):
             if own[SEEN] > 0:
                 if t[i] < times[m]:
@@ -114,7 +117,7 @@ def count(
             cell[QQ] += Q * Q
 
 
-@njit(cache=True)
+@inner
 def _judge(own: NDArray[np.float64]) -> None:
     """Refuse pressures that cannot be; let them in again once they have been right for long."""
     pressed = own[REVERSED] + own[FORWARD]

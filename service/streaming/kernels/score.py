@@ -1,17 +1,17 @@
 """The loop that sums up how well one step ahead was predicted."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from service.identification.samples import Segments
+from service.streaming.kernels.compiled import kernel
 
 N, SQUARES, MEAN_Q, SCATTER_Q, LOWEST_Q, HIGHEST_Q, RECENT, WEIGHT, LARGEST, FIELDS = range(10)
 
 KEEP = 1.0 - 1.0 / 1000.0
 
 
-@njit(cache=True)
+@kernel
 def accumulate(
     residual: NDArray[np.float64],
     Q: NDArray[np.float64],
