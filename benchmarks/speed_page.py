@@ -260,7 +260,7 @@ BARS: Final = (
         "python -m benchmarks.live_speed",
     ),
     Bar(
-        "time per sample of 10,000 valves over that of 10",
+        "time per sample of 10,000 valves over that of 10, all of one age",
         "×",
         1.3,
         lambda record: record[SCALING]["10,000 valves"] / record[SCALING]["10 valves"],
