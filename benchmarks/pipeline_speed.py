@@ -73,9 +73,7 @@ def service(valves: int, estimators: Estimators) -> Identification:
     return Identification(plans, Alignment(AlignmentSettings(), (True,) * valves))
 
 
-def rate(
-    valves: int, each: int, estimators: Estimators, odd: float = 0.0, age: int = 0
-) -> float:
+def rate(valves: int, each: int, estimators: Estimators, odd: float = 0.0, age: int = 0) -> float:
     """Notifications per second of CPU time; ``each`` samples of every valve in a message.
 
     The median of the messages; ``odd`` is the share that is Bad or of another type, ``age`` how
