@@ -26,10 +26,11 @@ from service.streaming.alignment import Alignment, AlignmentSettings
 from service.streaming.data_changes import Signal
 from service.streaming.feedforward import Fallback, FeedForward
 from service.streaming.identification import Identification
-from service.streaming.live import KEPT_PER_S, LiveSettings
+from service.streaming.live import LiveSettings
 from service.streaming.pipeline import ValvePlan
 from service.streaming.quality_gate import SENSORS, QualityGate
 from service.streaming.sources import Part, Sources
+from service.streaming.state_keeper import KEPT_PER_S
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure

@@ -2,27 +2,20 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import structlog
 from numpy.typing import NDArray
 
 from service.clock import Clock
-from service.errors import SourceError, SourceRejected, StorageError
+from service.errors import SourceError
 from service.identification.samples import Floats, Samples, Times
 from service.streaming.alignment import ByValve
 from service.streaming.data_changes import DataChanges
-from service.streaming.feedforward import (
-    FeedForwardState,
-    FeedForwardStatus,
-    Refusals,
-    Situation,
-    decide,
-    written,
-)
+from service.streaming.feed_forward_writer import FeedForwardWriter
+from service.streaming.feedforward import Situation
 from service.streaming.identification import Identification
 from service.streaming.maps_and_surveys import MAPS_AT_ONCE
 from service.streaming.past import PastKeeper
@@ -36,24 +29,20 @@ from service.streaming.ports import (
     ResultSink,
 )
 from service.streaming.publishing_turns import PublishingTurns
+from service.streaming.state_keeper import POSITION, StateKeeper
 
 OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
-POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
-PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
 LEARN_S = 0.05  # of learning at once: what has gathered for long is learnt in pieces
 FEWEST_AT_ONCE = 600  # changes, 100 samples, 0.1 s where Auto fits all: less costs more for each
 FIRST_AT_ONCE = 3_000  # changes, before it is known how long they take
 QUICKER = 0.05  # of a pace that is quicker is believed with each piece: fits come all at once
 LAST_S = 0.3  # an end may go on learning what has come
-KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
-KEPT_PER_S = 20  # valves whose states are kept in a second, 3 MB, unless more are due
 MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
 HEALTH_EVERY_S = 0.5  # the service's own condition is shown
 LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
 DAY_NS = 86_400_000_000_000
 FAREWELL_S = 4.2  # longest that an end takes from when it is asked for: some want it within 5
 NAMED = 8  # valves and estimators in one line, until the rest are counted
-FEED_AGAIN_S = 0.05  # feed-forward goes on without samples; with them it has just been asked
 
 log = structlog.get_logger(__name__)
 
@@ -129,28 +118,20 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # that are learnt
         self._end_by = math.inf
-        self._kept_at = math.nan
-        self._failures = 0
         self._refused = 0
-        self._mark: Any = None  # how far the source was heard: now, and when this round began
-        self._mark_of_round: Any = None
-        self._left_in_round: set[int] = set()
-        self._keeping: asyncio.Task[None] | None = None
-        self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
         self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
         self._samples_wait = False
-        self._began, self._turns = now, 0  # of keeping the valves' states, one after the other
+        self._keeper = StateKeeper(
+            identification, source, store, clock, settings.checkpoint_interval_s
+        )
         self._map_due = now + settings.map_interval_s
         self._under_way = False
         self._connected = np.zeros(len(identification.plans), np.bool_)
-        self._fed_at = np.full(len(identification.plans), now)
         self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
         self._newest_U = np.full(len(identification.plans), np.nan)
-        self._fed = {
-            number: FeedForwardState()
-            for number, plan in enumerate(identification.plans)
-            if plan.feed_forward is not None
-        }
+        self._feed_forward = FeedForwardWriter(
+            identification, source, clock, self._situation, self._note_new
+        )
 
     async def start(self, known: Sequence[Checkpoint] = ()) -> None:
         """Take up what was kept before, and show that nothing is known of the present yet.
@@ -216,7 +197,7 @@ class LiveService:
                 await self._doubt_old(self._ages())
                 await self._show_health(self._clock.monotonic())
                 await asyncio.sleep(0.0)
-        self._mark = self._source.mark
+        self._keeper.mark = self._source.mark
 
     def _note_pace(self, changes: int, took_s: float) -> None:
         if changes >= FEWEST_AT_ONCE and took_s > 0.0:
@@ -253,7 +234,7 @@ class LiveService:
         self._note_new(samples)
         self._say_what_is_doubted()
         self._say_what_was_found()
-        await self._feed_forward(self._own(own))
+        await self._feed_forward.write(self._own(own))
         await self._publish_in_turn()
         if not self._under_way and len(samples):
             self._under_way = True
@@ -264,13 +245,13 @@ class LiveService:
         now, own = self._clock.monotonic(), self._own(valves)
         await self._wait_no_longer(now)
         await self._doubt(now)
-        await self._feed_forward(own[now - self._fed_at[own] >= FEED_AGAIN_S])
+        await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
         await self._publish_in_turn()
         if now >= self._map_due:
             parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
             self._map_due = now + self._settings.map_interval_s / parts
             self.identification.refresh_maps(1.0 / parts)
-        self._keep_in_turn(now)
+        self._keeper.keep_in_turn(now)
         if self._past is not None:
             self._past.tick(now, self._clock.now())
         await self._show_health(now)
@@ -317,8 +298,8 @@ class LiveService:
                 waiting=self.identification.pending(),
                 source=self._source.counters,
                 source_states=self._source.states,
-                checkpoint_age_s=now - self._kept_at,
-                checkpoint_failures=self._failures,
+                checkpoint_age_s=now - self._keeper.kept_at,
+                checkpoint_failures=self._keeper.failures,
                 checkpoints_refused=self._refused,
                 checkpoint_bytes=self._store.size,
                 history=PastCounters() if self._past is None else self._past.counters,
@@ -331,10 +312,9 @@ class LiveService:
         self._worked_s, self._worked_since = 0.0, now
         until, utc = self._settings.certificate_until_ns, self._clock.now()
         share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
-        kept_at = self._began if math.isnan(self._kept_at) else self._kept_at
         return self.identification.watch_service(
             utc,
-            checkpoint_age_s=now - kept_at,
+            checkpoint_age_s=self._keeper.age_s(now),
             days_left=(until - utc) / DAY_NS if until else math.nan,
             load=1.0 if self._to_publish.late else share,
         )
@@ -361,97 +341,23 @@ class LiveService:
         """Call every result of these valves bad: there is no connection to their source."""
         own = self._own(valves)
         self._connected[own] = False
-        await self._feed_forward(own)
+        await self._feed_forward.write(own)
         await self._lose(own[~self._lost[own]].tolist())
 
     async def keep(self, within_s: float = math.inf) -> bool:
-        """Keep all states now, or those kept longest ago, as far as the disk does it in this time.
-
-        False: not all are. What was kept before is older, and the source is asked again for what
-        came since.
-
-        Raises
-        ------
-        StorageError
-            naming the file; the states go on in memory.
-        """
-        end, M = self._clock.monotonic() + within_s, len(self._lost)
+        """Keep all states now, or as far as the disk does it in this time: `StateKeeper.keep`."""
+        end = self._clock.monotonic() + within_s
         if self._past is not None:
             await self._past.settle()
-        await self.settle()
-        oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
-        at_once = M if math.isinf(within_s) else KEPT_AT_ONCE
-        for start in range(0, M, at_once):
-            some = oldest_first[start : start + at_once]
-            if self._clock.monotonic() + len(some) * self._packing_s + self._saving_s > end:
-                return False
-            states = await self._packed(some)
-            if start + at_once >= M:
-                states += self._position(self._mark)
-            began = self._clock.monotonic()
-            await asyncio.to_thread(self._store.save, states)
-            self._saving_s = self._clock.monotonic() - began
-        return True
+        return await self._keeper.keep(end)
 
     def states(self) -> list[Checkpoint]:
         """All that is known of all valves."""
-        return self._states(range(len(self._lost)))
+        return self._keeper.states()
 
     async def settle(self) -> None:
         """Wait for what is being kept."""
-        if self._keeping is not None:
-            await self._keeping
-
-    def _states(self, valves: Iterable[int]) -> list[Checkpoint]:
-        return self.identification.kept(valves)
-
-    def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
-        if mark is None:
-            return []
-        state = self._source.position(mark)
-        return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]
-
-    async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
-        """States as bytes, a few valves at a time: samples come in between."""
-        packed = []
-        for start in range(0, len(valves), PACKED_AT_ONCE):
-            began = self._clock.monotonic()
-            some = valves[start : start + PACKED_AT_ONCE]
-            packed += self._states(some)
-            self._packing_s = (self._clock.monotonic() - began) / len(some)
-            await asyncio.sleep(0)
-        return packed
-
-    async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
-        """The disk may be slow, or full: nothing waits for it."""
-        try:
-            states = [*await self._packed(valves), *self._position(mark)]
-            began = self._clock.monotonic()
-            await asyncio.to_thread(self._store.save, states)
-            self._kept_at = self._clock.monotonic()
-            self._saving_s = self._kept_at - began
-            if mark is not None:
-                self._source.commit(mark)
-        except StorageError as error:
-            self._failures += 1
-            log.warning("checkpoint not kept", reason=str(error))
-
-    def _keep_in_turn(self, now: float) -> None:
-        """Keep each valve's state once in an interval, a few at a time: no batch waits for all."""
-        if self._keeping is not None and not self._keeping.done():
-            return
-        M = len(self._lost)
-        interval_s = min(self._settings.checkpoint_interval_s, max(1.0, M / KEPT_PER_S))
-        due = int(M * (now - self._began) / interval_s)
-        turns = range(self._turns, min(due, self._turns + min(M, KEPT_AT_ONCE)))
-        self._turns = due if M <= KEPT_AT_ONCE else turns.stop
-        some = {turn % M for turn in turns}
-        if some:
-            if not self._left_in_round:
-                self._left_in_round, self._mark_of_round = set(range(M)), self._mark
-            self._left_in_round -= some
-            mark = None if self._left_in_round else self._mark_of_round
-            self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
+        await self._keeper.settle()
 
     def _say_what_is_doubted(self) -> None:
         """Name the valves that are not learnt from, each once, and those that are again."""
@@ -521,37 +427,6 @@ class LiveService:
         then = self._ages() + self._to_publish.round_s
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
-    async def _feed_forward(self, valves: Times) -> None:
-        """Lead each of these valves that is armed a step on, all at once."""
-        self._fed_at[valves] = self._clock.monotonic()
-        chosen = set(valves.tolist()) & self._fed.keys() if self._fed else ()
-        steps = (self._lead(valve) for valve in self._fed if valve in chosen)
-        for outcome in await asyncio.gather(*steps, return_exceptions=True):
-            if isinstance(outcome, BaseException):
-                raise outcome
-
-    async def _lead(self, valve: int) -> None:
-        settings = self.identification.plans[valve].feed_forward
-        assert settings is not None  # noqa: S101 - these valves are fed
-        before, situation = self._fed[valve], self._situation(valve)
-        state, command = decide(settings, before, situation, self._clock.monotonic())
-        if state.status is not before.status:
-            self._say(valve, state.status)
-        self._fed[valve] = state
-        U_taken = command.U is None or await _is_taken(
-            self._source.write_required_U(valve, command.U), state.refused_U
-        )
-        heartbeat_taken = command.heartbeat is None or await _is_taken(
-            self._source.write_heartbeat(valve, command.heartbeat), state.refused_heartbeat
-        )
-        self._fed[valve] = written(
-            state,
-            command,
-            self._clock.monotonic(),
-            U_refused=not U_taken,
-            heartbeat_refused=not heartbeat_taken,
-        )
-
     def _situation(self, valve: int) -> Situation:
         armed = self.identification.is_armed(valve)
         connected = bool(self._connected[valve])
@@ -571,12 +446,6 @@ class LiveService:
             answer=answer.status,
         )
 
-    def _say(self, valve: int, status: FeedForwardStatus) -> None:
-        self.identification.note_feed_forward(valve, status)
-        self._note_new([valve])
-        name = self.identification.plans[valve].name
-        log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
-
 
 _NONE: Times = np.empty(0, np.int64)  # the next tick feeds these forward
 
@@ -594,13 +463,3 @@ def _named(names: Sequence[str]) -> str:
     """The first names, and how many there are besides."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return f"{', '.join(names[:NAMED])}{rest}"
-
-
-async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:
-    try:
-        await write
-    except SourceRejected as error:
-        if math.isinf(refused.last):
-            log.warning("not written", reason=str(error))
-        return False
-    return True

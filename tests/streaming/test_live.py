@@ -322,8 +322,8 @@ async def test_states_of_many_valves_are_packed_a_few_at_a_time(plan, source, si
     plans = [replace(plan, name=f"V{n}") for n in range(100)]
     many = Identification(plans, Alignment(AlignmentSettings(), has_T=(True,) * 100))
     live = LiveService(many, source, sink, store, clock, LiveSettings())
-    most, states = [], live._states
-    live._states = lambda valves: most.append(len(valves)) or states(valves)
+    most, states = [], live._keeper.states
+    live._keeper.states = lambda valves: most.append(len(valves)) or states(valves)
     await live.keep()
     assert max(most) <= 16
     assert len({c.valve for c in store.kept}) == 100
@@ -527,7 +527,7 @@ async def test_an_end_does_not_learn_all_that_has_come_and_the_source_is_asked_a
     live.end_soon()
     await live.take(as_changes(plant(3000, first=10)))
     assert 10 < count(live) < 1000
-    assert live._mark == "before"
+    assert live._keeper.mark == "before"
     assert live.time_left_s > 3.0
 
 
