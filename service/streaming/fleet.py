@@ -48,6 +48,7 @@ from service.streaming.ports import EstimatorResults
 from service.streaming.quality_gate import COUNTER_NAMES as OF_GATE
 from service.streaming.quality_gate import GateState
 from service.streaming.score import Score, recent_rmse
+from service.streaming.shared_support import SharedSupport
 from service.streaming.valve_columns import Columns
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
@@ -72,9 +73,10 @@ class Fleet:
         self.plan = plan
         self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
+        self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
         self._lanes = {
-            name: _Lanes(estimator, M, nothing_seen(plan), plan.accuracy)
-            for name, estimator in plan.estimators.items()
+            name: _Lanes(estimator, M, _Rests(self._support, number), plan.accuracy)
+            for number, (name, estimator) in enumerate(plan.estimators.items())
         }
         self._t = np.zeros(M, np.int64)
         self._T = np.full(M, np.nan)
@@ -91,7 +93,11 @@ class Fleet:
         ``segments`` says which are whose, in the fleet's own numbers; none may be empty.
         """
         judged = self.plan.gate.judge(self._gate, samples, segments)
-        traces = {name: lanes.take(judged, segments) for name, lanes in self._lanes.items()}
+        traces, rests = {}, []
+        for name, lanes in self._lanes.items():
+            traces[name], own = lanes.take(judged, segments)
+            rests.append((traces[name].status, own))
+        self._support.learn(judged, rests, segments)
         self._t[segments.members] = samples.t[segments.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, segments)
         self.alarms.watch(judged, traces[self.plan.inverse], segments)
@@ -161,7 +167,10 @@ class Fleet:
         self._demand[m] = Q, dp
 
     def columns(self, valves: Sequence[str]) -> list[Columns]:
-        """All that the valves, whose names are given, remember: the arrays themselves."""
+        """All that the valves, whose names are given, remember; written to, it is to be taken up.
+
+        What is kept as an array with a row for each valve is that array, the rest are copies.
+        """
         gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
         own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
         names = tuple(valves)
@@ -171,10 +180,11 @@ class Fleet:
             *(lanes.columns(name, names) for name, lanes in self._lanes.items()),
         ]
 
-    def columns_written(self) -> None:
+    def take_up(self, written: Sequence[Columns]) -> None:
         """Somebody has written to what `columns` gave."""
-        for lanes in self._lanes.values():
-            lanes.written()
+        _, _, *of_lanes = written
+        for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
+            lanes.take_up(columns.arrays)
 
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
@@ -187,13 +197,13 @@ class _Lanes:
     """One estimator on M valves."""
 
     def __init__(
-        self, estimator: AnyEstimator, M: int, support: Support, accuracy: SensorAccuracy
+        self, estimator: AnyEstimator, M: int, rests: "_Rests", accuracy: SensorAccuracy
     ) -> None:
         self._estimator = estimator
         self._states = _states_of(estimator, M)
         self._scores = np.tile(Score.none().sums, (M, 1))
         self._spread = ResidualSpread.none().of_many(M)
-        self._support = support.of_many(M)
+        self._rests = rests
         self._accuracy = accuracy
         self._key = key_of(_LaneKey(key_of(estimator), accuracy))
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
@@ -207,7 +217,8 @@ class _Lanes:
             status=np.full(M, NO_STATUS, np.uint8),
         )
 
-    def take(self, samples: Samples, segments: Segments) -> Trace:
+    def take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
+        """Learn; what was made of samples, and on which of them the maps rest."""
         beyond, began = self._beyond_range(samples, segments), self._states.began()
         if beyond is None:
             trace = self._learn(samples, segments)
@@ -217,12 +228,11 @@ class _Lanes:
             trace.status[beyond] = Status.EXTRAPOLATING
         score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
         self._spread.learn(samples, trace, segments)
-        self._support.learn(samples, trace.status, self._of_this_map(began, trace.status, segments))
         kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
-        return trace
+        return trace, self._of_this_map(began, trace.status, segments)
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
-        spread, support = self._spread, self._support
+        spread = self._spread
         return Columns(
             f"{name} {self._key}",
             valves,
@@ -234,17 +244,16 @@ class _Lanes:
                 "stamps": spread.stamps,
                 "ages": spread.ages,
                 "overall": spread.overall,
-                "seen": support.cells,
-                "fit": support.fit,
-                "ranges": support.ranges,
+                **self._rests.columns(),
                 "beyond": self.beyond,
                 "frozen": self._frozen,
                 "lam": self._lam,
             },
         )
 
-    def written(self) -> None:
-        self._states.written()
+    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
+        self._rests.take_up(arrays)
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         """The newest change of some valves that was found."""
@@ -294,7 +303,7 @@ class _Lanes:
             m, stop = segments.members[k], segments.stops[k]
             learnt = starts[k] + np.flatnonzero(status[starts[k] : stop] <= Status.UNEXCITED)
             starts[k] = [*learnt, stop][len(learnt) - since[m]]
-            self._support.put(m, self._support.one(m).forgotten())
+            self._rests.put(int(m), self._rests.one(int(m)).forgotten())
         return Segments(segments.members, starts, segments.stops)
 
     def _learn(self, samples: Samples, segments: Segments) -> Trace:
@@ -314,7 +323,7 @@ class _Lanes:
             state=self._states.get(m),
             score=Score(self._scores[m].copy()),
             spread=self._spread.one(m),
-            support=self._support.one(m),
+            support=self._rests.one(m),
             accuracy=self._accuracy,
             frozen=bool(self._frozen[m]),
             count=int(count),
@@ -353,7 +362,7 @@ class _Lanes:
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
         self._spread.put(m, lane.spread)
-        self._support.put(m, lane.support)
+        self._rests.put(m, lane.support)
         self._frozen[m] = lane.frozen
         self._lam[m] = np.nan if lane.lam is None else lane.lam
         status = NO_STATUS if lane.status is None else int(lane.status)
@@ -368,6 +377,26 @@ class _Lanes:
         state, trace = lane.estimator.update(lane.state, samples)
         self._states.put(m, state)
         return trace
+
+
+@dataclass(frozen=True)
+class _Rests:
+    """What one estimator's maps rest on: its part of what all share."""
+
+    shared: SharedSupport
+    number: int
+
+    def one(self, m: int) -> Support:
+        return self.shared.one(self.number, m)
+
+    def put(self, m: int, support: Support) -> None:
+        self.shared.put(self.number, m, support)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        return self.shared.columns(self.number)
+
+    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self.shared.take_up(self.number, arrays)
 
 
 @dataclass(frozen=True)
@@ -457,7 +486,7 @@ class _Stacked:
     def columns(self) -> Mapping[str, NDArray[Any]]:
         return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
 
-    def written(self) -> None:
+    def take_up(self, _written: Mapping[str, NDArray[Any]]) -> None:
         self._changed[:] = -1
 
     def put(self, m: int, state: State) -> None:
@@ -472,7 +501,6 @@ class _Listed:
     def __init__(self, estimator: AnyEstimator, M: int) -> None:
         self._estimator = estimator
         self._all: list[State] = [estimator.initial_state()] * M
-        self._columns: State | None = None  # as they were handed out, to be written to
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
         N = len(samples)
@@ -521,13 +549,12 @@ class _Listed:
         return np.zeros(len(self._all), np.int64)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        self._columns = stack(self._all)
-        return {f.name: getattr(self._columns, f.name) for f in fields(self._columns)}
+        stacked = stack(self._all)
+        return {f.name: getattr(stacked, f.name) for f in fields(stacked)}
 
-    def written(self) -> None:
-        if self._columns is not None:
-            self._all = [copied(member(self._columns, m)) for m in range(len(self._all))]
-        self._columns = None
+    def take_up(self, written: Mapping[str, NDArray[Any]]) -> None:
+        stacked = type(self._all[0])(**written)
+        self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
 
     def put(self, m: int, state: State) -> None:
         self._all[m] = state

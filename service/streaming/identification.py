@@ -309,7 +309,7 @@ class Identification:
         return self._kept.restore(checkpoints)
 
     def columns(self) -> list[Columns]:
-        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
+        """All that the valves remember of their samples; no baselines."""
         return self._columns.columns()
 
     def remember(

@@ -1,6 +1,7 @@
 """What all valves remember as columns, given out and written back, and the maps people approved."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -30,22 +31,8 @@ class KeptColumns:
         self._approved = approved
 
     def columns(self) -> list[Columns]:
-        """All that the valves remember of their samples, as the arrays themselves; no baselines."""
-        names = tuple(plan.name for plan in self._valves.plans)
-        intake = self._intake
-        plausibility = intake.plausibility.columns()
-        every: dict[str, NDArray[Any]] = {
-            "newest_t": intake.newest.t,
-            "newest_quality": intake.newest.quality,
-            "newest_values": intake.newest.values,
-            "refuted": intake.refuted,
-            "approved": self._approved.counts,
-            **{f"plausibility_{name}": array for name, array in plausibility.items()},
-        }
-        found = [Columns("signals", names, every)]
-        for fleet, own in self._valves.by_fleet(np.arange(len(names))):
-            found += fleet.columns([names[valve] for valve in own])
-        return found
+        """All that the valves remember of their samples; no baselines."""
+        return [self._of_signals(), *chain.from_iterable(self._of_fleets())]
 
     def remember(
         self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
@@ -57,9 +44,10 @@ class KeptColumns:
         StateMismatchError
             if a baseline is damaged.
         """
-        afresh = copy_rows(columns, self.columns())
-        for fleet in self._valves.fleets:
-            fleet.columns_written()
+        of_fleets = self._of_fleets()
+        afresh = copy_rows(columns, [self._of_signals(), *chain.from_iterable(of_fleets)])
+        for fleet, written in zip(self._valves.fleets, of_fleets, strict=True):
+            fleet.take_up(written)
         for valve, packed in baselines.items():
             if valve in self._valves.numbers:
                 number = self._valves.numbers[valve]
@@ -72,3 +60,25 @@ class KeptColumns:
             self._valves.plans[number].name: found.to_bytes()
             for number, found in self._approved.baselines.items()
         }
+
+    def _of_signals(self) -> Columns:
+        names = tuple(plan.name for plan in self._valves.plans)
+        intake = self._intake
+        plausibility = intake.plausibility.columns()
+        every: dict[str, NDArray[Any]] = {
+            "newest_t": intake.newest.t,
+            "newest_quality": intake.newest.quality,
+            "newest_values": intake.newest.values,
+            "refuted": intake.refuted,
+            "approved": self._approved.counts,
+            **{f"plausibility_{name}": array for name, array in plausibility.items()},
+        }
+        return Columns("signals", names, every)
+
+    def _of_fleets(self) -> list[list[Columns]]:
+        """Of each fleet, in their order."""
+        plans = self._valves.plans
+        return [
+            fleet.columns([plans[valve].name for valve in own])
+            for fleet, own in self._valves.by_fleet(np.arange(len(plans)))
+        ]
