@@ -26,8 +26,8 @@ KERNELS: Final = tuple(f"kernels.{name}" for name in _LOOPS)
 LAYOUT: Final = {
     *(f"kernels.cells.{name}" for name in ("PLAY", "REFERENCE", "LAGGING")),
     *(f"kernels.lag.{name}" for name in ("OFFSET", "CURVED", "KNOWN_LAGS", "COUNTERS")),
-    *(f"kernels.ladder.{name}" for name in ("BAND", "MOST_NEIGHBOURS")),
     *("auto_fits.STARTED", "map_search.RICH", "kernels.grid.SLOTS"),
+    "kernels.ladder.MOST_NEIGHBOURS",
 }
 
 

@@ -1,13 +1,15 @@
 """From the configuration's words to the objects that do the work."""
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Hashable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from service.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT, load_users
-from service.config.estimators import AnyEstimatorConfig, Range, build_estimator
-from service.config.models import Config, SourceConfig, ValveConfig
+from service.config.alarms import AlarmsConfig
+from service.config.estimators import build_estimator
+from service.config.models import Config, GateConfig, SourceConfig, ValveConfig
 from service.config.secret_files import read_secret
+from service.config.signals import SignalsConfig
 from service.errors import ConfigurationError
 from service.hardened import (
     Limits,
@@ -34,6 +36,8 @@ from service.streaming.state_keeper import KEPT_PER_S
 from service.streaming.supervisor import SupervisorSettings
 from service.streaming.timing import Timing, TimingSettings
 from service.streaming.units import MEASURED, QUANTITY_OF, READ, Measure
+
+R = TypeVar("R")
 
 _AXIS_POINTS = 21
 _HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
@@ -84,16 +88,9 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
-    """What is done with each valve's samples; valves of one kind share their estimators."""
-    known: dict[object, Estimator[Any]] = {}
-
-    def built(section: AnyEstimatorConfig, *ranges: Range) -> Estimator[Any]:
-        key = section, ranges
-        if key not in known:
-            known[key] = build_estimator(section, *ranges)
-        return known[key]
-
-    return [_plan(valve, built) for valve in config.valves]
+    """What is done with each valve's samples; what is configured alike is made once, and shared."""
+    shared = _Shared()
+    return [_plan(valve, shared) for valve in config.valves]
 
 
 def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
@@ -220,29 +217,50 @@ def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
-def _plan(valve: ValveConfig, built: Callable[..., Estimator[Any]]) -> ValvePlan:
+class _Shared:
+    """Makes each thing once, from parts of the configuration that are hashable."""
+
+    def __init__(self) -> None:
+        self._known: dict[object, Any] = {}
+
+    def __call__(self, make: Callable[..., R], *of: Hashable) -> R:
+        if (make, of) not in self._known:
+            self._known[make, of] = make(*of)
+        found: R = self._known[make, of]
+        return found
+
+
+def _plan(valve: ValveConfig, shared: _Shared) -> ValvePlan:
     ranges = valve.U_range_percent, valve.dp_range_bar, valve.Q_range_l_min
-    estimators = {e.name: built(e, *ranges) for e in valve.estimators}
+    estimators: dict[str, Estimator[Any]] = {
+        e.name: shared(build_estimator, e, *ranges) for e in valve.estimators
+    }
     return ValvePlan(
         name=valve.name,
-        gate=QualityGate(
-            limits={s: getattr(valve.gate, name).limits(s) for s, name in _GATES.items()},
-            use_uncertain=valve.gate.use_uncertain,
-        ),
+        gate=shared(_gate, valve.gate),
         estimators=estimators,
         inverse=valve.inverse or ("Auto" if "Auto" in estimators else valve.estimators[0].name),
         U_range=valve.U_range_percent,
-        map_Q=_axis(*valve.Q_range_l_min),
-        map_dp=_axis(*valve.dp_range_bar),
+        map_Q=shared(_axis, *valve.Q_range_l_min),
+        map_dp=shared(_axis, *valve.dp_range_bar),
         feed_forward=_feed_forward(valve),
         insist=valve.insist,
-        alarms=valve.alarms.rules(),
+        alarms=shared(AlarmsConfig.rules, valve.alarms),
         nameplate=valve.identification.nameplate(valve.name),
         nodes={name: f"{name} ({valve.nodes.of(name)})" for name in READ if valve.nodes.of(name)},
-        accuracy=SensorAccuracy(
-            **{name: getattr(valve.signals, name).error_limit(name) for name in MEASURED}
-        ),
+        accuracy=shared(_accuracy, valve.signals),
     )
+
+
+def _gate(configured: GateConfig) -> QualityGate:
+    return QualityGate(
+        limits={s: getattr(configured, name).limits(s) for s, name in _GATES.items()},
+        use_uncertain=configured.use_uncertain,
+    )
+
+
+def _accuracy(signals: SignalsConfig) -> SensorAccuracy:
+    return SensorAccuracy(**{name: getattr(signals, name).error_limit(name) for name in MEASURED})
 
 
 def _feed_forward(valve: ValveConfig) -> FeedForward | None:

@@ -245,7 +245,8 @@ class Auto:
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
-        return surface_of(state, CHAMPION)
+        surface = surface_of(state, CHAMPION)
+        return surface._replace(theta=surface.theta.astype(np.float64))
 
     def describe(self, state: AutoState) -> str:
         """Which structure speaks now."""

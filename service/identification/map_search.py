@@ -12,8 +12,8 @@ from service.identification.kernels import climb as kernel
 from service.identification.kernels import map_fit
 from service.identification.kernels.climb import IDLE
 from service.identification.kernels.grid import MEAN_T, WEIGHT
-from service.identification.kernels.surface import BORDER
-from service.identification.map_shapes import BAND, Shape, Variety
+from service.identification.kernels.surface import BORDER, FIVE_TERMS, PAIRS
+from service.identification.map_shapes import Shape, Variety
 from service.identification.samples import Floats
 
 STARTS: Final = tuple(product((None, 4.0, 8.0, 14.0), (None, 97.0)))
@@ -26,7 +26,10 @@ LEAST_SPREAD: Final = 2.0  # K of T: a trend could be seen
 
 @dataclass(frozen=True)
 class Fit:
-    """A shape's least-squares fit; arrays as :func:`kernels.map_fit.fit` fills them."""
+    """A shape's least-squares fit; arrays as :func:`kernels.map_fit.fit` fills them.
+
+    But for ``mixed`` (n, TREND): beside a spline there is no eq. (7).
+    """
 
     theta: Floats
     inverse: Floats
@@ -42,9 +45,9 @@ def fit(points: Floats, shape: Shape, top: float) -> Fit:
     """Weighted least squares, eq. (16), of a shape up to ``top`` bar to the cells' means."""
     n = shape.size
     theta, corner = np.empty(n + BORDER), np.empty((BORDER, BORDER))
-    inverse, mixed = np.empty((n, BAND)), np.empty((n, BORDER))
+    inverse, mixed = np.empty((n, PAIRS)), np.empty((n, BORDER))
     said = map_fit.fit(points, shape.plan(top), theta, inverse, mixed, corner)
-    return Fit(theta, inverse, mixed, corner, *said)
+    return Fit(theta, inverse, mixed[:, FIVE_TERMS:], corner, *said)
 
 
 def noise(points: Floats, shape: Shape, top: float, rich: Floats | None = None) -> float:

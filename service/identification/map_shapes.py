@@ -19,7 +19,6 @@ AXES: Final = tuple(
 MOST: Final = ladder.MOST
 PRESSURES: Final = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 350.0, 1000.0)
 MOST_U, MOST_S = CELLS[-1] + 3 + 2 * 3, len(AXES[-1]) + 2
-BAND: Final = ladder.BAND
 KEPT: Final = 32  # shapes whose neighbours and splines are kept at hand
 
 

@@ -14,9 +14,9 @@ from service.identification.estimator import Estimator
 from service.identification.kernels import cells as auto_memory
 from service.identification.kernels import lack_of_fit
 from service.identification.kernels.support import PLACES_OF_CELL, T_LOW
-from service.identification.kernels.surface import BORDER
+from service.identification.kernels.surface import APART, BORDER, FIVE_TERMS
 from service.identification.linear_map import LinearMap, LinearMapState
-from service.identification.map_shapes import BAND, MOST, Shape
+from service.identification.map_shapes import MOST, Shape
 from service.identification.maximum_likelihood import MaximumLikelihood
 from service.identification.model_structures import Polynomial, Structure, TensorSpline
 from service.identification.monotone import Monotone
@@ -28,6 +28,7 @@ from service.identification.samples import Floats
 from service.identification.support import Support
 
 VERSION: Final = 2
+BAND: Final = 31  # of `Auto`'s inverse information: a point's parameters lie no farther apart
 UNITS: Final = {"U": "%", "dp": "bar", "s": "√bar", "Q": "l/min", "T": "°C"}
 
 Numbers = tuple[float, ...]
@@ -343,8 +344,8 @@ def _auto_section(state: AutoState) -> AutoSection:
         dp_top=float(state.top[0]),
         theta=_numbers(theta[:n]),
         beside=_numbers(theta[MOST:]),
-        inverse=_rows(state.inverse[:n].astype(np.float64)),
-        mixed=_rows(state.mixed[:n].astype(np.float64)),
+        inverse=_rows(_band(state)[:n]),
+        mixed=_rows(np.pad(state.mixed[:n].astype(np.float64), ((0, 0), (FIVE_TERMS, 0)))),
         corner=_rows(state.corner),
         variance=float(state.scalars[auto_memory.VARIANCE]),
         gain_variance=float(state.scalars[auto_memory.GAIN_VARIANCE]),
@@ -356,8 +357,7 @@ def _auto_state(section: AutoSection) -> AutoState:
     n = _shape(section).size
     shape = np.array([np.nan if x is None else x for x in section.shape])
     blank.theta[:n], blank.theta[MOST:] = section.theta, section.beside
-    blank.inverse[:n] = np.reshape(section.inverse, (n, BAND))
-    blank.mixed[:n] = np.reshape(section.mixed, (n, BORDER))
+    blank.mixed[:n] = np.reshape(section.mixed, (n, BORDER))[:, FIVE_TERMS:]
     blank.corner[:] = section.corner
     blank.shapes[:], blank.top[:] = shape, section.dp_top
     blank.scalars[auto_memory.VARIANCE] = section.variance
@@ -366,7 +366,23 @@ def _auto_state(section: AutoSection) -> AutoState:
     theta = np.concatenate([section.theta, section.beside])
     for which in (0, 1):
         write_map(blank, which, _shape(section), theta, section.dp_top)
+    kept, filed = _pairs(int(blank.sizes[0, 1]))
+    blank.inverse[:n, kept] = np.reshape(section.inverse, (n, BAND))[:, filed]
     return blank
+
+
+def _band(state: AutoState) -> Floats:
+    """The inverse information as a file has it: by how many parameters two are apart."""
+    found = np.zeros((MOST, BAND))
+    kept, filed = _pairs(int(state.sizes[0, 1]))
+    found[:, filed] = state.inverse[:, kept]
+    return found
+
+
+def _pairs(n_s: int) -> tuple[list[int], list[int]]:
+    """Where pairs of parameters are kept, and where a file has them; ``n_s`` are those of one U."""
+    apart = [(u, v) for u in range(4) for v in range(-3, 4) if u or v >= 0]
+    return [u * APART + v for u, v in apart], [u * n_s + v for u, v in apart]
 
 
 def _shape(section: AutoSection) -> Shape:

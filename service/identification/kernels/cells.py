@@ -106,7 +106,7 @@ class Fleet(NamedTuple):
     counters: np.ndarray
     knots_U: Floats
     knots_s: Floats
-    coefficients: Floats
+    coefficients: np.ndarray
     sizes: np.ndarray
     shapes: Floats
 

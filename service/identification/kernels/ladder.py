@@ -21,8 +21,7 @@ AXES = np.array(
         [0.0, 0.05, 0.106, 0.21, 0.42, 0.7, 1.0],
     ]
 )
-MOST = 160  # parameters of the largest spline that may be chosen: 20 kB of inverse
-BAND = 3 * (7 + 2) + 4  # width of the band of its inverse
+MOST = 156  # parameters of the largest spline that may be chosen: 16 kB of inverse
 MOST_NEIGHBOURS = 72
 SMOOTHNESS = 0.3  # root of the prior's weight, in samples: next to nothing where there are data
 DEAD_BANDS = np.array([2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0])  # %, tried first

@@ -24,7 +24,7 @@ from service.identification.kernels.map_rows import (
     rows,
     rows_in_s,
 )
-from service.identification.kernels.surface import BORDER, FIVE_TERMS
+from service.identification.kernels.surface import APART, BORDER, FIVE_TERMS
 from service.identification.samples import Floats
 
 RIDGE = 1e-6  # samples' worth of information on each spline parameter: keeps the factor positive
@@ -113,9 +113,9 @@ def fit(
         Weight, U, s, T, direction, Q; weights are positive.
     theta : (n + BORDER,)
         Is filled: spline parameters, then the border's.
-    inverse, mixed, corner : (n, 3·n_s + 4), (n, BORDER), (BORDER, BORDER)
-        Are filled: with (B C; Cᵀ D) the information, the band of B⁻¹ (column k:
-        element (i, i - k)), B⁻¹·C and (D - Cᵀ·B⁻¹·C)⁻¹.
+    inverse, mixed, corner : (n, PAIRS), (n, BORDER), (BORDER, BORDER)
+        Are filled: with (B C; Cᵀ D) the information, of B⁻¹ what points are concerned with (column
+        APART·u + v: the parameters that lie u before in U, v in s), B⁻¹·C and (D - Cᵀ·B⁻¹·C)⁻¹.
 
     Returns
     -------
@@ -123,13 +123,17 @@ def fit(
         Weighted squares of the residuals, of the prior's, of the map's falls where U rises;
         parameters that the points determine (NaN: the information is not positive).
     """
-    n, band = plan.n, 3 * len(plan.sites_s) + 4
+    n, n_s = plan.n, len(plan.sites_s)
+    band = 3 * n_s + 4
     Z = np.zeros(n * (2 * band - 1))
     found = fit_rows(points, rows_in_s(points, plan.knots_s), plan, theta, Z, mixed, corner)
     inverse[:] = 0.0
     for i in range(n):
-        for k in range(min(band, i + 1)):
-            inverse[i, k] = Z[i * (2 * band - 1) + band - 1 - k]
+        for u in range(4):
+            for v in range(-3, 4):
+                before = u * n_s + v
+                if 0 <= before <= i:
+                    inverse[i, u * APART + v] = Z[i * (2 * band - 1) + band - 1 - before]
     return found
 
 

@@ -18,6 +18,10 @@ T_UNIT = 20.0
 BORDER = 8
 SPLINE_ROW = 16
 FIVE_TERMS = 5
+TREND = BORDER - FIVE_TERMS
+APART = 7  # by so many places in s two of a point's four can differ: -3 to 3
+PAIRS = 3 * APART + 4  # of parameters that a point can have, one being given: the rest of the band
+# of the inverse is of no concern
 
 
 class Surface(NamedTuple):
@@ -26,7 +30,7 @@ class Surface(NamedTuple):
     knots_U: Floats
     knots_s: Floats
     nodes_T: Floats
-    theta: Floats
+    theta: np.ndarray
     play: float
 
 
@@ -35,7 +39,7 @@ def value(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    theta: Floats,
+    theta: np.ndarray,
     U: float,
     s: float,
     T: float,
@@ -88,7 +92,7 @@ def evaluate(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    theta: Floats,
+    theta: np.ndarray,
     play: float,
     inverse: Floats,
     mixed: Floats,
@@ -115,7 +119,7 @@ def evaluate_many(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    coefficients: Floats,
+    coefficients: NDArray[np.float32],
     sizes: Times,
     free: Times,
     inverse: NDArray[np.float32],
@@ -166,7 +170,10 @@ def spread(
     point: Floats,
     scratch: Floats,
 ) -> float:
-    """Variance of Q̂ over σ² at one point (weight, U, s, T, direction, Q), see `map_fit.fit`."""
+    """Variance of Q̂ over σ² at one point (weight, U, s, T, direction, Q), see `map_fit.fit`.
+
+    ``inverse`` is (n, PAIRS), ``mixed`` (n, TREND): beside a spline there is no eq. (7).
+    """
     n, n_s, x = len(inverse), len(knots_s) - 4, np.empty(SPLINE_ROW + BORDER)
     at = _row(point, 0.0, knots_U, knots_s, n, x, scratch)
     total = 0.0
@@ -175,12 +182,12 @@ def spread(
             here, along, value_here = at + u * n_s + v, 0.0, x[4 * u + v]
             for r in range(u):
                 for q in range(4):
-                    along += x[4 * r + q] * inverse[here, (u - r) * n_s + v - q]
+                    along += x[4 * r + q] * inverse[here, (u - r) * APART + v - q]
             for q in range(v):
                 along += x[4 * u + q] * inverse[here, v - q]
             total += value_here * (2.0 * along + value_here * inverse[here, 0])
-            for k in range(BORDER):
-                x[SPLINE_ROW + k] -= value_here * mixed[here, k]
+            for k in range(TREND):
+                x[SPLINE_ROW + FIVE_TERMS + k] -= value_here * mixed[here, k]
     for k in range(BORDER):
         along = 0.0
         for j in range(BORDER):
