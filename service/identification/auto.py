@@ -245,8 +245,7 @@ class Auto:
 
     def surface(self, state: AutoState) -> Surface:
         """Give the map itself, for its inverse."""
-        surface = surface_of(state, CHAMPION)
-        return surface._replace(theta=surface.theta.astype(np.float64))
+        return surface_of(state, CHAMPION)
 
     def describe(self, state: AutoState) -> str:
         """Which structure speaks now."""

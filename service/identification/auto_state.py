@@ -53,8 +53,7 @@ class AutoState(State):
     shapes : (3, 6), top : (1,)
         Shapes of champion, challenger and explorer, and the pressure their splines reach to, bar.
     knots_U, knots_s, coefficients, sizes : (2, …)
-        The maps of champion and challenger, padded with 0; coefficients are float32, sizes
-        (n_U, n_s).
+        The maps of champion and challenger, padded with 0; sizes (n_U, n_s).
     theta : (n + 8,)
         Parameters of the champion, padded with 0.
     inverse, mixed, corner
@@ -75,7 +74,7 @@ class AutoState(State):
     top: Floats
     knots_U: Floats
     knots_s: Floats
-    coefficients: NDArray[np.float32]
+    coefficients: Floats
     sizes: Counts
     theta: Floats
     inverse: NDArray[np.float32]
@@ -129,9 +128,6 @@ class AutoState(State):
         )
 
 
-_NOTHING = np.zeros((4, 4, 2), np.float32)
-
-
 def empty(lag_U: float | None, lag_Q: float | None) -> AutoState:
     """State before the first sample; lags that are None are looked for."""
     scalars = np.zeros(memory.SCALARS)
@@ -152,7 +148,7 @@ def empty(lag_U: float | None, lag_Q: float | None) -> AutoState:
         top=np.array([dp_top(0.0)]),
         knots_U=np.zeros((2, MOST_U + 4)),
         knots_s=np.zeros((2, MOST_S + 4)),
-        coefficients=np.zeros((2, 2 * MOST), np.float32),
+        coefficients=np.zeros((2, 2 * MOST)),
         sizes=np.zeros((2, 2), np.int64),
         theta=np.zeros(MOST + BORDER),
         inverse=np.zeros((MOST, PAIRS), np.float32),
@@ -180,7 +176,7 @@ def surface_of(state: AutoState, which: int) -> Surface:
     """Map of champion or challenger as the kernels take it; 0 before the first fit."""
     n_U, n_s = state.sizes[which].tolist()
     if not n_U:
-        return Surface(np.zeros(8), np.zeros(8), memory.NODES_T, _NOTHING, 0.0)
+        return Surface(np.zeros(8), np.zeros(8), memory.NODES_T, np.zeros((4, 4, 2)), 0.0)
     table = state.coefficients[which, : 2 * n_U * n_s].reshape(n_U, n_s, 2)
     return Surface(
         state.knots_U[which, : n_U + 4],

@@ -106,7 +106,7 @@ class Fleet(NamedTuple):
     counters: np.ndarray
     knots_U: Floats
     knots_s: Floats
-    coefficients: np.ndarray
+    coefficients: Floats
     sizes: np.ndarray
     shapes: Floats
 

@@ -30,7 +30,7 @@ class Surface(NamedTuple):
     knots_U: Floats
     knots_s: Floats
     nodes_T: Floats
-    theta: np.ndarray
+    theta: Floats
     play: float
 
 
@@ -39,7 +39,7 @@ def value(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    theta: np.ndarray,
+    theta: Floats,
     U: float,
     s: float,
     T: float,
@@ -92,7 +92,7 @@ def evaluate(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    theta: np.ndarray,
+    theta: Floats,
     play: float,
     inverse: Floats,
     mixed: Floats,
@@ -119,7 +119,7 @@ def evaluate_many(
     knots_U: Floats,
     knots_s: Floats,
     nodes_T: Floats,
-    coefficients: NDArray[np.float32],
+    coefficients: Floats,
     sizes: Times,
     free: Times,
     inverse: NDArray[np.float32],
