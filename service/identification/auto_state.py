@@ -46,8 +46,8 @@ class AutoState(State):
     cells : (640, 7) float32
         Weight and means of U, s, T, direction, Q and time of the samples of each cell that has a
         slot.
-    slots : (3264,) uint16
-        One more than the slot of each cell of the grid, see :mod:`kernels.grid`; 0 for none.
+    slots : (1184,) uint16
+        Which slot each cell of the grid has, see :mod:`kernels.grid`.
     recent : (704, 4) float32
         The last samples, for the search for lags, see :mod:`kernels.lag`.
     shapes : (3, 6), top : (1,)
@@ -65,7 +65,7 @@ class AutoState(State):
         in trying their neighbours, see :func:`map_search.climb`.
     """
 
-    state_version: ClassVar[int] = 8  # 7: kept the whole band of the inverse
+    state_version: ClassVar[int] = 8  # 7: kept a slot for each cell of the grid
 
     cells: NDArray[np.float32]
     slots: NDArray[np.uint16]
@@ -109,7 +109,7 @@ class AutoState(State):
         shapes.or_nan((every, [ladder.DEAD_BAND, ladder.SATURATION]))
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, grid.WEIGHT)),
-            "slots": Contents(self.slots).within(0, grid.SLOTS),
+            "slots": Contents(self.slots).within(0, grid.SLOTS, slice(grid.PLACES)),
             "shapes": shapes,
             "top": Contents(self.top).within(PRESSURES[0], PRESSURES[-1]),
             "sizes": Contents(self.sizes).within(0, MOST),
@@ -121,6 +121,8 @@ class AutoState(State):
         """Whether shapes are steps of the ladder, and the maps as large as their shapes."""
         whole = [ladder.CELLS_OF, ladder.AXIS, ladder.TREND]
         known = (self.shapes[:, whole] == np.rint(self.shapes[:, whole])).all()
+        if not grid.is_coherent(self.slots, int(self.counters[memory.TAKEN])):
+            return False
         if not known or not np.isin(self.shapes[:, ladder.CELLS_OF], CELLS).all():
             return False
         return all(_is_of_its_shape(self, which) for which in (CHAMPION, CHALLENGER)) and (
@@ -142,7 +144,7 @@ def empty(lag_U: float | None, lag_Q: float | None) -> AutoState:
     counters[memory.NEXT_LOOK] = FIRST_LOOK if looked_for else np.iinfo(np.int64).max
     return AutoState(
         cells=np.zeros((grid.SLOTS, len(grid.COLUMNS)), np.float32),
-        slots=np.zeros(grid.PLACES * grid.CELLS_OF_A_PLACE, np.uint16),
+        slots=np.zeros(grid.PLACES + grid.SLOTS, np.uint16),
         recent=np.zeros((lag.ROWS, 4), np.float32),
         shapes=np.stack([Shape().to_array()] * 3),
         top=np.array([dp_top(0.0)]),

@@ -1,8 +1,12 @@
 """Cells of a map: a slot each as long as there are slots, then the likest of a place become one."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from service.identification.auto import Auto
+from service.identification.estimator import StateMismatchError
 from service.identification.kernels import cells as memory
 from service.identification.kernels import grid
 from service.identification.samples import Samples
@@ -25,12 +29,14 @@ def learnt(*parts):
 
 
 def places_of(state):
-    return state.slots.reshape(grid.PLACES, grid.CELLS_OF_A_PLACE)
+    slot_at, cells = grid.slot_at.py_func, grid.PLACES * grid.CELLS_OF_A_PLACE
+    found = np.array([slot_at(number, state.slots) for number in range(cells)])
+    return found.reshape(grid.PLACES, grid.CELLS_OF_A_PLACE)
 
 
 def test_a_cell_has_a_slot_of_its_own_while_there_are_any():
     _, state = learnt(scattered(0, 300, 40.0))
-    taken = state.slots[state.slots > 0]
+    taken = places_of(state)[places_of(state) > 0]
     assert len(taken) == len(set(taken.tolist())) == state.counters[memory.TAKEN] < grid.SLOTS
     assert (state.cells[:, grid.WEIGHT] > 0).sum() == len(taken)
 
@@ -45,6 +51,22 @@ def test_with_more_cells_than_slots_no_sample_is_lost_and_no_slot_serves_two_pla
     assert visited.sum() > 400
     held = state.cells[places_of(state)[visited].max(axis=1) - 1, grid.WEIGHT]
     assert (held > 0).all()
+
+
+def test_a_state_whose_slots_serve_cells_of_two_places_or_none_is_refused():
+    auto, state = learnt(scattered(0, 300, 40.0))
+    state.check(auto.initial_state())
+    heads, links = state.slots[: grid.PLACES], state.slots[grid.PLACES :]
+    first, second = np.flatnonzero(heads)[:2]
+    for place, link in ((first, 0), (first, links[heads[first] - 1] | grid.NEXT)):
+        damaged = replace(state, slots=state.slots.copy())
+        damaged.slots[grid.PLACES + heads[place] - 1] = link
+        with pytest.raises(StateMismatchError, match="do not belong together"):
+            damaged.check(auto.initial_state())
+    damaged = replace(state, slots=state.slots.copy())
+    damaged.slots[second] = damaged.slots[first]
+    with pytest.raises(StateMismatchError, match="do not belong together"):
+        damaged.check(auto.initial_state())
 
 
 def test_directions_are_made_one_before_temperatures_where_no_loop_is_known():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.identification.kernels import climb as criterion
-from service.identification.kernels import held, map_fit
+from service.identification.kernels import grid, held, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.cells import NODES_T
 from service.identification.map_search import (
@@ -128,14 +128,23 @@ def test_play_and_trend_are_tried_only_where_the_samples_can_tell():
 
 
 def test_what_the_samples_can_tell_is_seen_in_the_memory():
-    cells, slots = np.zeros((20, 7), np.float32), np.zeros(40, np.uint16)
+    cells = np.zeros((20, 7), np.float32)
     cells[:, 0], cells[:, 3] = 5.0, 40.0
-    slots[::2] = 1 + np.arange(20)  # U came from above alone
-    assert variety(held.shared(slots, cells), held.points(cells)) == BLIND
-    slots[1:21:2] = slots[20::2]  # ... and from below in half of the places
-    slots[20:] = 0
+    from_above = slots_of(range(0, 40, 2))
+    assert variety(held.shared(from_above, cells), held.points(cells)) == BLIND
     cells[::4, 3] = 50.0
-    assert variety(held.shared(slots, cells), held.points(cells)) == ALL
+    from_both_sides = slots_of([*range(0, 20, 2), *range(1, 20, 2)])
+    assert variety(held.shared(from_both_sides, cells), held.points(cells)) == ALL
+
+
+def slots_of(numbers):
+    """A slot for each of these cells, one after another."""
+    slots = np.zeros(grid.PLACES + grid.SLOTS, np.uint16)
+    for slot, number in enumerate(numbers):
+        place, cell = divmod(number, grid.CELLS_OF_A_PLACE)
+        slots[grid.PLACES + slot] = (1 << (grid.SERVED + cell)) + slots[place]
+        slots[place] = slot + 1
+    return slots
 
 
 @pytest.mark.parametrize(

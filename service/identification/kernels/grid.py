@@ -3,13 +3,16 @@
 The grid divides (U, √dp) into places, and each place by temperature and direction of U into six
 cells. A cell gets a slot with its first sample. There are fewer slots than cells, as no machine
 visits all of them: once all slots are taken, the two cells of a place that know least become one.
+
+``slots`` (PLACES + SLOTS,) holds for each place one more than the first of its slots, 0 for none;
+then for each slot a link: which of the place's six cells it serves, and the next slot of the place.
 """
 
 import math
 
 import numpy as np
 
-from service.identification.kernels.compiled import inner
+from service.identification.kernels.compiled import inner, kernel
 from service.identification.samples import Floats
 
 CELLS_U, CELLS_S, CELLS_T = 32, 17, 3  # 3.1 % of U by 0.3 to 1.8 √bar by 20 K
@@ -19,6 +22,8 @@ SLOTS = 640  # more than there are places, so that each may have one; 18 kB
 S_TOP = 20.0  # √bar: the grid reaches to 400 bar
 COLD, WARM = 30.0, 50.0  # °C: where cells are divided
 OF_DIRECTION, OF_LOOP = 0.1, 100.0  # cost of merging both directions, of merging 20 K: 1
+NEXT, SERVED = 1023, 10  # bits of a slot's link: one more than the next slot; cells that it serves
+OF_ONE_DIRECTION = 0b010101
 COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q, MEAN_TIME = 0, 1, 2, 3, 4, 5, 6
 
 
@@ -36,12 +41,28 @@ def number(U: float, s: float, T: float, direction: float) -> int:
 
 
 @inner
+def slot_at(number: int, slots: np.ndarray) -> int:
+    """One more than the slot of a cell; 0 for none."""
+    wanted = 1 << (SERVED + number % CELLS_OF_A_PLACE)
+    at = int(slots[number // CELLS_OF_A_PLACE])
+    while at:
+        link = int(slots[PLACES + at - 1])
+        if link & wanted:
+            return at
+        at = link & NEXT
+    return 0
+
+
+@inner
 def known(number: int, slots: np.ndarray, cells: Floats) -> float:
     """Weight of a cell, or of its like at another temperature if that is larger."""
-    most, first = 0.0, number - number % CELLS_OF_A_PLACE + number % 2
-    for at in range(first, first + CELLS_OF_A_PLACE, 2):
-        if slots[at]:
-            most = max(most, cells[int(slots[at]) - 1, WEIGHT])
+    most, alike = 0.0, OF_ONE_DIRECTION << (SERVED + number % 2)
+    at = int(slots[number // CELLS_OF_A_PLACE])
+    while at:
+        link = int(slots[PLACES + at - 1])
+        if link & alike:
+            most = max(most, cells[at - 1, WEIGHT])
+        at = link & NEXT
     return most
 
 
@@ -52,7 +73,7 @@ def slot_of(number: int, play: float, slots: np.ndarray, cells: Floats, taken: n
     ``taken`` (1,) counts the slots in use. Where a hysteresis is known (``play`` > 0), directions
     are the last to be made one; otherwise temperatures are.
     """
-    slot = int(slots[number]) - 1
+    slot = slot_at(number, slots) - 1
     if slot >= 0:
         return slot
     if taken[0] < SLOTS:
@@ -60,9 +81,29 @@ def slot_of(number: int, play: float, slots: np.ndarray, cells: Floats, taken: n
         taken[0] += 1
     else:
         slot = _merge(OF_LOOP if play > 0.0 else OF_DIRECTION, slots, cells)
-        slot = slot if slot >= 0 else _beside(number, slots)
-    slots[number] = slot + 1
+    place, kind = number // CELLS_OF_A_PLACE, number % CELLS_OF_A_PLACE
+    slots[PLACES + slot] = (1 << (SERVED + kind)) + int(slots[place])
+    slots[place] = slot + 1
     return slot
+
+
+@kernel
+def is_coherent(slots: np.ndarray, taken: int) -> bool:
+    """Whether each slot in use serves cells of one place, and no cell has two."""
+    found, seen = 0, np.zeros(SLOTS, np.bool_)
+    for place in range(PLACES):
+        served, at = 0, int(slots[place])
+        while at:
+            if at > taken or seen[at - 1]:
+                return False
+            seen[at - 1] = True
+            found += 1
+            link = int(slots[PLACES + at - 1])
+            if link >> SERVED == 0 or link >> SERVED & served:
+                return False
+            served |= link >> SERVED
+            at = link & NEXT
+    return found == taken
 
 
 @inner
@@ -84,28 +125,43 @@ def learn(
 
 @inner
 def _merge(of_direction: float, slots: np.ndarray, cells: Floats) -> int:
-    """Make the two cells of a place one that cost least; give the slot set free, or -1 for none."""
-    least, kept, freed, place = math.inf, -1, -1, 0
-    for first in range(0, len(slots), CELLS_OF_A_PLACE):
+    """Make the two cells of a place one that cost least; give the slot set free.
+
+    There is one, as there are more slots than places.
+    """
+    least, kept, freed, place = math.inf, 0, 0, 0
+    for number in range(PLACES):
+        if slots[number] == 0 or slots[PLACES + slots[number] - 1] & NEXT == 0:
+            continue
+        first = number * CELLS_OF_A_PLACE
         for i in range(first + 1, first + CELLS_OF_A_PLACE):
+            other = slot_at(i, slots) - 1
+            if other < 0:
+                continue
             for k in range(first, i):
-                if slots[i] and slots[k] and slots[i] != slots[k]:
-                    one, other = int(slots[k]) - 1, int(slots[i]) - 1
+                one = slot_at(k, slots) - 1
+                if one >= 0 and one != other:
                     cost = _cost(cells[one], cells[other], of_direction)
                     if cost < least:
-                        least, kept, freed, place = cost, one, other, first
-    if freed < 0:
-        return -1
+                        least, kept, freed, place = cost, one, other, number
     total = cells[kept, WEIGHT] + cells[freed, WEIGHT]
     share = cells[freed, WEIGHT] / total if total > 0.0 else 0.0
     for column in range(1, cells.shape[1]):
         cells[kept, column] += (cells[freed, column] - cells[kept, column]) * share
         cells[freed, column] = 0.0
     cells[kept, WEIGHT], cells[freed, WEIGHT] = total, 0.0
-    for at in range(place, place + CELLS_OF_A_PLACE):
-        if slots[at] == freed + 1:
-            slots[at] = kept + 1
+    _hand_on(place, freed, kept, slots)
     return freed
+
+
+@inner
+def _hand_on(place: int, freed: int, kept: int, slots: np.ndarray) -> None:
+    """Have the cells of a place that one slot served be served by another."""
+    link, before = int(slots[PLACES + freed]), place
+    while slots[before] & NEXT != freed + 1:
+        before = PLACES + int(slots[before] & NEXT) - 1
+    slots[before] = int(slots[before]) - (freed + 1) + (link & NEXT)
+    slots[PLACES + kept] = int(slots[PLACES + kept]) | (link & ~NEXT)
 
 
 @inner
@@ -115,13 +171,3 @@ def _cost(one: Floats, other: Floats, of_direction: float) -> float:
     weights = min(one[WEIGHT], 1.0), min(other[WEIGHT], 1.0)
     cost: float = min(weights) * (ways[0] ** 2 + of_direction * ways[1] ** 2)
     return cost
-
-
-@inner
-def _beside(number: int, slots: np.ndarray) -> int:
-    """Slot of any cell of the same place; there is one, as no place is left that has two."""
-    first = number - number % CELLS_OF_A_PLACE
-    for at in range(first, first + CELLS_OF_A_PLACE):
-        if slots[at]:
-            return int(slots[at]) - 1
-    return 0
