@@ -34,7 +34,7 @@ from service.streaming.ports import Results
 
 REPLAYED: Final = 100, 10_000  # valves, samples of each
 SHORT_S: Final = 60.0
-MEMORISED: Final = 20, 120  # valves: of these the difference is taken
+MEMORISED: Final = 100, 500  # valves: of these the difference is taken
 MEMORISED_SAMPLES: Final = 2_000  # of each: 20 s of 100 Hz
 
 Figures = Mapping[str, float]
