@@ -87,7 +87,7 @@ class RlsState(State):
 
         - theta (n,): parameters; where the samples leave a direction open, its parameter is 0.
         - scale (n,): largest |Xⱼ| so far; thresholds are in its units.
-        - score (n,), variance (triangle), detector (63,): of change detection and of the memory
+        - score (n,), variance (triangle), detector (65,): of change detection and of the memory
           of places, see :mod:`service.identification.kernels.change_detection`.
         - early (n,): parameters as they were up to 31 samples before; NaN before the first time.
         - factor (triangle): Uᵀ with D on its diagonal, P = U·D·Uᵀ, once theta is determined.
@@ -110,7 +110,7 @@ class RlsState(State):
         rules other than `Adaptive`.
     """
 
-    state_version: ClassVar[int] = 4  # 3: knew all of places in double precision
+    state_version: ClassVar[int] = 5  # 4: did not know how long a place had not been visited
 
     row: Floats
     R: Floats
@@ -164,7 +164,7 @@ class RlsState(State):
 
     @property
     def detector(self) -> Floats:
-        """Of change detection and of the memory of places (63,)."""
+        """Of change detection and of the memory of places (65,)."""
         at = self._places
         return self.row[..., at.detector : at.x]
 

@@ -66,7 +66,7 @@ WINDOW = 1.0 / 100.0
 IN_WINDOW = 60.0  # of 2/WINDOW, the squared sum of the weights over the sum of their squares: what
 # is the same all along the window may add 3n to T, far below any threshold
 IN_SWEEP = 1.0  # looks by which neighbours that are swept one after another prolong a visit
-IN_VISIT = 3.0  # the same for the samples of a visit so far, each
+IN_VISIT = 2.5  # the same for the samples of a visit so far, each
 SETTLED = 20.0
 FEWEST_BETWEEN = 8  # looks at least from a change to the next
 MISFIT_HERE = 10.0  # times its mean square that misfit may be at one place

@@ -28,11 +28,13 @@ from service.identification.kernels.compiled import inlined, inner, maker
 from service.identification.kernels.factors import back_substitute, independence, rotate_in
 from service.identification.kernels.information_form import INDEPENDENT, settle
 from service.identification.kernels.row_layout import (
+    AWAY,
     BEND,
     CARRIED,
     CLOCK,
     CLOSED,
     COMMON,
+    COMMON_WEIGHT,
     COUNT,
     FADING,
     FLOOR,
@@ -129,6 +131,7 @@ SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
 MOST_HALVINGS = 30  # of d: nothing of it is left
+FEW = 1.1  # of d halved by each visit: one stay at a place seen twice comes to T = 21, for any d
 LATE, BACK = 2.0**23, 2.0**22  # samples: where the clock is set back, and by how many
 MOST = 1e30  # l/min, or its square: more than any flow, and single precision holds it
 REST = 1024.0  # samples at one place after which the clock stands: a valve at rest does not wear
@@ -203,6 +206,9 @@ def look(
         apart = abs(nearest - int(s[g + NODE]))
         row = (apart + 1) // NODES_B * NODES_B
         s[g + SWEPT] = 1.0 if abs(apart - row) <= 1 and row <= NODES_B else 0.0
+        away = s[g + CLOCK] - places[nearest, VISITED]
+        if nearest != int(s[g + NODE]) and away > APART:
+            s[g + AWAY] = away if visits[nearest, VISITS] > 0 else 0.0
         s[g + NODE] = nearest
         s[g + VISIT_BEGAN] = s[g + LOOKED_AT]
         s[g + BEND] = bend(size, s, at, nodes, own, i, nearest - (nearest // NODES_B) * NODES_B)
@@ -242,18 +248,18 @@ def look(
         d = e - c
         weight = np.float64(places[nearest, KNOWN])
         spread = (weight * places[nearest, SPREAD] + PRIOR * s[g + POWER]) / (weight + PRIOR)
-        wear = AGEING * age * flow
-        spread = spread * (1.0 + S) + wear * wear
+        wear = AGEING * max(age, s[g + AWAY]) * flow  # all along the visit
         own_part = max(0.0, spread - HETEROGENEOUS * s[g + FLOOR])
+        spread = spread * (1.0 + S) + wear * wear
         young = 1.0 + UNSURE / (1.0 + visits[nearest, VISITS])
-        bent = s[g + BEND] * s[g + BEND] * BELIEVED / (BELIEVED + visits[nearest, VISITS])
-        between = max(young * max(0.0, s[g + VISIT_COMMON]), bent)
+        of_bend = bent(s, g, visits[nearest, VISITS])
+        between = max(young * max(0.0, s[g + VISIT_COMMON]) + of_bend, own_part)
         # A node never visited holds what theta made of it.
         unsure = max(0.0, 1.0 - sure)
         guessed = UNVISITED * unsure * unsure * max(0.0, s[g + MISFIT])
         # Few visits leave open whether the place was ever as it seemed: no stay there decides.
-        few = d / float(1 << min(int(visits[nearest, VISITS]), MOST_HALVINGS))
-        s[g + LOCAL] = between + own_part + S * s[g + POWER] + guessed + few * few
+        few = FEW * d / float(1 << min(int(visits[nearest, VISITS]), MOST_HALVINGS))
+        s[g + LOCAL] = between + S * s[g + POWER] + guessed + few * few + wear * wear
         whole = s[g + VISIT_WEIGHT] / ((1.0 + s[g + CLOSED]) * LAG_MEMORY)
         chance = SURE * s[g + VISIT_POWER] / np.sqrt(1.0 + s[g + CLOSED])
         s[g + COMMON] = WORN * wear * wear + 2.0 * (
@@ -277,7 +283,9 @@ def look(
         for corner in range(4):
             k = first + (corner & 1) + (corner >> 1) * NODES_B
             weight, f = np.float64(places[k, KNOWN]), box[corner]
-            if weight > LEAST and s[g + SUSPECTED] == 0.0:  # a change must not be learnt away
+            # From the far side of a kink a node that is visited learns nothing but drift.
+            learns = k == nearest or visits[k, VISITS] == 0 or s[g + HASTE] > PROVEN
+            if learns and weight > LEAST and s[g + SUSPECTED] == 0.0:  # nor a change
                 flows[k] += gain * f / weight
                 weight /= 1.0 - f * f / (weight * (1.0 + S))
                 if visits[k, VISITS] == 0 and k != nearest:  # seen from one side alone, so far
@@ -354,6 +362,12 @@ def bend(
 
 
 @inlined
+def bent(s: Floats, g: int, visits: int) -> float:
+    """Variance of what bilinear makes wrong around a node, less with each visit to it."""
+    return float(s[g + BEND] * s[g + BEND] * BELIEVED / (BELIEVED + visits))
+
+
+@inlined
 def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) -> None:
     """Compare the visit that has ended with the one before to the same node."""
     _, places, visits = own
@@ -369,7 +383,13 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
         s[g + VISIT_WEIGHT] += length - min(1.0, length / VISIT_MEMORY) * s[g + VISIT_WEIGHT]
         part = length / s[g + VISIT_WEIGHT]
         s[g + VISIT_POWER] += part * (square - power)
-        s[g + VISIT_COMMON] += part * (square - s[g + FLOOR] / length - s[g + VISIT_COMMON])
+        # What the bend does not tell of; where it tells of much, a visit says little about that.
+        of_bend = bent(s, g, visits[k, VISITS])
+        told = length / (1.0 + length * of_bend / max(s[g + FLOOR], 1e-300)) ** 2
+        s[g + COMMON_WEIGHT] += told - min(1.0, length / VISIT_MEMORY) * s[g + COMMON_WEIGHT]
+        if told > 0.0:
+            beyond = square - s[g + FLOOR] / length - of_bend - s[g + VISIT_COMMON]
+            s[g + VISIT_COMMON] += told / s[g + COMMON_WEIGHT] * beyond
         s[g + CLOSED] += 1.0 - part * s[g + CLOSED]
         s[g + CARRIED] += part * (mean * s[g + LAST_MEAN] - s[g + CARRIED])
         s[g + LAST_MEAN] = min(max(mean, -CLIP * np.sqrt(power)), CLIP * np.sqrt(power))
@@ -383,7 +403,7 @@ def close_visit(s: Floats, at: Places, own: Remembered, now: float, rule: Rule) 
         apart = gap > APART or stayed >= APART
         if visits[k, VISITS] > SEEN_OFTEN and apart:
             recent = min(1.0, length / LAG_MEMORY)
-            common = max(0.0, s[g + VISIT_COMMON])
+            common = max(0.0, s[g + VISIT_COMMON]) + of_bend
             expected = (s[g + FLOOR] / length + common) * (
                 s[g + FLOOR] / visits[k, STAYED] + common
             )

@@ -41,8 +41,9 @@ LOOKED, PRODUCT, SQUARE, LAST_SCORED, GATHERED, BLOCKS, BLOCK_PRODUCT, BLOCK_SQU
 # Of the haste of a rule that forgets anyway.
 SCALE, SCALE_WEIGHT, LATELY, LAST_Z, ATTENTIVE, SUMMED, REVISITED, SWEPT = range(38, 46)
 # Of the clock by which places age.
-CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN = range(46, 52)
-REACTION = 52  # from here on see `reaction`
+CLOCK, LOOKED_AT, REST_A, REST_B, RESTED, VISIT_BEGAN, AWAY = range(46, 53)
+COMMON_WEIGHT = 53  # of VISIT_COMMON
+REACTION = 54  # from here on see `reaction`
 PLACES_OF_DETECTOR = REACTION + reaction.PLACES
 
 LOOKS = 2  # samples after which the noted parameters are asked again: a power of two
