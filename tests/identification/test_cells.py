@@ -106,3 +106,64 @@ def test_a_smooth_misfit_is_no_coloured_noise():
     assert colour_of(white) < 0.1
     assert colour_of(white + misfit) < 0.4
     assert colour_of(noise) > 0.92
+
+
+def held_at(U, dp, scale=1.0, seed=0):
+    """Samples of one path, each σ = .4 off .14·U·√Δp, all of whose flow is scaled."""
+    rng = np.random.default_rng(seed)
+    U, dp = (np.asarray(x, float) for x in np.broadcast_arrays(U, dp))
+    return U, dp, scale * 0.14 * U * np.sqrt(dp) + 0.4 * rng.normal(size=len(U))
+
+
+def one_after_another(*parts):
+    U, dp, Q = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return Samples.of(10_000_000 * np.arange(len(U)), U, dp, 0 * dp, Q, np.full(len(U), 40.0))
+
+
+def all_places(but, seed=1, N=6_000):
+    """U and Δp drawn anew for every sample, but for some places."""
+    rng = np.random.default_rng(seed)
+    U, dp = rng.uniform(0, 100, N), rng.uniform(2, 190, N)
+    left = ~but(U, dp)
+    return held_at(U[left], dp[left], seed=seed)
+
+
+def found_after(before, after):
+    """How many samples after a change of the flow it is found; None: it is not."""
+    samples, n = one_after_another(before, after), len(before[0])
+    auto, state = learnt(samples[:n])
+    assert auto.change_counts(state) == 0
+    for k in range(n, len(samples), 5):
+        state, _ = auto.update(state, samples[k : k + 5])
+        if auto.change_counts(state):
+            return k + 5 - n
+    return None
+
+
+def one_place_wide(U, dp):
+    return (U > 40.0) & (U < 44.5) & (dp > 60.0) & (dp < 150.0)
+
+
+def test_damage_is_found_in_places_that_are_new_if_the_map_is_seen_to_fit_around():
+    path = np.linspace(40.8, 43.6, 120), np.linspace(75.0, 135.0, 120)
+    late = found_after(all_places(one_place_wide), held_at(*path, scale=0.9, seed=2))
+    assert late is not None
+    assert late <= 100
+    assert found_after(all_places(one_place_wide), held_at(*path, seed=2)) is None
+
+
+def test_beyond_all_that_is_known_nothing_is_called_damage():
+    def beyond(U, dp):
+        return U > 60.0
+
+    path = np.linspace(63.0, 90.0, 600), np.linspace(30.0, 120.0, 600)
+    assert found_after(all_places(beyond), held_at(*path, scale=0.9, seed=3)) is None
+
+
+def test_damage_is_found_in_a_long_stay_in_one_cell_in_which_the_flow_moves():
+    known = all_places(lambda U, _: U < 0.0, N=20_000)
+    path = np.linspace(44.0, 46.6, 90), np.linspace(102.0, 125.0, 90)
+    late = found_after(known, held_at(*path, scale=0.9, seed=4))
+    assert late is not None
+    assert late <= 60
+    assert found_after(known, held_at(*path, seed=4)) is None

@@ -221,3 +221,13 @@ def test_a_kink_beyond_which_no_cell_lies_is_none():
         assert criterion.bic(points, shape.to_array(), 200.0, 0.16) == np.inf
     seen = Shape(8, 1, dead_band=6.0, saturation=93.0)
     assert np.isfinite(criterion.bic(points, seen.to_array(), 200.0, 0.16))
+
+
+def test_cells_of_less_than_a_sample_tell_no_kink_but_where_most_are_such():
+    points = cells_of(lambda U, s, _T, _direction: 9 * np.tanh(U / 45) * s, sigma=0.4)
+    beyond, kink = points[:, 1] < 6.0, Shape(8, 1, dead_band=6.0).to_array()
+    assert np.isfinite(criterion.bic(points, kink, 200.0, 0.16))
+    points[beyond, 0] = 0.1
+    assert criterion.bic(points, kink, 200.0, 0.16) == np.inf
+    points[:, 0] = 0.01
+    assert np.isfinite(criterion.bic(points, kink, 200.0, 0.16))

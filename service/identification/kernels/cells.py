@@ -293,13 +293,12 @@ def _take(
             cell,
             Q,
             forecast,
-            at_s,
             batch.t[i],
             clock,
             doubt,
             here,
-            scalars,
-            counters,
+            (at_U, at_s, T, direction),
+            memory,
             scratch,
         )
         learnt = learnt if lags else taken
@@ -344,8 +343,8 @@ def _of(surface: Surface, U: float, s: float, T: float, direction: float, scratc
 
 @inner
 def _compare(
-    model: Surface, cell: Floats, Q: float, forecast: float, s: float, t: int, clock: float,
-    doubt: float, here: int, scalars: Floats, counters: np.ndarray, scratch: Floats,
+    model: Surface, cell: Floats, Q: float, forecast: float, t: int, clock: float, doubt: float,
+    here: int, at: tuple[float, float, float, float], memory: Memory, scratch: Floats,
 ) -> float:  # fmt: skip
     """Hold a sample against its own cell: noise without misfit, change of the valve, outliers.
 
@@ -355,6 +354,7 @@ def _compare(
     What is taken in is clipped at 8 σ; a cell that stands farther off the model than the
     sample does was spoilt itself, and starts afresh.
     """
+    scalars, counters, s = memory.scalars, memory.counters, at[1]
     at_mean: float = _of(model, cell[MEAN_U], cell[MEAN_S], cell[MEAN_T], cell[DIRECTION], scratch)
     grown = min(clock - cell[MEAN_TIME], OLDEST) * forecast
     error = Q - (cell[MEAN_Q] + forecast - at_mean) - scalars[RATE] * grown
@@ -364,7 +364,7 @@ def _compare(
         _know_noise(error * whitening, NOISE_MEMORY, scalars)
         return Q
     if is_known and counters[USED] - counters[OPENED] >= YOUNG:
-        _enter(cell, here, scalars, counters)
+        _enter(model, cell, forecast, here, at, memory, scratch)
         known = scalars[REFERENCE : REFERENCE + len(cell)]
         at_known = _of(
             model, known[MEAN_U], known[MEAN_S], known[MEAN_T], known[DIRECTION], scratch
@@ -374,13 +374,17 @@ def _compare(
         if s >= PLAIN_S and known[WEIGHT] >= KNOWN and not steep:
             poor = max(1.0 - scalars[NOISE] / max(scalars[VARIANCE], 1e-30), 0.0)
             doubt = math.hypot(doubt, CARRIED * poor * carried)
-            sure = known[WEIGHT] >= SURE and CARRIED * abs(carried) <= sigma
+            most = MOST_OF_A_STAY
             if astray > FITTING * sigma:  # the map has followed a change already, or never fitted
-                doubt, sure = math.hypot(doubt, FOLLOWED * astray), False
+                doubt = math.hypot(doubt, FOLLOWED * astray)
+            elif known[WEIGHT] >= SURE:
+                most = ALARM_LEVEL if CARRIED * abs(carried) <= sigma else most
+                if scalars[STAY] >= MOST_OF_A_STAY:  # how well the map carries is seen around
+                    around = _weight_around(model, at, here, memory, scratch)
+                    most = math.inf if around >= SURE else most
             off = Q - (known[MEAN_Q] + carried)
             off -= scalars[RATE] * min(clock - known[MEAN_TIME], OLDEST) * forecast
             whitened = off * math.sqrt(known[WEIGHT] / (known[WEIGHT] + 1.0))
-            most = ALARM_LEVEL if sure else MOST_OF_A_STAY
             _watch(whitened / max(math.hypot(sigma, doubt), 1e-9), off, t, most, scalars, counters)
     calm = max(scalars[MORE], scalars[LESS], scalars[WILDER]) < 0.25 * ALARM_LEVEL
     since = counters[USED] - counters[OPENED]
@@ -482,8 +486,15 @@ def _worth(U: float, s: float, scalars: Floats) -> float:
 
 
 @inner
-def _enter(cell: Floats, here: int, scalars: Floats, counters: np.ndarray) -> None:
-    """Keep what a cell held when U and s came into it: it follows what it is held against."""
+def _enter(
+    model: Surface, cell: Floats, forecast: float, here: int,
+    at: tuple[float, float, float, float], memory: Memory, scratch: Floats,
+) -> None:  # fmt: skip
+    """Keep what a cell held when U and s came into it: it follows what it is held against.
+
+    Of a cell that is new that is little, or what it is held against itself: there the map speaks.
+    """
+    scalars, counters = memory.scalars, memory.counters
     stayed = counters[USED] - counters[ENTERED]
     if here != counters[WATCHED]:
         scalars[STAY] = 0.0
@@ -492,6 +503,58 @@ def _enter(cell: Floats, here: int, scalars: Floats, counters: np.ndarray) -> No
     counters[WATCHED], counters[ENTERED] = here, counters[USED]
     for column in range(len(cell)):
         scalars[REFERENCE + column] = cell[column]
+    if cell[WEIGHT] >= SETTLED_CELL:
+        return
+    weight = min(_weight_around(model, at, here, memory, scratch), SETTLED_CELL)
+    if weight > cell[WEIGHT]:
+        scalars[REFERENCE + WEIGHT], scalars[REFERENCE + MEAN_Q] = weight, forecast
+        scalars[REFERENCE + MEAN_U], scalars[REFERENCE + MEAN_S] = at[0], at[1]
+        scalars[REFERENCE + MEAN_T], scalars[REFERENCE + DIRECTION] = at[2], at[3]
+        scalars[REFERENCE + MEAN_TIME] = 0.0  # that of the last fit
+
+
+@inner
+def _weight_around(
+    model: Surface, at: tuple[float, float, float, float], here: int, memory: Memory,
+    scratch: Floats,
+) -> float:  # fmt: skip
+    """How many samples' mean the map is as good as, by how far the cells around lie off it.
+
+    0 where there are none to either side: then it goes beyond what it knows. The sample's own cell
+    (``here``) does not count, nor do those that were taught since a change is suspected. A map of
+    as many parameters as cells follows these wherever they lie, and says nothing between them: so
+    its misfit is taken for that of generalised cross-validation.
+    """
+    U, s, T, _ = at
+    suspected = 1e-9 * (memory.counters[SUSPECT_TIME] - memory.counters[CLOCK])
+    lower, higher, below, above = False, False, False, False
+    squares, total = 0.0, 0.0
+    middle = grid.place(U, s)
+    in_U, in_s = middle // grid.CELLS_S, middle % grid.CELLS_S
+    for i in range(max(in_U - 1, 0), min(in_U + 2, grid.CELLS_U)):
+        for k in range(max(in_s - 1, 0), min(in_s + 2, grid.CELLS_S)):
+            first = (i * grid.CELLS_S + k) * grid.CELLS_OF_A_PLACE
+            for n in range(first, first + grid.CELLS_OF_A_PLACE):
+                slot = int(memory.slots[n]) - 1
+                if slot < 0 or slot == here:
+                    continue
+                cell = memory.cells[slot]
+                if cell[WEIGHT] < SETTLED_CELL or cell[MEAN_TIME] > suspected:
+                    continue
+                if abs(T - cell[MEAN_T]) > NEAR_T:
+                    continue
+                said = _of(
+                    model, cell[MEAN_U], cell[MEAN_S], cell[MEAN_T], cell[DIRECTION], scratch
+                )
+                squares += cell[WEIGHT] * (cell[MEAN_Q] - said) ** 2
+                total += cell[WEIGHT]
+                lower, higher = lower or cell[MEAN_U] < U, higher or cell[MEAN_U] > U
+                below, above = below or cell[MEAN_S] < s, above or cell[MEAN_S] > s
+    if not (lower and higher and below and above):
+        return 0.0
+    free = max(1.0 - memory.scalars[EXCITATION] / max(memory.counters[TAKEN], 1), 0.0)
+    samples: float = memory.scalars[NOISE] * total * free * free / max(squares, 1e-30)
+    return samples
 
 
 @inner

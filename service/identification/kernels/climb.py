@@ -6,7 +6,7 @@ import numpy as np
 
 from service.identification.kernels import ladder
 from service.identification.kernels.compiled import inner, kernel, maker, spliced
-from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_U
+from service.identification.kernels.grid import DIRECTION, MEAN_Q, MEAN_U, WEIGHT
 from service.identification.kernels.map_fit import fit_rows, plan_of
 from service.identification.kernels.map_rows import RowsInS, rows_in_s
 from service.identification.kernels.surface import BORDER
@@ -99,11 +99,17 @@ def _bic(points: Floats, in_s: list[RowsInS], shape: Floats, top: float, sigma_2
 def _is_seen(points: Floats, shape: Floats) -> bool:
     """Whether points lie beyond the shape's kinks, by the least step of one.
 
-    A kink without any costs nothing, as no point tells anything of what lies beyond it.
+    A kink without any costs nothing, as no point tells anything of what lies beyond it. Nor does
+    one of less than a sample, but where most are such: after a change, of which the shape is kept.
     """
     low, high = shape[ladder.DEAD_BAND], shape[ladder.SATURATION]
-    below, above = 0, 0
+    below, above, known = 0, 0, 0
     for i in range(len(points)):
+        known += points[i, WEIGHT] >= 1.0
+    least = 1.0 if 2 * known >= len(points) else 0.0
+    for i in range(len(points)):
+        if points[i, WEIGHT] < least:
+            continue
         at = points[i, MEAN_U] - shape[ladder.PLAY] * points[i, DIRECTION]
         below += at < low - ladder.KINK_STEPS[0]
         above += at > high + ladder.KINK_STEPS[0]

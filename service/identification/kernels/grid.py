@@ -29,15 +29,21 @@ COLUMNS = WEIGHT, MEAN_U, MEAN_S, MEAN_T, DIRECTION, MEAN_Q, MEAN_TIME = 0, 1, 2
 
 @inner
 def number(U: float, s: float, T: float, direction: float) -> int:
-    """Which cell a point falls into; those of both directions stand side by side.
+    """Which cell a point falls into; those of both directions stand side by side."""
+    in_T = 0 if T < COLD else (1 if T < WARM else 2)
+    return (place(U, s) * CELLS_T + in_T) * 2 + (1 if direction > 0.0 else 0)
 
-    Cells in s are narrow near 0, where the flow is laminar; the first is for reversed flow.
+
+@inner
+def place(U: float, s: float) -> int:
+    """Which place a point falls into; those of one U stand side by side.
+
+    Places in s are narrow near 0, where the flow is laminar; the first is for reversed flow.
     """
     in_U = int(min(max(U * (CELLS_U / 100.0), 0.0), CELLS_U - 1.0))
     share = min(max(s, 0.0), 0.999 * S_TOP) / S_TOP
     in_s = 1 + int((CELLS_S - 1) * share ** (2.0 / 3.0)) if s >= 0.0 else 0
-    in_T = 0 if T < COLD else (1 if T < WARM else 2)
-    return ((in_U * CELLS_S + in_s) * CELLS_T + in_T) * 2 + (1 if direction > 0.0 else 0)
+    return in_U * CELLS_S + in_s
 
 
 @inner
