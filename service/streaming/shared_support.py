@@ -47,11 +47,13 @@ class SharedSupport:
     def __init__(self, nothing: Support, E: int, M: int) -> None:
         self._kept = nothing.of_many(M)
         self._of = np.tile(np.arange(M), (E, 1))  # in which row each is, (E, M)
+        self._users = np.full(M, E)  # of each row
+        self._free: list[int] = []  # rows that nobody uses
 
     @property
     def rows(self) -> int:
         """How many differ."""
-        return len(np.unique(self._of))
+        return len(self._users) - len(self._free)
 
     def learn(
         self, samples: Samples, said: Sequence[tuple[Codes, Segments]], segments: Segments
@@ -87,10 +89,10 @@ class SharedSupport:
         others = np.delete(self._of[:, m], e)
         for row in others.tolist():
             if _is_same(self._kept.one(row), support):
-                self._of[e, m] = row
+                self._move(e, m, row)
                 return
         if self._of[e, m] in others:
-            self._of[e, m] = self._spare_row()
+            self._move(e, m, self._spare_row())
         self._kept.put(self._of[e, m], support)
 
     def columns(self, e: int) -> Mapping[str, NDArray[Any]]:
@@ -115,20 +117,31 @@ class SharedSupport:
                     alike.setdefault(learnt[e, start:stop].tobytes(), []).append(int(e))
                 for parted in list(alike.values())[1:]:
                     copied = self._kept.one(row)
-                    self._of[parted, m] = spare = self._spare_row()
+                    spare = self._spare_row()
+                    for e in parted:
+                        self._move(e, int(m), spare)
                     self._kept.put(spare, copied)
 
     def _spare_row(self) -> int:
-        """A row that nobody has; there is always one more to be had."""
-        size = len(self._kept.cells)
-        free = np.setdiff1d(np.arange(size), self._of)
-        if len(free):
-            return int(free[0])
-        more = size // SPARE + 1
-        self._kept = SupportOfMany(
-            *(_longer(getattr(self._kept, field.name), more) for field in fields(SupportOfMany))
-        )
-        return size
+        """Take a row that nobody uses; there is always one more to be had."""
+        if not self._free:
+            size = len(self._users)
+            more = size // SPARE + 1
+            self._kept = SupportOfMany(
+                *(_longer(getattr(self._kept, field.name), more) for field in fields(SupportOfMany))
+            )
+            self._users = _longer(self._users, more)
+            self._free = list(range(size, size + more))
+        return self._free.pop()
+
+    def _move(self, e: int, m: int, row: int) -> None:
+        """Have one estimator of a valve use another row, which is taken already."""
+        before = self._of[e, m]
+        self._of[e, m] = row
+        self._users[row] += 1
+        self._users[before] -= 1
+        if not self._users[before]:
+            self._free.append(int(before))
 
 
 def _learnt(status: Codes, own: Segments, segments: Segments) -> Flags:

@@ -533,13 +533,11 @@ def _weight_around(
     in_U, in_s = middle // grid.CELLS_S, middle % grid.CELLS_S
     for i in range(max(in_U - 1, 0), min(in_U + 2, grid.CELLS_U)):
         for k in range(max(in_s - 1, 0), min(in_s + 2, grid.CELLS_S)):
-            first = (i * grid.CELLS_S + k) * grid.CELLS_OF_A_PLACE
-            for n in range(first, first + grid.CELLS_OF_A_PLACE):
-                slot = int(memory.slots[n]) - 1
-                if slot < 0 or slot == here:
-                    continue
+            link = int(memory.slots[i * grid.CELLS_S + k]) & grid.NEXT
+            while link:
+                slot, link = link - 1, int(memory.slots[grid.PLACES + link - 1]) & grid.NEXT
                 cell = memory.cells[slot]
-                if cell[WEIGHT] < SETTLED_CELL or cell[MEAN_TIME] > suspected:
+                if slot == here or cell[WEIGHT] < SETTLED_CELL or cell[MEAN_TIME] > suspected:
                     continue
                 if abs(T - cell[MEAN_T]) > NEAR_T:
                     continue
