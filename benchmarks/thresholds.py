@@ -26,7 +26,12 @@ KERNELS: Final = tuple(f"kernels.{name}" for name in _LOOPS)
 LAYOUT: Final = {
     *(f"kernels.cells.{name}" for name in ("PLAY", "REFERENCE", "LAGGING")),
     *(f"kernels.lag.{name}" for name in ("OFFSET", "CURVED", "KNOWN_LAGS", "COUNTERS")),
-    *("auto_fits.STARTED", "map_search.RICH", "kernels.grid.SLOTS"),
+    *(
+        "auto_fits.STARTED",
+        "map_search.RICH",
+        "kernels.grid.SLOTS",
+        "kernels.grid.OF_ONE_DIRECTION",
+    ),
     "kernels.ladder.MOST_NEIGHBOURS",
 }
 

@@ -232,7 +232,7 @@ def compile_here(config: Config) -> None:
 
 
 def _what_auto_seldom_needs() -> None:
-    """... as only some samples lead to it: a look for lags, a rival from elsewhere, a drift."""
+    """... as only some samples lead to it: a look for lags, a rival from elsewhere, a kept state."""
     state = Auto().initial_state()
     scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
     rows = state.recent[:1].astype(np.float64)
@@ -240,6 +240,7 @@ def _what_auto_seldom_needs() -> None:
     lag.smoothing(0.01, 0.1)
     map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
     cells.colour(scalars)
+    grid.is_coherent(state.slots, 0)
     reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
 
 

@@ -118,8 +118,8 @@ class SharedSupport:
                 for parted in list(alike.values())[1:]:
                     copied = self._kept.one(row)
                     spare = self._spare_row()
-                    for e in parted:
-                        self._move(e, int(m), spare)
+                    for who in parted:
+                        self._move(who, int(m), spare)
                     self._kept.put(spare, copied)
 
     def _spare_row(self) -> int:
