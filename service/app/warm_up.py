@@ -232,7 +232,7 @@ def compile_here(config: Config) -> None:
 
 
 def _what_auto_seldom_needs() -> None:
-    """... as only some samples lead to it: a look for lags, a rival from elsewhere, a kept state."""
+    """... as only some samples lead to it: a look for lags, a rival, a drift, a state kept."""
     state = Auto().initial_state()
     scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
     rows = state.recent[:1].astype(np.float64)
