@@ -17,7 +17,7 @@ from service.config.models import Config, ValveConfig
 from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
 from service.identification.estimator import Estimator, key_of
-from service.identification.kernels import cells, grid, lag, reaction
+from service.identification.kernels import cells, grid, held, lag, reaction
 from service.identification.kernels.compiled import note_warm_up, was_warmed_up
 from service.identification.map_shapes import Shape, Variety
 from service.identification.recursive_least_squares import RecursiveLeastSquares
@@ -27,6 +27,7 @@ from service.identification.support import Support
 from service.opcua.decoding import decode_data_changes
 from service.streaming.alarms import RULES, Alarms
 from service.streaming.data_changes import DataChanges
+from service.streaming.kernels import lanes
 from service.streaming.plausibility import Plausibility
 from service.streaming.quality_gate import QualityGate
 from service.streaming.score import Score
@@ -108,6 +109,7 @@ def _help(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.set_threshold(*collecting)
     _take_parts(config, taken, done, lambda: False)
+    os._exit(0)  # somebody waits: to take all apart that was compiled takes half a second
 
 
 def _take_parts(
@@ -196,16 +198,24 @@ def _look_around() -> None:
     support = Support.none().of_many(1)
     status = np.zeros(len(samples), np.uint8)
     support.learn(samples, status, one)
-    support.one(0).distance(*(np.full(1, x) for x in (50.0, 100.0, 40.0)))
-    ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
+    rests, U, dp, T = support.one(0), *(np.full(1, x) for x in (50.0, 100.0, 40.0))
+    rests.distance(U, dp, T)
+    rests.misfit(U, dp, U)
+    rests.may_hide(U, dp)
+    spread = ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
+    spread.half_width(U, dp, U)
 
 
 def _watch() -> None:
     """What alarms and scores make of results."""
     samples, one = _samples(), Segments.one(len(_samples()))
     trace = Trace(samples.Q, samples.Q, samples.Q, np.zeros(len(samples), np.uint8))
-    Alarms(1, RULES, 200.0).watch(samples, trace, one)
+    alarms = Alarms(1, RULES, 200.0)
+    alarms.watch(samples, trace, one)
+    alarms.note_answers(np.zeros(1, np.int64), np.zeros(1))
     Score.none().add(samples, trace)
+    lanes.note(samples.t, trace.predicted, trace.residual, trace.status, lanes.nothing(1), one)
+    lanes.last_T(samples.T, samples.quality, np.full(1, np.nan), one)
 
 
 def compile_here(config: Config) -> None:
@@ -241,6 +251,8 @@ def _what_auto_seldom_needs() -> None:
     map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
     cells.colour(scalars)
     grid.is_coherent(state.slots, 0)
+    held.points(state.cells)
+    held.shared(state.slots, state.cells)
     reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
 
 

@@ -34,7 +34,7 @@ from service.identification.support import Support
 from service.streaming.alarms import Alarms
 from service.streaming.kernels import lanes as kernel
 from service.streaming.kernels import score as score_kernel
-from service.streaming.kernels.lanes import NO_STATUS, Notes
+from service.streaming.kernels.lanes import NO_STATUS
 from service.streaming.pipeline import (
     AnyEstimator,
     Lane,
@@ -209,13 +209,7 @@ class _Lanes:
         self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
         self._frozen = np.zeros(M, bool)
         self._lam = np.full(M, np.nan)  # what an operator set
-        self._notes = Notes(
-            learnt=np.zeros(M, np.int64),
-            t=np.zeros(M, np.int64),
-            predicted=np.full(M, np.nan),
-            residual=np.full(M, np.nan),
-            status=np.full(M, NO_STATUS, np.uint8),
-        )
+        self._notes = kernel.nothing(M)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
         """Learn; what was made of samples, and on which of them the maps rest."""

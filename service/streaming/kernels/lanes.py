@@ -23,6 +23,17 @@ class Notes(NamedTuple):
     status: NDArray[np.uint8]
 
 
+def nothing(M: int) -> Notes:
+    """Of M lanes, before the first sample."""
+    return Notes(
+        learnt=np.zeros(M, np.int64),
+        t=np.zeros(M, np.int64),
+        predicted=np.full(M, np.nan),
+        residual=np.full(M, np.nan),
+        status=np.full(M, NO_STATUS, np.uint8),
+    )
+
+
 @kernel
 def note(
     t: NDArray[np.int64],
