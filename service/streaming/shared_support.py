@@ -70,9 +70,10 @@ class SharedSupport:
         segments
             Whose samples are whose.
         """
-        learnt = np.stack([_learnt(status, own, segments) for status, own in said])
-        if (learnt != learnt[0]).any():
-            self._part(learnt, segments)
+        if len(said) > 1:
+            learnt = np.stack([_learnt(status, own, segments) for status, own in said])
+            if (learnt != learnt[0]).any():
+                self._part(learnt, segments)
         for e, (status, own) in enumerate(said):
             rows = self._of[e, own.members]
             first = ~(self._of[:e, own.members] == rows).any(axis=0)
