@@ -62,8 +62,8 @@ def _look(state: AutoState, kept: int, rule: Rule, T: float) -> None:
     path = state.scalars[memory.LAGS :]
     before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
     since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-    doubted = before if since > 0 and kept - since <= lag.ROWS else None
-    found = lag_search.look(rows, path[lag.KNOWN_LAGS :], rule.given, doubted)
+    doubted = 0 < since and kept - since <= lag.ROWS
+    found = lag_search.look(rows, path[lag.KNOWN_LAGS :], rule.given, before, doubted=doubted)
     path[lag.LAG_U], path[lag.LAG_Q] = found
     began = float(path[lag.BEGAN_U]), float(path[lag.BEGAN_Q])
     share, least = next(how_far for until, *how_far in MOVED if kept - since <= until)

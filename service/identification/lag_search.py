@@ -7,7 +7,9 @@ sample to sample is taken off. Looks add up as information does::
 
     J(x) = N·ln(squares) ~ (x - x̂)ᵀ·Λ·(x - x̂),   Σ = ΣΛ,   b = ΣΛ·x̂,   x = Σ⁻¹·b
 
-A lag is claimed if without it J would be larger by CLEAR.
+A lag is claimed if without it J would be larger by CLEAR; one that is claimed already stays so as
+long as J would be larger by STILL_CLEAR. Looks differ by as much as that and more, and a lag that
+comes and goes has the map begin anew each time.
 
 x are the *delays* that the lags make of samples, ``step / (exp(step / lag) - 1)``, see `delay`: for
 a slow lag nearly the lag itself, for one faster than a step next to nothing. Over the lags J would
@@ -44,6 +46,8 @@ MOST_STEPS: Final = 500.0  # steps of a lag's time: what is faster comes at once
 SPARSE: Final = 20  # every so many rows the way is measured, so that noise does not count
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
+STILL_CLEAR: Final = 10.0  # ... one claimed before: of noise alone, gains are 1, seldom 10
+NO_LAGS: Final = (0.0, 0.0)  # s
 WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, its smoothed jitter gains 120
 COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
@@ -56,14 +60,17 @@ def look(
     rows: Floats,
     known: Floats,
     given: tuple[float | None, float | None],
-    doubted: Pair | None = None,
+    before: Pair = NO_LAGS,
+    *,
+    doubted: bool = False,
 ) -> Pair:
     """Lags after a look at ``rows``, see :func:`kernels.lag.keep`; ``known`` (6,) is written.
 
-    The first look searches everywhere, later ones around what is known. Where lags are ``doubted``,
-    it searches everywhere again, and drops what was known of them if these rows clearly speak
-    against them, not else. Jitter of U and s is taken off before, as a lag would smooth it and seem
-    to explain the flow better; what is left of it lets a look count for less.
+    The first look searches everywhere, later ones around what is known. Where the lags claimed
+    ``before`` are ``doubted``, it searches everywhere again, and drops what was known of them if
+    these rows clearly speak against them, not else. Jitter of U and s is taken off first, as a lag
+    would smooth it and seem to explain the flow better; what is left of it lets a look count for
+    less.
     """
     rows, is_jittery = _calmed(rows)
     worth = WORTH_OF_JITTERY if is_jittery else 1.0
@@ -75,7 +82,7 @@ def look(
             left = kernel.misfit(rows, *_lags(delays, step), rho)[0]
             return worth * float(counted * math.log(max(left, 1e-12 * squares)))
 
-        near = _resolved(known) if known[LOOKED] and doubted is None else None
+        near = _resolved(known) if known[LOOKED] and not doubted else None
         ways = _moved(rows, kernel.LEFT_U), _moved(rows, kernel.LEFT_Q)
         free = ways[0] >= LEAST_WAY[0], ways[1] >= LEAST_WAY[1]
         at = _search(partial(score, rho=0.0), near, free)
@@ -85,16 +92,17 @@ def look(
         found = _bowl(partial(score, rho=rho), at, free)
         if found is not None:
             _claim_no_more(found, partial(score, rho=rho), at, free)
-        if found is not None and doubted is not None:
-            before = delay(doubted[0], step), delay(doubted[1], step)
-            refuted = score(before, rho) - score(at, rho) > CLEAR
-            known[:] = found if refuted else known
+        if found is not None and doubted:
+            believed = delay(before[0], step), delay(before[1], step)
+            if score(believed, rho) - score(at, rho) > CLEAR:
+                known[:], before = found, NO_LAGS
         elif found is not None:
             known[UU:] *= KEPT
             known += found
-        if any(_is_refuted(known, partial(score, rho=colour), step) for colour in {0.0, rho}):
+        claimed = _claimed(known, step, before)
+        if any(_is_refuted(claimed, partial(score, rho=colour), step) for colour in {0.0, rho}):
             known[:] = 0.0
-    claimed = _claimed(known, step)
+    claimed = _claimed(known, step, before)
     U, Q = (x if fixed is None else fixed for x, fixed in zip(claimed, given, strict=True))
     return U, Q
 
@@ -135,13 +143,13 @@ def _usual_step(rows: Floats) -> float:
     return float(np.median(within)) if len(within) else kernel.GAP
 
 
-def _is_refuted(known: Floats, score: Callable[[Pair], float], step: float) -> bool:
+def _is_refuted(claimed: Pair, score: Callable[[Pair], float], step: float) -> bool:
     """Whether these rows are clearly better explained without the lags that would be claimed.
 
     A bowl that is flat somewhere may have its bottom far away, where nobody has looked; and in
     noise of a correlation that is a lag's own, a lag seems next to none.
     """
-    U, Q = _claimed(known, step)
+    U, Q = claimed
     if U == Q == 0.0:
         return False
     return bool(score((delay(U, step), delay(Q, step))) - score((0.0, 0.0)) > CLEAR)
@@ -266,10 +274,10 @@ def _resolved(known: Floats) -> Pair:
     return min(U, MOST), min(max(Q, 0.0), MOST)
 
 
-def _claimed(known: Floats, step: float) -> Pair:
-    """The lags of those of them that are clear."""
+def _claimed(known: Floats, step: float, before: Pair) -> Pair:
+    """The lags of those of them that are clear; ``before``: those claimed until now."""
     if not known[LOOKED]:
-        return 0.0, 0.0
+        return NO_LAGS
     _, uu, uq, qq, b_U, b_Q = known.tolist()
     U, Q = _resolved(known)
 
@@ -279,8 +287,9 @@ def _claimed(known: Floats, step: float) -> Pair:
     only_U = max(b_U / uu, 0.0) if uu > 0.0 else 0.0, 0.0
     only_Q = 0.0, max(b_Q / qq, 0.0)
     single = min((only_U, only_Q), key=lambda pair: excess(*pair))
-    chosen = (U, Q) if excess(*single) - excess(U, Q) > CLEAR else single
-    if -excess(*chosen) < CLEAR:
-        return 0.0, 0.0
+    both_clear, one_clear = (STILL_CLEAR if were(before) else CLEAR for were in (all, any))
+    chosen = (U, Q) if excess(*single) - excess(U, Q) > both_clear else single
+    if -excess(*chosen) < one_clear:
+        return NO_LAGS
     U, Q = (min(x, MOST) if x >= LEAST else 0.0 for x in chosen)
     return _lags((U, Q), step)

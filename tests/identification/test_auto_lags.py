@@ -265,9 +265,9 @@ def test_a_lag_in_doubt_stays_unless_the_rows_clearly_speak_against_it():
         lags = look(rows_of(seed, 0.05), known, (None, None))
     before = known.copy()
     for rows in (rows_of(7, 0.05, gain=0.7), rows_of(8, 0.05, still=True)):
-        assert look(rows, known, (None, None), doubted=lags) == lags
+        assert look(rows, known, (None, None), lags, doubted=True) == lags
         np.testing.assert_array_equal(known, before)
-    found = look(rows_of(9, 0.2), known, (None, None), doubted=lags)
+    found = look(rows_of(9, 0.2), known, (None, None), lags, doubted=True)
     assert found[1] == pytest.approx(0.2, rel=0.2)
 
 
