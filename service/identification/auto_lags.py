@@ -62,7 +62,7 @@ def _look(state: AutoState, kept: int, rule: Rule, T: float) -> None:
     path = state.scalars[memory.LAGS :]
     before = float(path[lag.LAG_U]), float(path[lag.LAG_Q])
     since = int(state.counters[memory.LAGGING + lag.LOOKED_FROM])
-    doubted = 0 < since and kept - since <= lag.ROWS
+    doubted = since > 0 and kept - since <= lag.ROWS
     found = lag_search.look(rows, path[lag.KNOWN_LAGS :], rule.given, before, doubted=doubted)
     path[lag.LAG_U], path[lag.LAG_Q] = found
     began = float(path[lag.BEGAN_U]), float(path[lag.BEGAN_Q])

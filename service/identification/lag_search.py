@@ -47,13 +47,13 @@ SPARSE: Final = 20  # every so many rows the way is measured, so that noise does
 LEAST_ROWS: Final = 200  # rows that count: a lag is not told from fewer, 2 s at 100 Hz
 CLEAR: Final = 40.0  # gain in J: a clear lag
 STILL_CLEAR: Final = 10.0  # ... one claimed before: of noise alone, gains are 1, seldom 10
-NO_LAGS: Final = (0.0, 0.0)  # s
 WORTH_OF_JITTERY: Final = 0.2  # of a look: where U hardly moves, its smoothed jitter gains 120
 COLOURS: Final = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.98)  # correlation of what a map leaves
 KEPT: Final = 0.9  # share of what was known that stays known after a look: lags may change
 LOOKED, UU, UQ, QQ, B_U, B_Q = range(6)  # places in `known`
 
 Pair = tuple[float, float]  # lag of U's effect and of the meter, s
+NO_LAGS: Final = (0.0, 0.0)  # s
 
 
 def look(

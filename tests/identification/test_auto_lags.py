@@ -271,6 +271,20 @@ def test_a_lag_in_doubt_stays_unless_the_rows_clearly_speak_against_it():
     assert found[1] == pytest.approx(0.2, rel=0.2)
 
 
+@pytest.mark.parametrize(
+    ("gain", "at_first", "once_claimed"), [(5.0, 0.0, 0.0), (20.0, 0.0, 0.03), (60.0, 0.03, 0.03)]
+)
+def test_a_lag_that_is_claimed_stays_until_next_to_nothing_speaks_for_it(
+    gain, at_first, once_claimed
+):
+    U, Q, uu, qq = 0.03, 0.3, gain / 0.03**2, 1e5
+    known = np.array([1.0, uu, 0.0, qq, uu * U, qq * Q])
+    rows = rows_of(0, Q, still=True)  # tell nothing
+    for before, expected in (((0.0, Q), at_first), ((U, Q), once_claimed)):
+        found = look(rows, known.copy(), (None, None), before)
+        assert found == pytest.approx((expected, Q), abs=0.01)
+
+
 @pytest.mark.parametrize("lag_Q", [0.0, 0.1])
 def test_after_a_doubt_lags_are_looked_for_as_often_as_at_first_and_where_there_is_one_stay_so(
     lag_Q,

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 from service.identification.kernels import climb as criterion
-from service.identification.kernels import grid, held, map_fit
+from service.identification.kernels import grid, held, ladder, map_fit
 from service.identification.kernels import surface as kernel
 from service.identification.kernels.cells import NODES_T
 from service.identification.map_search import (
@@ -118,6 +119,12 @@ def test_every_step_leads_to_another_shape_that_can_be_fitted(shape):
     for neighbour in around:
         assert neighbour == Shape.from_array(neighbour.to_array())
         assert np.isfinite(criterion.bic(points, neighbour.to_array(), 200.0, 1.0))
+
+
+def test_there_is_room_for_the_neighbours_of_every_shape():
+    kinks = product((None, 8.0), (None, 90.0), (0.0, 1.5), (0, 1))
+    shapes = [Shape(cells, axis, *rest) for cells, axis, rest in product((3, 8), (0, 1), kinks)]
+    assert max(len(shape.neighbours(ALL)) for shape in shapes) <= ladder.MOST_NEIGHBOURS
 
 
 def test_play_and_trend_are_tried_only_where_the_samples_can_tell():
