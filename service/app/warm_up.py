@@ -16,6 +16,7 @@ from service.app.build import build_alignment, build_identification, build_plans
 from service.config.models import Config, ValveConfig
 from service.identification import fit_budget, lag_search, map_search
 from service.identification.auto import Auto
+from service.identification.auto_state import CHAMPION, surface_of
 from service.identification.estimator import Estimator, key_of
 from service.identification.kernels import cells, grid, held, lag, reaction
 from service.identification.kernels.compiled import note_warm_up, was_warmed_up
@@ -251,8 +252,9 @@ def _what_auto_seldom_needs() -> None:
     map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
     cells.colour(scalars)
     grid.is_coherent(state.slots, 0)
-    held.points(state.cells)
     held.shared(state.slots, state.cells)
+    champion = surface_of(state, CHAMPION)
+    held.credit(state.slots, state.cells, champion, 0.0, 1.0, held.points(state.cells))
     reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
 
 

@@ -160,6 +160,8 @@ def _trusted(state: AutoState, ahead: float) -> Floats:
     points = drift.carried(held.points(state.cells), state.scalars, ahead)
     if not state.counters[memory.FITTED] or not len(points):
         return points
+    if state.counters[memory.ALARMS]:
+        _credit(state, points)
     misfit = kernel.misfit(surface_of(state, CHAMPION), points)
     usual = max(
         float(np.partition(misfit, len(misfit) // 2)[len(misfit) // 2]),
@@ -168,6 +170,17 @@ def _trusted(state: AutoState, ahead: float) -> Floats:
     )
     spiked = (misfit > SPIKE * usual) & (points[:, grid.WEIGHT] < FEW)
     return points[~spiked]
+
+
+def _credit(state: AutoState, points: Floats) -> None:
+    """Believe what was known before a change where it is seen to have stayed; written in place.
+
+    All of the memory was opened: but a worn edge, say, leaves the rest of the map as it was, which
+    between the few samples since the change the prior would bend.
+    """
+    change = 1e-9 * float(state.counters[memory.CHANGE_TIME] - state.counters[memory.CLOCK])
+    noise = float(state.scalars[memory.NOISE])
+    held.credit(state.slots, state.cells, surface_of(state, CHAMPION), change, noise, points)
 
 
 def _cost(points: Floats, shape: Shape) -> int:

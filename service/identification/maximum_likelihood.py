@@ -32,6 +32,7 @@ from service.identification.model_structures import FiveTerms, Structure, Struct
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
 
 CHANCE: Final = 4.0  # squared standard deviations of the mean score that are no drift
+UNEVEN: Final = 1.0 / 3.0  # variance of lags between none and twice their mean, over its square
 
 
 @dataclass(frozen=True)
@@ -199,11 +200,13 @@ class MaximumLikelihood:
         points = (np.ascontiguousarray(a, np.float64) for a in (U, dp, T))
         X, finite = self._scaled_regressors(*points)
         values, variances, share = np.empty((3, len(X)))
-        kernel.evaluate(_memory(state), np.where(finite[:, None], X, 0.0), values, variances, share)
+        lags = _lags_of(alone(state))
+        memory = _memory(member(lags.without(alone(state)), 0))
+        kernel.evaluate(memory, np.where(finite[:, None], X, 0.0), values, variances, share)
         known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
         with np.errstate(all="ignore"):
             own = np.sqrt(variances * _noise_variance(state))
-        (std,) = _beyond_lags(alone(state), X, own[None])
+        (std,) = lags.beyond(X, own[None])
         return np.where(known, values, np.nan), np.where(known, std, np.nan)
 
     def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
@@ -214,14 +217,15 @@ class MaximumLikelihood:
     def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         n, scale = len(self._scale), np.append(self._scale, np.ones(self.nd))
-        P, inflations = _diagonals(states)
+        lags = _lags_of(states)
+        P, inflations = _diagonals(lags.without(states))
         determined = states.monitor[:, kernel.DETERMINED, None] > 0
         over = np.where(determined, np.diagonal(states.spread, axis1=1, axis2=2), P)
         with np.errstate(all="ignore"):
             variance = np.maximum(_noise_variances(states)[:, None] * over, 0.0)
         variance[:, :n] *= inflations
         std = np.sqrt(variance)
-        std[:, :n] = _beyond_lags(states, np.eye(n), std[:, :n])
+        std[:, :n] = lags.beyond(np.eye(n), std[:, :n])
         known = (P > 0) & (kernel.UNDETERMINED * states.prior >= P)
         known[:, len(scale) - self.nd :] = determined
         return states.theta / scale, np.where(known, std, np.nan) / scale
@@ -517,32 +521,72 @@ def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
         return np.asarray(_noise_variance(state) * over)
 
 
-def _beyond_lags(states: MaximumLikelihoodState, X: Floats, std: Floats) -> Floats:
-    """Standard deviations (M, N) at rows X, with what theta lags by behind a plant that drifts.
+@dataclass(frozen=True)
+class _Lags:
+    """What theta lags by behind plants that surely drift, M of the models.
 
-    The scores of the last samples have the mean M·Δtheta. Where a place was visited long ago the
-    lag is larger than that, elsewhere smaller: by as much as the lag is over all samples.
+    The scores of the last samples have the mean M·Delta theta. A place that was visited just now
+    lags by nothing, one that was visited long ago by more than that.
+
+    Attributes
+    ----------
+    sure : (models,)
+        Which models they are.
+    score, theta : (M, s)
+        Mean of the scores, and the lag.
+    doubt : (M, s, s)
+        Covariance of that lag; Omega holds the lag too, so it is rather too large.
+    over_all : (M,)
+        Mean square of the lag over the samples, (l/min)².
     """
+
+    sure: NDArray[np.bool_]
+    score: Floats
+    theta: Floats
+    doubt: Floats
+    over_all: Floats
+
+    def without(self, states: MaximumLikelihoodState) -> MaximumLikelihoodState:
+        """States whose Omega is that of the noise: to scores, a lag is noise that lasts."""
+        if not self.sure.any():
+            return states
+        omega = states.omega.copy()
+        # Two blocks at a time, as Omega is gathered.
+        omega[self.sure] -= 2.0 * BLOCK * self.score[:, :, None] * self.score[:, None, :]
+        return replace(states, omega=omega)
+
+    def beyond(self, X: Floats, std: Floats) -> Floats:
+        """Standard deviations (models, N) at rows X with the lag, from those without."""
+        if not self.sure.any():
+            return std
+        with np.errstate(all="ignore"):
+            # No BLAS over the rows: each has the same bits alone and among others.
+            here, chance = (X * self.theta[:, None]).sum(axis=2) ** 2, np.zeros(1)
+            for j in range(X.shape[1]):
+                chance = chance + X[:, j] * (X * self.doubt[:, None, j]).sum(axis=2)
+            lags = np.maximum(here - chance, 0.0) + UNEVEN * self.over_all[:, None]
+            lags = np.where(np.isfinite(lags), lags, 0.0)
+            wider = std.copy()
+            wider[self.sure] = np.sqrt(std[self.sure] ** 2 + lags)
+        return wider
+
+
+def _lags_of(states: MaximumLikelihoodState) -> _Lags:
+    """Lags of those models whose last scores have a mean beyond chance."""
     samples = np.minimum(BLOCK * states.colour[:, BLOCKS], 2.0 * LATELY)
-    enough = samples >= FEWEST * BLOCK
-    if not enough.any():
-        return std
-    M, Omega = (_mirrored(square[enough]) for square in (states.moments, states.omega))
-    inverse, score = np.linalg.pinv(M, hermitian=True), states.blocks[enough, SCORE]
+    sure = samples >= FEWEST * BLOCK
+    M, Omega = (_mirrored(square[sure]) for square in (states.moments, states.omega))
+    score = states.blocks[sure, SCORE]
     with np.errstate(all="ignore"):
-        lag = (inverse @ score[:, :, None])[:, None, :, 0]
-        doubt = inverse @ Omega @ inverse / samples[enough, None, None]
-        chance_over_all = np.trace(doubt @ M, axis1=1, axis2=2)
-        over_all = np.maximum((score * lag[:, 0]).sum(axis=1) - CHANCE * chance_over_all, 0.0)
-        # No BLAS over the rows: each has the same bits alone and among others.
-        behind, chance = (X * lag).sum(axis=2) ** 2, np.zeros((len(M), len(X)))
-        for j in range(doubt.shape[1]):
-            chance += X[:, j] * (X * doubt[:, None, j]).sum(axis=2)
-        here = np.maximum(behind - CHANCE * chance, 0.0) + over_all[:, None]
-        lags = np.where((over_all[:, None] > 0.0) & np.isfinite(here), here, 0.0)
-        wider = std.copy()
-        wider[enough] = np.sqrt(std[enough] ** 2 + lags)
-    return wider
+        inverse = np.linalg.pinv(M, hermitian=True)
+        theta = (inverse @ score[:, :, None])[:, :, 0]
+        doubt = inverse @ Omega @ inverse / samples[sure, None, None]
+        over_all = (score * theta).sum(axis=1)
+        chance = np.trace(doubt @ M, axis1=1, axis2=2)
+        beyond = over_all > CHANCE * chance
+    sure[sure] = beyond
+    found = score[beyond], theta[beyond], doubt[beyond], (over_all - chance)[beyond]
+    return _Lags(sure, *found)
 
 
 def _mirrored(squares: Floats) -> Floats:

@@ -384,6 +384,6 @@ def test_a_state_out_of_range_starts_again_by_itself():
 def test_under_drift_the_interval_knows_how_far_theta_lags():
     found = [coverage.one(coverage.RML, "drift", circumstances.eq7, seed) for seed in range(6)]
     held, points = (sum(f[k] for f in found) for k in ("held", "points"))
-    assert held >= 0.75 * points  # without it .47; forty seeds: benchmarks.honest_maps
+    assert held >= 0.85 * points  # without it .47; forty seeds: benchmarks.honest_maps
     error = np.sqrt(np.mean([f["square"] for f in found]))
-    assert np.mean([f["width"] for f in found]) <= 3.92 * error
+    assert np.mean([f["width"] for f in found]) <= 2.75 * error  # 2.79 with the lag as noise too
