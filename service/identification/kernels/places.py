@@ -125,8 +125,9 @@ MISFIT_RATE = 1.0 / 200.0  # per visit
 NEW_RATE = 1.0 / 100.0
 EQUAL = 16.0  # looks from which all places count alike
 REFIT = 512  # samples after which theta is fitted anew while it drifts
-YOUNG, LOOK_EVERY_OFTEN = 16_384, 2  # samples; of those, and under proven drift, one of so many is
-LOOK_EVERY = 8  # held against its place, else one of so many; under suspicion all
+YOUNG, LOOK_EVERY_YOUNG = 16_384, 2  # samples; of those one of so many is held against its place,
+LOOK_EVERY = 8  # of later ones one of so many,
+LOOK_EVERY_DRIFTING = 4  # and of those while drift is proven; under suspicion all
 SEEN_OFTEN = 4.0  # visits from which one is compared with the one before
 AGEING = 5e-7  # of the flow per sample: what a valve may wear unnoticed, 18 %/h at 100 Hz
 WORN = 0.06  # share of wear that is doubted: three times as much would be needed for an alarm
@@ -466,7 +467,7 @@ def refit(s: Floats, R: Floats, rhs: Floats, own: Remembered, nodes: Floats, now
     for k in range(len(flows)):
         if visits[k, VISITS] > 0:
             aged = ageing * (now - places[k, TOUCHED]) ** 2
-            root = np.sqrt(LOOK_EVERY / (1.0 / min(places[k, KNOWN], EQUAL) + aged))
+            root = np.sqrt(1.0 / (1.0 / min(places[k, KNOWN], EQUAL) + aged))
             for j in range(n):
                 x[j] = root * nodes[k, j]
             rotate_in(R, rhs, x, root * flows[k], 1.0, scale, k)

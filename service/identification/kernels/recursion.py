@@ -28,7 +28,8 @@ from service.identification.kernels.information_form import warm_up
 from service.identification.kernels.places import (
     LONGEST,
     LOOK_EVERY,
-    LOOK_EVERY_OFTEN,
+    LOOK_EVERY_DRIFTING,
+    LOOK_EVERY_YOUNG,
     NODES_A,
     PROVEN,
     REFIT,
@@ -213,8 +214,10 @@ def run(size: Size, memory: Memory, rule: Rule, batch: Batch, segments: Segments
 
             if placed:
                 weigh_reaction(s, at.detector + REACTION, STEP_U * a[i], e)
-            often = own[COUNT] <= YOUNG or (placed and s[at.detector + HASTE] > PROVEN)
-            every = LOOK_EVERY_OFTEN if often else LOOK_EVERY
+            every = LOOK_EVERY_YOUNG
+            if own[COUNT] > YOUNG:
+                drifts = placed and s[at.detector + HASTE] > PROVEN
+                every = LOOK_EVERY_DRIFTING if drifts else LOOK_EVERY
             if watches and e * e > STARTLING * s[at.noise + VARIANCE]:
                 attend(s, at.detector)
             looks = watches and (s[at.detector + ATTENTIVE] > 0.0 or is_nth(own[COUNT], every))
