@@ -1,98 +1,33 @@
 """Recursive maximum likelihood, eq. (29): parameters beside a model of coloured noise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.identification.adaptation import Adaptation
-from service.identification.contents import Contents
-from service.identification.estimator import State
 from service.identification.fleet import alone, member, repeated, update_one
 from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels import reaction
 from service.identification.kernels.factors import covariance
-from service.identification.kernels.filtered_scores import (
-    BLOCK_SQUARE,
-    BLOCKS,
-    GATHERED,
-    LATELY,
-    PLACES_OF_COLOUR,
-    REACTING,
-    ROWS_OF_BLOCKS,
-    SCORE,
-    SQUARE,
-)
-from service.identification.kernels.scores import BLOCK, FEWEST
+from service.identification.kernels.filtered_scores import REACTING
 from service.identification.kernels.stability import is_stable, root_margins
+from service.identification.maximum_likelihood_lags import lags_of
+from service.identification.maximum_likelihood_state import (
+    MaximumLikelihoodState,
+    diagonals,
+    initial_state_of,
+    learn,
+    memory_of,
+    noise_variance,
+    noise_variances,
+    parameter_covariance,
+)
 from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
 from service.identification.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
-
-CHANCE: Final = 4.0  # squared standard deviations of the mean score that are no drift
-UNEVEN: Final = 1.0 / 3.0  # variance of lags between none and twice their mean, over its square
-
-
-@dataclass(frozen=True)
-class MaximumLikelihoodState(State):
-    """Everything that eq. (29) remembers, for regressors scaled to magnitude 1.
-
-    Attributes
-    ----------
-    theta : (n,)
-        Parameters of the structure, then d.
-    factor : (n, n)
-        Uᵀ with D on its diagonal, P = U·D·Uᵀ.
-    spread : (n, n)
-        Lower triangle of the covariance of theta over σ²; unused until theta is determined.
-    prior : (n,)
-        Variances over σ² that count as knowing nothing; 0 for d until σ² is known.
-    rls_theta, rls_factor : (s,), (s, s)
-        Plain RLS on the regressors without the noise columns.
-    raw, filtered : (channels, lags)
-        The last values of output, inputs and residual; the same through 1/D(q).
-    monitor : (10,)
-        Ramp, counts, noise variance and powers, see the kernel.
-    early : (s,)
-        The structure's parameters up to 31 samples before; NaN before the first time.
-    omega, moments, blocks, colour : (s, s), (s, s), (7, s), (18,)
-        Of innovations that stay coloured, see
-        :mod:`service.identification.kernels.filtered_scores`.
-    """
-
-    state_version: ClassVar[int] = 3  # 2: knew nothing of U that reacts, nor of a drift
-
-    theta: Floats
-    factor: Floats
-    spread: Floats
-    prior: Floats
-    rls_theta: Floats
-    rls_factor: Floats
-    raw: Floats
-    filtered: Floats
-    monitor: Floats
-    early: Floats
-    omega: Floats
-    moments: Floats
-    blocks: Floats
-    colour: Floats
-
-    def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them."""
-        reacts = [REACTING + place for place in (reaction.JITTERY, reaction.SEEN)]
-        of_colour = [GATHERED, BLOCKS, SQUARE, BLOCK_SQUARE, *reacts]
-        squares = ("factor", "spread", "rls_factor", "omega", "moments")
-        return {
-            **{name: _with_positive_diagonal(getattr(self, name)) for name in squares},
-            "prior": Contents(self.prior).within(0.0),
-            "monitor": Contents(self.monitor)
-            .within(0.0)
-            .within(0.0, 1.0, [kernel.RAMP, kernel.DETERMINED]),
-            "early": Contents(self.early).or_nan(),
-            "colour": Contents(self.colour).within(0.0, where=of_colour),
-        }
 
 
 @dataclass(frozen=True)
@@ -163,10 +98,10 @@ class MaximumLikelihood:
 
     def initial_state(self) -> MaximumLikelihoodState:
         """Nothing known but the structure's prior: theta = 0, P = p0·I for scaled regressors."""
-        state = _initial_state(self._orders(), self.p0)
+        state = initial_state_of(self._orders(), self.p0)
         if isinstance(self.structure, StructureWithPrior):
             rows, values = self.structure.prior()
-            kernel.learn(_memory(state), rows / self._scale, values)
+            kernel.learn(memory_of(state), rows / self._scale, values)
         return state
 
     def update(
@@ -183,7 +118,7 @@ class MaximumLikelihood:
         good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
         rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
         where = samples.U[good], samples.Q[good], segments.among(good)
-        run = _run(states, rule, self._orders(), X[good], *where)
+        run = learn(states, rule, self._orders(), X[good], *where)
         # Where the samples so far tell nothing, nothing can be said.
         with np.errstate(invalid="ignore"):
             known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
@@ -200,12 +135,12 @@ class MaximumLikelihood:
         points = (np.ascontiguousarray(a, np.float64) for a in (U, dp, T))
         X, finite = self._scaled_regressors(*points)
         values, variances, share = np.empty((3, len(X)))
-        lags = _lags_of(alone(state))
-        memory = _memory(member(lags.without(alone(state)), 0))
+        lags = lags_of(alone(state))
+        memory = memory_of(member(lags.without(alone(state)), 0))
         kernel.evaluate(memory, np.where(finite[:, None], X, 0.0), values, variances, share)
         known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
         with np.errstate(all="ignore"):
-            own = np.sqrt(variances * _noise_variance(state))
+            own = np.sqrt(variances * noise_variance(state))
         (std,) = lags.beyond(X, own[None])
         return np.where(known, values, np.nan), np.where(known, std, np.nan)
 
@@ -217,12 +152,12 @@ class MaximumLikelihood:
     def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
         """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
         n, scale = len(self._scale), np.append(self._scale, np.ones(self.nd))
-        lags = _lags_of(states)
-        P, inflations = _diagonals(lags.without(states))
+        lags = lags_of(states)
+        P, inflations = diagonals(lags.without(states))
         determined = states.monitor[:, kernel.DETERMINED, None] > 0
         over = np.where(determined, np.diagonal(states.spread, axis1=1, axis2=2), P)
         with np.errstate(all="ignore"):
-            variance = np.maximum(_noise_variances(states)[:, None] * over, 0.0)
+            variance = np.maximum(noise_variances(states)[:, None] * over, 0.0)
         variance[:, :n] *= inflations
         std = np.sqrt(variance)
         std[:, :n] = lags.beyond(np.eye(n), std[:, :n])
@@ -242,8 +177,8 @@ class MaximumLikelihood:
     def covariance(self, state: MaximumLikelihoodState) -> Floats:
         """Covariance (n, n) of the structure's parameters."""
         n = len(self._scale)
-        wider = np.sqrt(_diagonals(alone(state))[1][0]) / self._scale
-        return _parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
+        wider = np.sqrt(diagonals(alone(state))[1][0]) / self._scale
+        return parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
         """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
@@ -372,7 +307,7 @@ def recursive_maximum_likelihood(
         raise ValueError(f"orders must be >= 0, and one > 0, not na={na}, nb={nb}, nd={nd}")
     _check_settings(nd, forgetting, p0, radius)
 
-    state = _initial_state(orders, p0)
+    state = initial_state_of(orders, p0)
     n = len(state.theta)
     if theta0 is not None:
         start = np.array(theta0, np.float64)
@@ -387,97 +322,18 @@ def recursive_maximum_likelihood(
     rule = kernel.Rule(kernel.EXPONENTIAL, float(forgetting), float(radius))
     fleet, whole = repeated(state, 1), Segments.one(len(output))
     no_U = np.zeros(len(output))
-    run = _run(fleet, rule, orders, X, no_U, output, whole, use.astype(np.uint8), history)
+    run = learn(fleet, rule, orders, X, no_U, output, whole, use.astype(np.uint8), history)
     state = member(fleet, 0)
     return MaximumLikelihoodResult(
         theta=state.theta,
         theta_history=history,
         innovations=output - run.predicted,
         residuals=run.posterior,
-        covariance=_parameter_covariance(state),
+        covariance=parameter_covariance(state),
         root_margin=root_margins(np.ascontiguousarray(history[:, n - nd :])),
         status=run.status,
         restarts=int(state.monitor[kernel.RESTARTS]),
     )
-
-
-@dataclass(frozen=True)
-class _Run:
-    predicted: Floats
-    posterior: Floats
-    early: Floats
-    share: Floats
-    status: Codes
-
-
-def _run(
-    states: MaximumLikelihoodState,
-    rule: kernel.Rule,
-    orders: kernel.Orders,
-    X: Floats,
-    U: Floats,
-    y: Floats,
-    segments: Segments,
-    use: Codes | None = None,
-    history: Floats | None = None,
-) -> _Run:
-    """Run the kernel; the states' arrays, with a leading axis, are written in place."""
-    N, n = len(y), states.theta.shape[1]
-    values, status = np.empty((4, N)), np.empty(N, np.uint8)
-    found = _Run(values[0], values[1], values[2], values[3], status)
-    kernel.run(
-        _memory(states),
-        rule,
-        orders,
-        np.ascontiguousarray(X),
-        U,
-        np.ascontiguousarray(y),
-        np.ones(N, np.uint8) if use is None else use,
-        found.predicted,
-        found.posterior,
-        found.early,
-        found.share,
-        found.status,
-        np.empty((0, n)) if history is None else history,
-        segments,
-        np.zeros((kernel.SCRATCH, n)),
-    )
-    return found
-
-
-def _memory(state: MaximumLikelihoodState) -> kernel.Memory:
-    return kernel.Memory(*(getattr(state, name) for name in kernel.Memory._fields))
-
-
-def _initial_state(orders: kernel.Orders, p0: float) -> MaximumLikelihoodState:
-    n, nd = int(orders.sum()), int(orders[-1])
-    ns = n - nd
-    p0 = min(float(p0), kernel.BOUNDLESS)
-    unknown = max(p0, kernel.OPEN)
-    channels = (len(orders), max(1, int(orders.max())))
-    monitor = np.zeros(kernel.PLACES)
-    monitor[kernel.RAMP] = kernel.RAMP_START if nd > 0 else 1.0
-    return MaximumLikelihoodState(
-        theta=np.zeros(n),
-        factor=np.diag(np.append(np.full(ns, p0), np.zeros(nd))),
-        spread=np.zeros((n, n)),
-        prior=np.append(np.full(ns, unknown), np.zeros(nd)),
-        rls_theta=np.zeros(ns),
-        rls_factor=np.diag(np.full(ns, unknown)),
-        raw=np.zeros(channels),
-        filtered=np.zeros(channels),
-        monitor=monitor,
-        early=np.full(ns, np.nan),
-        omega=np.zeros((ns, ns)),
-        moments=np.zeros((ns, ns)),
-        blocks=np.zeros((ROWS_OF_BLOCKS, ns)),
-        colour=np.zeros(PLACES_OF_COLOUR),
-    )
-
-
-def _with_positive_diagonal(square: Floats) -> Contents:
-    places = np.arange(len(square))
-    return Contents(square).within(0.0, where=(places, places))
 
 
 def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
@@ -500,105 +356,6 @@ def _contracted(d: Floats, radius: float) -> Floats:
     largest = 1.0 - root_margins(d[None, :])[0]
     result: Floats = d * (0.9 * radius / largest) ** np.arange(1, len(d) + 1)
     return result
-
-
-def _noise_variance(state: MaximumLikelihoodState) -> float:
-    """σ² of the innovation; NaN before the first sample."""
-    return float(_noise_variances(alone(state))[0])
-
-
-def _noise_variances(states: MaximumLikelihoodState) -> Floats:
-    known = states.monitor[:, kernel.WEIGHT] > 0
-    return np.where(known, states.monitor[:, kernel.VARIANCE], np.nan)
-
-
-def _parameter_covariance(state: MaximumLikelihoodState) -> Floats:
-    """Covariance of theta (n, n), an upper bound until theta is determined."""
-    over = covariance(state.factor)
-    if state.monitor[kernel.DETERMINED] > 0:
-        over = _mirrored(state.spread[None])[0]  # what lies above the diagonal is no part of it
-    with np.errstate(all="ignore"):
-        return np.asarray(_noise_variance(state) * over)
-
-
-@dataclass(frozen=True)
-class _Lags:
-    """What theta lags by behind plants that surely drift, M of the models.
-
-    The scores of the last samples have the mean M·Delta theta. A place that was visited just now
-    lags by nothing, one that was visited long ago by more than that.
-
-    Attributes
-    ----------
-    sure : (models,)
-        Which models they are.
-    score, theta : (M, s)
-        Mean of the scores, and the lag.
-    doubt : (M, s, s)
-        Covariance of that lag; Omega holds the lag too, so it is rather too large.
-    over_all : (M,)
-        Mean square of the lag over the samples, (l/min)².
-    """
-
-    sure: NDArray[np.bool_]
-    score: Floats
-    theta: Floats
-    doubt: Floats
-    over_all: Floats
-
-    def without(self, states: MaximumLikelihoodState) -> MaximumLikelihoodState:
-        """States whose Omega is that of the noise: to scores, a lag is noise that lasts."""
-        if not self.sure.any():
-            return states
-        omega = states.omega.copy()
-        # Two blocks at a time, as Omega is gathered.
-        omega[self.sure] -= 2.0 * BLOCK * self.score[:, :, None] * self.score[:, None, :]
-        return replace(states, omega=omega)
-
-    def beyond(self, X: Floats, std: Floats) -> Floats:
-        """Standard deviations (models, N) at rows X with the lag, from those without."""
-        if not self.sure.any():
-            return std
-        with np.errstate(all="ignore"):
-            # No BLAS over the rows: each has the same bits alone and among others.
-            here, chance = (X * self.theta[:, None]).sum(axis=2) ** 2, np.zeros(1)
-            for j in range(X.shape[1]):
-                chance = chance + X[:, j] * (X * self.doubt[:, None, j]).sum(axis=2)
-            lags = np.maximum(here - chance, 0.0) + UNEVEN * self.over_all[:, None]
-            lags = np.where(np.isfinite(lags), lags, 0.0)
-            wider = std.copy()
-            wider[self.sure] = np.sqrt(std[self.sure] ** 2 + lags)
-        return wider
-
-
-def _lags_of(states: MaximumLikelihoodState) -> _Lags:
-    """Lags of those models whose last scores have a mean beyond chance."""
-    samples = np.minimum(BLOCK * states.colour[:, BLOCKS], 2.0 * LATELY)
-    sure = samples >= FEWEST * BLOCK
-    M, Omega = (_mirrored(square[sure]) for square in (states.moments, states.omega))
-    score = states.blocks[sure, SCORE]
-    with np.errstate(all="ignore"):
-        inverse = np.linalg.pinv(M, hermitian=True)
-        theta = (inverse @ score[:, :, None])[:, :, 0]
-        doubt = inverse @ Omega @ inverse / samples[sure, None, None]
-        over_all = (score * theta).sum(axis=1)
-        chance = np.trace(doubt @ M, axis1=1, axis2=2)
-        beyond = over_all > CHANCE * chance
-    sure[sure] = beyond
-    found = score[beyond], theta[beyond], doubt[beyond], (over_all - chance)[beyond]
-    return _Lags(sure, *found)
-
-
-def _mirrored(squares: Floats) -> Floats:
-    """Symmetric matrices (M, n, n) of which the lower triangles are kept."""
-    return np.asarray(np.tril(squares) + np.tril(squares, -1).transpose(0, 2, 1))
-
-
-def _diagonals(states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
-    """P's diagonals (M, n), and how many times wider than in white noise variances are (M, s)."""
-    P, inflations = np.empty(states.theta.shape), np.empty(states.rls_theta.shape)
-    kernel.diagonals(_memory(states), P, inflations)
-    return P, inflations
 
 
 def _reacts(colours: Floats) -> NDArray[np.bool_]:

@@ -12,9 +12,9 @@ from service.identification.kernels import maximum_likelihood as kernel
 from service.identification.kernels.factors import covariance
 from service.identification.maximum_likelihood import (
     MaximumLikelihood,
-    MaximumLikelihoodState,
     recursive_maximum_likelihood,
 )
+from service.identification.maximum_likelihood_state import MaximumLikelihoodState
 from service.identification.model_structures import FiveTerms, TensorSpline
 from service.identification.samples import Quality, Samples, Status
 

@@ -52,7 +52,7 @@ _HELD = int(Status.HELD)
 class Memory(NamedTuple):
     """Arrays of a state, written in place.
 
-    See :class:`~service.identification.maximum_likelihood.MaximumLikelihoodState`.
+    See :class:`~service.identification.maximum_likelihood_state.MaximumLikelihoodState`.
     """
 
     theta: Floats
