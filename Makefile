@@ -39,11 +39,11 @@ peers: $(DEV)
 hardened: $(DEV)
 	@folder=$$(mktemp -d) && trap 'rm -rf $$folder' EXIT && python=$$PWD/$(BIN)/python && \
 	    mkdir -p $$folder/service $$folder/tests/opcua && touch $$folder/service/__init__.py && \
-	    cp -r service/hardened $$folder/service && cp pyproject.toml $$folder && \
-	    cp -r tests/hardened tests/support tests/conftest.py $$folder/tests && \
+	    cp -r service/guarded_opcua $$folder/service && cp pyproject.toml $$folder && \
+	    cp -r tests/guarded_opcua tests/support tests/conftest.py $$folder/tests && \
 	    cp -r tests/opcua/node_peer $$folder/tests/opcua && \
-	    cd $$folder && $$python -m pytest -q -m "not soak" tests/hardened service/hardened && \
-	    $$python -c "import service.hardened as alone; print(alone.__file__)"
+	    cd $$folder && $$python -m pytest -q -m "not soak" tests/guarded_opcua service/guarded_opcua && \
+	    $$python -c "import guarded_opcua as alone; print(alone.__file__)"
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -24,9 +24,9 @@ from benchmarks.recordings import (
     one_step_ahead,
     settled_r2,
 )
-from service.identification import recursive_least_squares
-from service.identification.auto import Auto
-from service.identification.forgetting import (
+from valvemap.model import recursive_least_squares
+from valvemap.model.auto import Auto
+from valvemap.model.forgetting import (
     Adaptive,
     Directional,
     Exponential,
@@ -34,8 +34,8 @@ from service.identification.forgetting import (
     Subspace,
     Variable,
 )
-from service.identification.model_structures import FiveTerms, Polynomial, TensorSpline
-from service.identification.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 
 Figures = dict[str, dict[str, float | None]]
 RESULTS = Path(__file__).parent / "results" / "accuracy.json"

@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 
-from service.identification.samples import Times
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.data_changes import DataChanges
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.data_changes import DataChanges
 
 SIGNALS, STRIDE = 5, 6
 START, SPACING = 1_700_000_000_000_000_000, 10_000_000  # ns

@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks.measured_data import Floats
 from benchmarks.speed_page import AUTO
-from service.app.replay import replay
-from service.config.estimators import build_estimator, default_estimators
-from service.identification.auto import Auto
-from service.identification.estimator import Estimator, State
-from service.identification.residual_spread import ResidualSpread
-from service.identification.samples import Samples
-from service.storage.recordings import RecordingWriter
+from valvemap.app.replay import replay
+from valvemap.config.estimators import build_estimator, default_estimators
+from valvemap.model.auto import Auto
+from valvemap.model.estimator import Estimator, State
+from valvemap.model.residual_spread import ResidualSpread
+from valvemap.model.samples import Samples
+from valvemap.storage.recordings import RecordingWriter
 
 Figures = Mapping[str, float]
 

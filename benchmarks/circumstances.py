@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.model_structures import FiveTerms
-from service.identification.samples import Samples
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.samples import Samples
 
 SIGMA, FS = 0.4, 100.0
 TWO_SIDED_95 = 1.959964

@@ -30,8 +30,8 @@ def _measure(arguments: list[str]) -> int:
 
     began = time.perf_counter()
     with event.install_recorder("numba:compile") as recorder:
-        from service.app import warm_up  # noqa: PLC0415 - some kernels compile when imported
-        from service.config.loading import load_config  # noqa: PLC0415
+        from valvemap.app import warm_up  # noqa: PLC0415 - some kernels compile when imported
+        from valvemap.config.loading import load_config  # noqa: PLC0415
 
         imported = time.perf_counter() - began
         config = load_config(Path(arguments[0])) if arguments else load_config()

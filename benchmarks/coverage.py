@@ -15,15 +15,15 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
-from service.identification.adaptation import Adaptation
-from service.identification.auto import Auto
-from service.identification.auto_state import AutoState
-from service.identification.estimator import Estimator
-from service.identification.forgetting import Adaptive
-from service.identification.map_shapes import Shape
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.model_structures import FiveTerms, Structure, StructureWithPrior
-from service.identification.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.auto import Auto
+from valvemap.model.auto_state import AutoState
+from valvemap.model.estimator import Estimator
+from valvemap.model.forgetting import Adaptive
+from valvemap.model.map_shapes import Shape
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 
 N: Final = 30_000  # samples
 RHO: Final = 0.95

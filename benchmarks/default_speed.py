@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from benchmarks import auto_speed, live_speed, pipeline_speed
 from benchmarks.speed_page import FLEETS, MEMORY, REPLAY, live_title
-from service.app.build import build_identification
-from service.cli.logs import set_up_logs
-from service.config.estimators import default_estimators
-from service.config.loading import load_config
-from service.config.logs import LogConfig
-from service.config.models import Config, NodesConfig, ValveConfig
-from service.opcua.results_server import ResultsServer
-from service.streaming.ports import Results
+from valvemap.app.build import build_identification
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.estimators import default_estimators
+from valvemap.config.loading import load_config
+from valvemap.config.logs import LogConfig
+from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.opcua_results.results_server import ResultsServer
+from valvemap.pipeline.ports import Results
 
 REPLAYED: Final = 100, 10_000  # valves, samples of each
 SHORT_S: Final = 60.0

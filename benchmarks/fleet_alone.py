@@ -19,14 +19,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from support.fleet import Dictionary, block
 from support.plant import plant
-
-from service.fleet.blocks import read_samples, write_samples
-from service.fleet.catalogue import load_catalogue
-from service.fleet.group import Group, Rhythm
-from service.fleet.result_blocks import write_results
-from service.fleet.settings import load_fleet
-from service.fleet.worker import Worker
-from service.storage.recordings import RecordingWriter
+from valvemap.kafka.blocks import read_samples, write_samples
+from valvemap.kafka.catalogue import load_catalogue
+from valvemap.kafka.group import Group, Rhythm
+from valvemap.kafka.result_blocks import write_results
+from valvemap.kafka.settings import load_fleet
+from valvemap.kafka.worker import Worker
+from valvemap.storage.recordings import RecordingWriter
 
 KINDS = {"rls": ("RLS",), "three": ("RLS", "RML", "RBF"), "default": ("RLS", "RML", "RBF", "Auto")}
 VALVES, SAMPLES, WARM, BLOCKS = 50, 20, 10, 50  # a block is 1,000 samples
@@ -95,7 +94,7 @@ def reidentify(samples: int) -> dict[str, float]:
 
 def _reidentified(folder: Path, config: Path, files: list[Path], processes: int) -> float:
     out = folder / f"models{processes}"
-    command = [sys.executable, "-m", "service", "fleet", "reidentify", *files, "-c", config]
+    command = [sys.executable, "-m", "valvemap", "fleet", "reidentify", *files, "-c", config]
     one_thread = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     began = time.monotonic()
     subprocess.run(

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from confluent_kafka import Consumer, Producer
 
-from service.app.warm_up import warm_up
-from service.fleet.blocks import read_samples
-from service.fleet.catalogue import load_catalogue
-from service.fleet.group import Group, Rhythm
-from service.fleet.result_blocks import write_results
-from service.fleet.settings import load_fleet
+from valvemap.app.warm_up import warm_up
+from valvemap.kafka.blocks import read_samples
+from valvemap.kafka.catalogue import load_catalogue
+from valvemap.kafka.group import Group, Rhythm
+from valvemap.kafka.result_blocks import write_results
+from valvemap.kafka.settings import load_fleet
 
 
 def main(arguments: list[str]) -> int:

@@ -24,12 +24,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from support.broker import artifacts, brokers
 from support.fleet import block, group
-
-from service.fleet.blocks import write_samples
-from service.fleet.catalogue import Catalogue, load_catalogue
-from service.fleet.result_blocks import read_results
-from service.fleet.settings import FleetConfig, load_fleet
-from service.fleet.topics import create_or_check
+from valvemap.kafka.blocks import write_samples
+from valvemap.kafka.catalogue import Catalogue, load_catalogue
+from valvemap.kafka.result_blocks import read_results
+from valvemap.kafka.settings import FleetConfig, load_fleet
+from valvemap.kafka.topics import create_or_check
 
 GROUPS, VALVES, SAMPLES = 8, 50, 20  # 400 valves; a block is 1,000 samples
 KINDS = {"rls": ("RLS",), "three": ("RLS", "RML", "RBF"), "default": ("RLS", "RML", "RBF", "Auto")}

@@ -23,8 +23,8 @@ from typing import IO, Final
 from asyncua import Client
 
 from benchmarks import live_speed
-from service.config.models import NodesConfig
-from service.opcua.namespaces import RIG_NAMESPACE
+from valvemap.config.models import NodesConfig
+from valvemap.opcua_results.namespaces import RIG_NAMESPACE
 
 SOURCES: Final = Path(__file__).with_name("clients")
 BUILT: Final = Path(__file__).parents[1] / "build" / "clients"

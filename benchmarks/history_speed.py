@@ -21,10 +21,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from benchmarks import live_speed
 from benchmarks.live_speed import free_url, names_of, rig, running
 from benchmarks.reliability_load import Service, service_of
-from service.config.models import HistoryConfig, NodesConfig, ValveConfig
-from service.opcua.results_server import NAMESPACE
-from service.storage.history import HistoryFile
-from service.streaming.ports import SIGNALS, Piece
+from valvemap.config.models import HistoryConfig, NodesConfig, ValveConfig
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.pipeline.ports import SIGNALS, Piece
+from valvemap.storage.history import HistoryFile
 
 VALVES, HZ, SECONDS = 100, 100.0, 60.0
 DAY_S, DAY_HZ, BUCKETS, RAW = 86_400, 100, 2_000, 100_000

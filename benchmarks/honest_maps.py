@@ -3,7 +3,7 @@
 ``--seeds N`` measures that many seeds of each cell at most, ``--only WORD`` the cells whose name
 holds the word; ``--first K`` begins at another seed than the page does. What was measured is kept
 seed by seed in benchmarks/results/honest_maps.json and not measured again as long as
-``service/identification`` stays as it is; docs/honest_maps.md is written from it after each cell.
+``service/valvemap/model`` stays as it is; docs/honest_maps.md is written from it after each cell.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from benchmarks import (
 )
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.recordings import one_step_ahead
-from service.identification.forgetting import Adaptive
+from valvemap.model.forgetting import Adaptive
 
 HERE: Final = Path(__file__).parent
 RESULTS: Final = HERE / "results" / "honest_maps.json"
@@ -65,7 +65,7 @@ python -m benchmarks.honest_maps --seeds 40      # measures what stands here, an
 `benchmarks/circumstances.py`, seeds from {first} on, which no test uses. *Inside* is within 5 % of
 U and 5 bar of three samples at least. A cell is met where its figure is within the bar; where
 fewer seeds were measured than the bar asks for, that stands beside. ± is the standard error over
-seeds. `{code}` is the state of `service/identification` that was measured; a cell with another mark
+seeds. `{code}` is the state of `service/valvemap/model` that was measured; a cell with another mark
 is of an earlier one.
 """
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from asyncua import ua
 
-from service.hardened import (
+from guarded_opcua import (
     Condition,
     ConditionClass,
     ConditionKey,
@@ -58,7 +58,7 @@ def alarm(number: int, changed: int = T0) -> Condition:
 
 
 class Alarms:
-    """Fulfils :class:`service.hardened.ConditionKeeper`."""
+    """Fulfils :class:`guarded_opcua.ConditionKeeper`."""
 
     def __init__(self, server) -> None:
         self._server = server

@@ -14,7 +14,7 @@ import time
 from asyncua import Server, ua
 
 from benchmarks.hostile_past import Alarms, Past
-from service.hardened import (
+from guarded_opcua import (
     HardenedServer,
     Role,
     ServerSettings,

@@ -12,18 +12,18 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.measured_data import Floats
-from service.identification.auto import Auto
-from service.identification.estimator import Estimator
-from service.identification.forgetting import Adaptive, Exponential
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.model_structures import FiveTerms, TensorSpline
-from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples
-from service.streaming.pipeline import Lane, fresh_lane, predicted_measurement
-from virtual_rig.excitation import Cycle, Excitation, Scattered, Structured
-from virtual_rig.scenario import Scenario
-from virtual_rig.simulation import advance, initial
+from valvemap.model.auto import Auto
+from valvemap.model.estimator import Estimator
+from valvemap.model.forgetting import Adaptive, Exponential
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples
+from valvemap.pipeline.valve_state import Lane, fresh_lane, predicted_measurement
+from valvemap_rig.excitation import Cycle, Excitation, Scattered, Structured
+from valvemap_rig.scenario import Scenario
+from valvemap_rig.simulation import advance, initial
 
 RATE_HZ, AHEAD, LEARNT = 50.0, 25, 500
 SPLINE: Final = TensorSpline.uniform(6, 4)

@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq
 
-from service.identification.auto import Auto
-from service.identification.forgetting import Adaptive
-from service.identification.inverse_map import invert
-from service.identification.model_structures import TensorSpline
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples
+from valvemap.model.auto import Auto
+from valvemap.model.forgetting import Adaptive
+from valvemap.model.inverse_map import invert
+from valvemap.model.model_structures import TensorSpline
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples
 
 POINTS, PEER_POINTS, ROUNDS = 100_000, 300, 7
 MAPS = {

@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import peers
-from service.identification.estimator import Estimator
-from service.identification.fleet import learn_many, stack
-from service.identification.forgetting import Adaptive, Exponential, Forgetting
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.model_structures import FiveTerms
-from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import (
+from valvemap.model.estimator import Estimator
+from valvemap.model.fleet import learn_many, stack
+from valvemap.model.forgetting import Adaptive, Exponential, Forgetting
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import (
     RecursiveLeastSquares,
     recursive_least_squares,
 )
-from service.identification.samples import Floats, Samples, Segments
+from valvemap.model.samples import Floats, Samples, Segments
 
 N, PEER_N, MODELS, PASSES, ROUNDS = 200_000, 2_000, 10_000, 20, 7
 LAM = 0.998

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.coverage import AUTO
-from service.identification.map_shapes import Shape
+from valvemap.model.map_shapes import Shape
 
 N: Final = 20_000  # samples
 PAIRS: Final = (  # of U's effect, of the meter, s

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import live_speed
-from service.app.build import build_identification
-from service.app.serve import serve
-from service.cli.logs import set_up_logs
-from service.config.logs import LogConfig
-from service.hardened import Limits
-from service.identification.samples import Quality
-from service.streaming.identification import Identification
+from guarded_opcua import Limits
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.logs import LogConfig
+from valvemap.model.samples import Quality
+from valvemap.pipeline.identification import Identification
 
 PUBLISHING_MS = 1.0
 CLIENTS = "ours", "asyncua"

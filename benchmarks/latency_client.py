@@ -14,7 +14,7 @@ from datetime import UTC
 import numpy as np
 from asyncua import Client, Node, ua
 
-from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
 
 SETTLING_S = 2.0
 

@@ -20,18 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from service.app.build import build_identification
-from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.app.serve import serve
-from service.cli.logs import set_up_logs
-from service.config.estimators import AnyEstimatorConfig, RlsConfig
-from service.config.loading import load_config
-from service.config.logs import LogConfig
-from service.config.models import Config, NodesConfig, ValveConfig
-from service.hardened import Limits, ServerSettings
-from service.streaming.identification import Identification
-from virtual_rig.fleet import valve_names
-from virtual_rig.scenario import Fleet, Scenario
+from guarded_opcua import Limits, ServerSettings
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
+from valvemap.app.serve import serve
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.estimators import AnyEstimatorConfig, RlsConfig
+from valvemap.config.loading import load_config
+from valvemap.config.logs import LogConfig
+from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.pipeline.identification import Identification
+from valvemap_rig.fleet import valve_names
+from valvemap_rig.scenario import Fleet, Scenario
 
 SIGNALS = 6  # five signals and the running number
 SETTLING_S, PATIENCE_S = 5.0, 120.0
@@ -170,7 +170,7 @@ def init(folder: Path, url: str) -> dict[str, str]:
         "VALVEMAP_DATA": str(folder / "data"),
         "VALVEMAP_RIG_URL": url,
     }
-    command = [sys.executable, "-m", "service", "init"]
+    command = [sys.executable, "-m", "valvemap", "init"]
     subprocess.run(command, check=True, capture_output=True, env=os.environ | environment)
     return environment
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.io
 from numpy.typing import NDArray
 
-from service.identification.samples import Samples
+from valvemap.model.samples import Samples
 
 Floats = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,12 +11,12 @@ from asyncio import Handle
 from pathlib import Path
 
 from benchmarks.live_speed import open_settings
-from service.app.serve import serve
-from service.app.signals import stop_on_signal
-from service.cli.logs import set_up_logs
-from service.config.loading import load_config
-from service.config.logs import LogConfig
-from service.hardened import Limits
+from guarded_opcua import Limits
+from valvemap.app.serve import serve
+from valvemap.app.signals import stop_on_signal
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.loading import load_config
+from valvemap.config.logs import LogConfig
 
 NAMED_S = 0.03
 

@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.measured_data import Floats
-from service.app.build import build_plans
-from service.config.models import Config
-from service.identification.inverse_map import invert
-from service.identification.inversion import InverseStatus
-from service.identification.model_structures import FiveTerms
-from service.identification.residual_spread import TWO_SIDED_95
-from service.identification.samples import Samples, Segments, Status
-from service.streaming.fleet import Fleet
-from service.streaming.pipeline import Lane, predicted
+from valvemap.app.build import build_plans
+from valvemap.config.models import Config
+from valvemap.model.inverse_map import invert
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.residual_spread import TWO_SIDED_95
+from valvemap.model.samples import Samples, Segments, Status
+from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.valve_state import Lane, predicted
 
 Part = tuple[tuple[float, float], tuple[float, float]]
 

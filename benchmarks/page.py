@@ -20,8 +20,8 @@ from statistics import median
 from websockets.asyncio.client import connect
 
 from benchmarks import results_file
-from service.opcua.results_client import ResultsClient, SourceSettings
-from service.opcua.results_server import NAMESPACE
+from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_results.results_server import NAMESPACE
 
 VIEWERS = (*(0, 1, 0, 20, 0, 20) * 3, 0)
 SPAN_S = 30.0
@@ -56,7 +56,7 @@ def _demo(log: Path) -> Iterator[tuple[int, Path]]:
     env = {"VALVEMAP_SOURCE__URL": _RIG, "VALVEMAP_SERVER__URL": _SERVICE}
     with log.open("wb") as out:
         demo = subprocess.Popen(
-            [sys.executable, "-u", "-m", "service", "demo"],
+            [sys.executable, "-u", "-m", "valvemap", "demo"],
             stdout=out,
             env={**os.environ, **env, "VALVEMAP_PAGE_LISTEN": "127.0.0.1:0"},
         )

@@ -118,7 +118,7 @@ async def _demo():
         scenario = Path(folder) / "pictures.toml"
         scenario.write_text(_SCENARIO, encoding="utf-8")
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-u", "-m", "service", "demo", "--scenario", str(scenario)),
+            *(sys.executable, "-u", "-m", "valvemap", "demo", "--scenario", str(scenario)),
             stdout=asyncio.subprocess.PIPE,
         )
         try:

@@ -15,23 +15,23 @@ from pathlib import Path
 
 import numpy as np
 
-from service.app.replay import replay
-from service.config.estimators import RlsConfig
-from service.config.loading import load_config
-from service.identification.estimator import Estimator
-from service.identification.forgetting import Adaptive
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples
-from service.opcua.decoding import EPOCH_TICKS, decode_publish_response
-from service.storage.recordings import RecordingWriter
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.data_changes import DataChanges
-from service.streaming.identification import Identification
-from service.streaming.pipeline import ValvePlan
-from service.streaming.ports import Checkpoint
-from service.streaming.quality_gate import QualityGate
+from valvemap.app.replay import replay
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.loading import load_config
+from valvemap.model.estimator import Estimator
+from valvemap.model.forgetting import Adaptive
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples
+from valvemap.opcua_source.decoding import EPOCH_TICKS, decode_publish_response
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.storage.recordings import RecordingWriter
 
 SIGNALS, STRIDE = 5, 6
 START, SPACING = 1_700_000_000_000_000_000, 10_000_000  # ns

@@ -15,9 +15,9 @@ from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.coverage import AUTO
 from benchmarks.coverage import RLS as ADAPTIVE
-from service.identification.estimator import Estimator
-from service.identification.samples import Samples
-from service.identification.sensor_accuracy import SensorAccuracy, systematic_std
+from valvemap.model.estimator import Estimator
+from valvemap.model.samples import Samples
+from valvemap.model.sensor_accuracy import SensorAccuracy, systematic_std
 
 CLASS: Final = SensorAccuracy(p1=1.0, p2=1.0, Q=0.8)
 N: Final = 4_000  # scattered samples

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from service.hardened import Limits, Pki, Role, ServerSettings, UserStore, trust
-from service.hardened.security.certificates import ensure_certificate
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.streaming.data_changes import Signal
-from virtual_rig.fleet_server import FleetServer
-from virtual_rig.scenario import BUILTIN, Fleet
+from guarded_opcua import Limits, Pki, Role, ServerSettings, UserStore, trust
+from guarded_opcua.security.certificates import ensure_certificate
+from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.pipeline.data_changes import Signal
+from valvemap_rig.fleet_server import FleetServer
+from valvemap_rig.scenario import BUILTIN, Fleet
 
 URI, CLIENT_URI = "urn:benchmark:rig", "urn:benchmark:client"
 PASSWORD = "benchmark"  # noqa: S105 - of a server that lives for a minute

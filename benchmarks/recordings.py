@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.measured_data import SECOND, Dynamics, Floats
-from service.identification import recursive_least_squares, recursive_maximum_likelihood
-from service.identification.estimator import Estimator
-from service.identification.forgetting import Forgetting
-from service.identification.model_structures import Polynomial
-from service.identification.samples import Samples
+from valvemap.model import recursive_least_squares, recursive_maximum_likelihood
+from valvemap.model.estimator import Estimator
+from valvemap.model.forgetting import Forgetting
+from valvemap.model.model_structures import Polynomial
+from valvemap.model.samples import Samples
 
 COOLING_CIRCUIT = Polynomial(("1", "dp", "T", "dp*T"))
 SETTLED = 60  # samples of the cooling circuit that are not judged

@@ -22,22 +22,21 @@ from pathlib import Path
 
 import numpy as np
 
-from service.errors import StorageError
-from service.hardened import Role, UserStore
-from service.storage.checkpoints import CheckpointFile
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.data_changes import DataChanges
-from service.streaming.ports import Checkpoint
+from guarded_opcua import Role, UserStore
+from valvemap.errors import StorageError
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.storage.checkpoints import CheckpointFile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from benchmarks import reliability_lives, reliability_load
 from support import forks
 from support.lives import fresh
 from support.plant import plant as samples_of
 from support.stream import NumberedServer, until, watching
 from support.whole import Account
-
-from benchmarks import reliability_lives, reliability_load
 
 PAGE = Path(__file__).parents[1] / "docs" / "reliability.md"
 FAULTS = "| fault | lost | twice | bits different | data again after, s |"

@@ -7,11 +7,11 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import numpy as np
+
+from guarded_opcua import Role, UserStore
 from support.plant import lively
 from support.stream import NumberedServer, until
 from support.whole import Whole
-
-from service.hardened import Role, UserStore
 
 HISTORY = 40_000  # samples that the source remembers, as the rig does: 400 s
 STEP_NS = 10_000_000

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 from asyncua import Client, ua
-from support.processes import wait_for
-from support.slow_disk import environment
 
 from benchmarks.live_speed import free_url, names_of, rig
-from service.opcua.results_server import NAMESPACE
-from service.streaming.kept_states import MEMORY
-from service.streaming.kernels import waiting
+from support.processes import wait_for
+from support.slow_disk import environment
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.pipeline.kept_states import MEMORY
+from valvemap.pipeline.kernels import waiting
 
 START_S = 600.0  # on a busy machine
 PATIENCE_S = 60.0  # for an end

@@ -16,15 +16,15 @@ import numpy as np
 
 from benchmarks import live_speed
 from benchmarks.publish import count_changes
-from service.app.build import build_identification
-from service.app.identities import APPLICATION_URI
-from service.app.warm_up import warm_up
-from service.cli.logs import set_up_logs
-from service.config.logs import LogConfig
-from service.hardened import Limits
-from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
-from service.opcua.results_server import ResultsServer
-from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
+from guarded_opcua import Limits
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_URI
+from valvemap.app.warm_up import warm_up
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.logs import LogConfig
+from valvemap.opcua_results.results_server import ResultsServer
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
 
 NUMBERS = "PredictedFlow", "Residual", "ResidualRmse", "NoiseStd"
 WARM_S = 5.0

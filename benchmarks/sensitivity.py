@@ -58,9 +58,9 @@ def figures() -> dict[str, float]:
 
 def _learnt(seed: int) -> dict[str, float]:
     from benchmarks.auto_speed import ramps_and_holds  # noqa: PLC0415 - after a change
-    from service.identification.auto import Auto  # noqa: PLC0415
-    from service.identification.kernels import cells  # noqa: PLC0415
-    from service.identification.samples import Samples  # noqa: PLC0415
+    from valvemap.model.auto import Auto  # noqa: PLC0415
+    from valvemap.model.kernels import cells  # noqa: PLC0415
+    from valvemap.model.samples import Samples  # noqa: PLC0415
 
     rng = np.random.default_rng(seed)
     U, dp = ramps_and_holds(rng, N, 0, 100), ramps_and_holds(rng, N, 3, 195)

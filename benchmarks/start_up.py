@@ -21,12 +21,12 @@ from asyncua import Client, ua
 
 from benchmarks import live_speed
 from benchmarks.speed_page import FIRST_START, MANY, START
-from service.app.serve import serve
-from service.cli.logs import set_up_logs
-from service.config.loading import load_config
-from service.config.logs import LogConfig
-from service.hardened import Limits
-from service.opcua.results_server import NAMESPACE
+from guarded_opcua import Limits
+from valvemap.app.serve import serve
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.loading import load_config
+from valvemap.config.logs import LogConfig
+from valvemap.opcua_results.results_server import NAMESPACE
 
 ROUNDS = 8
 READ_AT_ONCE = 20  # valves
@@ -76,7 +76,7 @@ def first() -> dict[str, float]:
     before = os.times()
     with tempfile.TemporaryDirectory() as cache:
         began = time.perf_counter()
-        command = [sys.executable, "-m", "service", "warm-up"]
+        command = [sys.executable, "-m", "valvemap", "warm-up"]
         environment = os.environ | {"NUMBA_CACHE_DIR": cache}
         subprocess.run(command, check=True, capture_output=True, env=environment)
         compiled, after = time.perf_counter() - began, os.times()

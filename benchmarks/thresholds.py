@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-ROOM: Final = "service.identification"
+ROOM: Final = "valvemap.model"
 _FOLDER: Final = Path(__file__).parents[1] / ROOM.replace(".", "/")
 # What `Auto` consists of: python alone, and the compiled loops that no other estimator has.
 PURE: Final = (

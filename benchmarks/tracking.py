@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
 from benchmarks.coverage import AUTO, RLS
-from service.identification.estimator import Estimator
+from valvemap.model.estimator import Estimator
 
 DRIFTING, WEARING = 180_000, 360_000  # samples: half an hour, an hour
 OF_AUTO: Final = 2.0  # σ

@@ -10,7 +10,7 @@ from asyncua.crypto.security_policies import encrypt_asymmetric
 from asyncua.ua import ua_binary
 
 from benchmarks.hostile_past import ALARMS, SERVER, STEP, T0, VALUES, alarm, condition_id
-from service.hardened.binary.encoding import instant
+from guarded_opcua.binary.encoding import instant
 from tests.support.raw_peer import RawPeer
 
 PAST = ua.NodeId("Plant.Past", 2)

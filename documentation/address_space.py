@@ -8,12 +8,12 @@ from asyncua import Client, ua
 from asyncua.common.node import Node
 
 from documentation.tables import table
-from service.app.build import build_identification
-from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.config.models import Config, ValveConfig
-from service.config.nameplate import IdentificationConfig
-from service.hardened import ServerSettings
-from service.opcua.results_server import NAMESPACE, ResultsServer
+from guarded_opcua import ServerSettings
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
+from valvemap.config.models import Config, ValveConfig
+from valvemap.config.nameplate import IdentificationConfig
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 
 _HEAD = """# Address space
 

@@ -6,7 +6,7 @@ import typer
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
-from service.cli import COMMANDS, application
+from valvemap.cli import COMMANDS, application
 
 _OPTION = re.compile(r"^(\* `[^`]+`)(.*)$", re.MULTILINE)
 _HEAD = """# Commands

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from documentation.tables import table
-from service.config.models import Config
+from valvemap.config.models import Config
 
 Schema = Mapping[str, Any]
 

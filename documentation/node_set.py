@@ -9,15 +9,15 @@ from xml.etree import ElementTree as ET
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeData
 
-from service.app.build import build_identification
-from service.app.identities import APPLICATION_URI
-from service.config.models import Config
-from service.hardened import ServerSettings
-from service.opcua.information_model import TYPES
-from service.opcua.namespaces import RIG_NAMESPACE
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from virtual_rig.scenario import BUILTIN
-from virtual_rig.server import RigServer
+from guarded_opcua import ServerSettings
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_URI
+from valvemap.config.models import Config
+from valvemap.opcua_results.information_model import TYPES
+from valvemap.opcua_results.namespaces import RIG_NAMESPACE
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.server import RigServer
 
 _NODES = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 _VALUES = "http://opcfoundation.org/UA/2008/02/Types.xsd"

@@ -170,7 +170,7 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
                 for source in sources:
                     assert (ROOT / source).exists(), source
                     assert reaches_the_builder(source), source
-    for path in ("service/errors.py", "virtual_rig/oil.py"):
+    for path in ("service/valvemap/errors.py", "virtual_rig/valvemap_rig/oil.py"):
         assert reaches_the_builder(path)
     for path in (
         ".git/config",
@@ -288,7 +288,7 @@ def environment(name):
 def command_line(name):
     import typer.main
 
-    from service.cli import application
+    from valvemap.cli import application
 
     group = typer.main.get_command(application())
     command = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in SERVICES[name]["command"]]
@@ -323,7 +323,7 @@ def test_the_page_s_variables_are_options_of_its_command(monkeypatch):
 
 
 def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
-    from service.config.loading import load_config
+    from valvemap.config.loading import load_config
 
     command, words = command_line("service")
     command.make_context(words[0], words[1:])
@@ -340,11 +340,11 @@ def test_the_service_s_variables_are_fields_of_the_configuration(monkeypatch):
 def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):
     """Every path of its files lies in the containers, every valve is one that its rig plays."""
     pytest.importorskip("confluent_kafka")
-    from service.fleet.catalogue import load_catalogue
-    from service.fleet.settings import load_fleet
-    from service.fleet.topics import wanted
-    from virtual_rig.fleet import valve_names
-    from virtual_rig.scenario import Fleet, Scenario
+    from valvemap.kafka.catalogue import load_catalogue
+    from valvemap.kafka.settings import load_fleet
+    from valvemap.kafka.topics import wanted
+    from valvemap_rig.fleet import valve_names
+    from valvemap_rig.scenario import Fleet, Scenario
 
     fleet = load_fleet(ROOT / "container" / "fleet" / "fleet.toml")
     known = load_catalogue(fleet.catalogue)
@@ -374,7 +374,7 @@ def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):
 def fleet_command():
     import typer.main
 
-    from service.cli import application
+    from valvemap.cli import application
 
     return typer.main.get_command(application()).commands["fleet"]
 

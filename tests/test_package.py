@@ -12,11 +12,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from support.processes import free_port, rig_url, running, service_url, wait_for
 
 import valvemap
-from service.cli import run
-from service.config.models import Config
+from support.processes import free_port, rig_url, running, service_url, wait_for
+from valvemap.cli import run
+from valvemap.config.models import Config
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = Path(sys.executable).with_name("valvemap")

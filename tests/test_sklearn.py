@@ -8,10 +8,10 @@ from sklearn.model_selection import cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from service.identification.forgetting import Adaptive, Directional
-from service.identification.least_squares import batch_least_squares
-from service.identification.model_structures import FiveTerms, TensorSpline
-from service.sklearn import FlowMapRegressor
+from valvemap.model.forgetting import Adaptive, Directional
+from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.sklearn import FlowMapRegressor
 
 
 @pytest.fixture

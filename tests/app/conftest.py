@@ -3,11 +3,11 @@
 from contextlib import contextmanager
 
 import pytest
-from support.processes import free_port, rig_url, running, wait_for
 
-from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.config.loading import load_config
-from service.hardened import ServerSettings
+from guarded_opcua import ServerSettings
+from support.processes import free_port, rig_url, running, wait_for
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
+from valvemap.config.loading import load_config
 
 
 @pytest.fixture

@@ -5,17 +5,17 @@ import copy
 import numpy as np
 import pytest
 
-from service.app.build import build_plans
-from service.config.models import Config
-from service.identification.samples import Samples, Segments
-from service.streaming.alarm_words import Cause
-from service.streaming.fleet import Fleet
-from virtual_rig.excitation import Cycle, External, Scattered
-from virtual_rig.faults import commanded_fault
-from virtual_rig.scenario import Scenario, ValveBench
-from virtual_rig.sensors import Sensor, Sensors
-from virtual_rig.simulation import Commands, advance, initial
-from virtual_rig.valvistor import Valvistor
+from valvemap.app.build import build_plans
+from valvemap.config.models import Config
+from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alarm_words import Cause
+from valvemap.pipeline.fleet import Fleet
+from valvemap_rig.excitation import Cycle, External, Scattered
+from valvemap_rig.faults import commanded_fault
+from valvemap_rig.scenario import Scenario, ValveBench
+from valvemap_rig.sensors import Sensor, Sensors
+from valvemap_rig.simulation import Commands, advance, initial
+from valvemap_rig.valvistor import Valvistor
 
 HZ = 100
 START = 1_800_000_000_000_000_000

@@ -1,21 +1,21 @@
 """`valvemap baseline` at a running service: an operator acts, everybody may compare."""
 
 import pytest
+
+from guarded_opcua import Role, UserStore
 from support.plant import as_changes, plant
 from support.results import results_settings
-
-from service.app.baseline import Action, act
-from service.app.page_access import Watched
-from service.cli import run
-from service.errors import CommandRejected
-from service.hardened import Role, UserStore
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.opcua.connection import Security
-from service.opcua.results_server import ResultsServer
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.identification import Identification
-from service.streaming.pipeline import ValvePlan
-from service.streaming.quality_gate import QualityGate
+from valvemap.app.baseline import Action, act
+from valvemap.app.page_access import Watched
+from valvemap.cli import run
+from valvemap.errors import CommandRejected
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.opcua_client.connection import Security
+from valvemap.opcua_results.results_server import ResultsServer
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
 
 VALVE = "V7"
 

@@ -1,10 +1,10 @@
 """From a foreign server's address to a configuration that loads, without an editor."""
 
 import pytest
-from support.foreign import PLANT, Foreign
 
-from service.cli import run
-from service.config.loading import load_config
+from support.foreign import PLANT, Foreign
+from valvemap.cli import run
+from valvemap.config.loading import load_config
 
 
 @pytest.fixture

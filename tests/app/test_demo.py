@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 from asyncua import Client, ua
-from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
 
-from service.identification.inversion import InverseStatus
+from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
+from valvemap.model.inversion import InverseStatus
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+
 from support.processes import free_port, rig_url, running, service_url
 
 RATIOS = re.compile(r"(new, 40 °C|30 s after [^:]+): Valvistor ([\d.]+), FixedMap ([\d.]+)")

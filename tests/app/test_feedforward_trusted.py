@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+
 from support.feeding import (
     DP,
     FALLBACK_U,
@@ -26,10 +27,9 @@ from support.feeding import (
     open_settings,
 )
 from support.processes import READY_S, free_port, service_url
-
-from service.app.serve import serve
-from service.identification.inversion import InverseStatus
-from service.streaming.feedforward import FeedForwardStatus
+from valvemap.app.serve import serve
+from valvemap.model.inversion import InverseStatus
+from valvemap.pipeline.feedforward import FeedForwardStatus
 
 pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from service.cli import run
-from service.identification.samples import Samples, Segments
-from service.storage.history import HistoryFile
-from service.storage.recordings import read_recording
-from service.streaming.alignment import ByValve
-from service.streaming.past import PastKeeper
+from valvemap.cli import run
+from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alignment import ByValve
+from valvemap.runtime.past import PastKeeper
+from valvemap.storage.history import HistoryFile
+from valvemap.storage.recordings import read_recording
 
 N, START = 5_000, 1_700_000_000_000_000_000
 

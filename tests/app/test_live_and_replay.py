@@ -4,15 +4,15 @@ import asyncio
 
 import numpy as np
 import pytest
-from support.processes import rig_url
 
-from service.app.build import build_identification
-from service.app.replay import replay
-from service.app.serve import serve
-from service.config.estimators import RlsConfig
-from service.identification.least_squares import batch_least_squares
-from service.identification.model_structures import FiveTerms
-from service.storage.recordings import RecordingWriter, read_recording
+from support.processes import rig_url
+from valvemap.app.build import build_identification
+from valvemap.app.replay import replay
+from valvemap.app.serve import serve
+from valvemap.config.estimators import RlsConfig
+from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.model_structures import FiveTerms
+from valvemap.storage.recordings import RecordingWriter, read_recording
 
 SAMPLES = 1_500
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.app import memory
-from service.app.memory import giving_back, trimming
+from valvemap.app import memory
+from valvemap.app.memory import giving_back, trimming
 
 MB = 1e6
 

@@ -4,10 +4,10 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from support.processes import rig_url
 
-from service.app.build import build_identification
-from service.app.serve import serve
+from support.processes import rig_url
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
 
 pytestmark = pytest.mark.waits
 

@@ -9,13 +9,13 @@ import subprocess
 
 import numpy as np
 import pytest
+
 from support import node_peer
 from support.foreign import PLANT, Foreign
 from support.processes import free_port, run, service_url
-
-from service.app.build import build_identification
-from service.app.serve import serve
-from service.config.loading import load_config
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
+from valvemap.config.loading import load_config
 
 NOISE = 0.4  # l/min, one standard deviation of a flow meter
 WITHIN_S = 180.0

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from support.plant import as_changes, plant
 
-from service.app.record import _Recorder
-from service.config.loading import load_config
+from support.plant import as_changes, plant
+from valvemap.app.record import _Recorder
+from valvemap.config.loading import load_config
 
 
 class Writer:

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 import structlog
 from asyncua import Client, ua
+
+from guarded_opcua import Role, ServerSettings, UserStore
 from support.processes import free_port, rig_url, running, service_url, wait_for
 from support.stream import until
-
-from service.app.build import build_identification
-from service.app.reload import Reload
-from service.app.serve import serve
-from service.app.shown import is_same_server
-from service.config.estimators import RlsConfig
-from service.config.models import NodesConfig, ValveConfig
-from service.errors import ConfigurationError, StorageError
-from service.hardened import Role, ServerSettings, UserStore
-from service.identification.samples import Samples
-from service.storage.checkpoints import CheckpointFile
-from service.streaming.live import LiveService
-from virtual_rig.scenario import BUILTIN, ValveBench
-from virtual_rig.server import RigServer
+from valvemap.app.build import build_identification
+from valvemap.app.reload import Reload
+from valvemap.app.serve import serve
+from valvemap.app.shown import is_same_server
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.models import NodesConfig, ValveConfig
+from valvemap.errors import ConfigurationError, StorageError
+from valvemap.model.samples import Samples
+from valvemap.runtime.live import LiveService
+from valvemap.storage.checkpoints import CheckpointFile
+from valvemap_rig.scenario import BUILTIN, ValveBench
+from valvemap_rig.server import RigServer
 
 pytestmark = pytest.mark.waits
 

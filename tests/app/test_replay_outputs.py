@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.app.replay import MOST_TRIED, as_json, replay
-from service.cli import run
+from valvemap.app.replay import MOST_TRIED, as_json, replay
+from valvemap.cli import run
 
 STEP, N = 3_000, 4_000
 

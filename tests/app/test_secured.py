@@ -8,10 +8,10 @@ from asyncua.crypto.security_policies import (
     SecurityPolicyAes256Sha256RsaPss,
     SecurityPolicyBasic256Sha256,
 )
+
+from guarded_opcua import Pki, ensure_certificate
 from support.processes import free_port, run, service_url
 from support.services import PASSWORD, installation
-
-from service.hardened import Pki, ensure_certificate
 
 POLICIES = [SecurityPolicyBasic256Sha256, SecurityPolicyAes256Sha256RsaPss]
 CLIENT_URI = "urn:test:client"

@@ -4,15 +4,15 @@ import asyncio
 from contextlib import asynccontextmanager, suppress
 
 import pytest
-from support.processes import free_port, rig_url
 
-from service.app.build import build_identification
-from service.app.serve import serve
-from service.config.estimators import RlsConfig
-from service.config.models import NamedSourceConfig, ValveConfig
-from service.hardened import ServerSettings
-from virtual_rig.scenario import BUILTIN, ValveBench
-from virtual_rig.server import RigServer
+from guarded_opcua import ServerSettings
+from support.processes import free_port, rig_url
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.models import NamedSourceConfig, ValveConfig
+from valvemap_rig.scenario import BUILTIN, ValveBench
+from valvemap_rig.server import RigServer
 
 
 @asynccontextmanager

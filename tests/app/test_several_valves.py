@@ -4,12 +4,12 @@ import asyncio
 
 import pytest
 from pydantic import SecretStr
-from support.processes import rig_url
 
-from service.app.build import build_identification
-from service.app.serve import serve
-from service.config.estimators import RlsConfig
-from service.config.models import NodesConfig, ValveConfig
+from support.processes import rig_url
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.models import NodesConfig, ValveConfig
 
 pytestmark = pytest.mark.waits
 

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from service.app.signals import stop_on_signal
+from valvemap.app.signals import stop_on_signal
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there are no hang-ups here")

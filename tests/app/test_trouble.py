@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 from asyncua import Client, ua
-from support.processes import free_port, rig_url, run, service_url
 
-from service.app.build import build_identification
-from service.app.serve import serve
-from service.config.models import NodesConfig
-from service.errors import SourceLost, SourceRejected, StorageError
-from service.hardened import ConfigurationError, ServerError
+from guarded_opcua import ConfigurationError, ServerError
+from support.processes import free_port, rig_url, run, service_url
+from valvemap.app.build import build_identification
+from valvemap.app.serve import serve
+from valvemap.config.models import NodesConfig
+from valvemap.errors import SourceLost, SourceRejected, StorageError
 
 
 def one_line(answer, code):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.app.replay import replay
-from service.cli import run
-from service.config.loading import load_config
-from service.errors import ConfigurationError, RecordingError
+from valvemap.app.replay import replay
+from valvemap.cli import run
+from valvemap.config.loading import load_config
+from valvemap.errors import ConfigurationError, RecordingError
 
 N = 4_000
 PSI, GALLON = 0.45359237 * 9.80665 / 0.0254**2 / 1e5, 3.785411784

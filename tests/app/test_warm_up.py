@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 
-from service.app import warm_up
-from service.config.models import Config
+from valvemap.app import warm_up
+from valvemap.config.models import Config
 
 # In a process of its own: there no other test has used a kernel before.
 LIFE = """
@@ -16,9 +16,9 @@ import gc, sys
 from dataclasses import replace
 import numpy as np
 from numba.core.registry import CPUDispatcher
-from service.app.build import build_identification
-from service.app.warm_up import warm_up
-from service.config.models import Config
+from valvemap.app.build import build_identification
+from valvemap.app.warm_up import warm_up
+from valvemap.config.models import Config
 from support.plant import as_changes, plant
 
 def used():

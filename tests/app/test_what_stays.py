@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from service.app.reload import check_what_stays
-from service.config.models import Config, HistoryConfig, StateConfig
-from service.errors import ConfigurationError
+from valvemap.app.reload import check_what_stays
+from valvemap.config.models import Config, HistoryConfig, StateConfig
+from valvemap.errors import ConfigurationError
 
 
 @pytest.mark.parametrize(

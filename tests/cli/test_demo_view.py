@@ -6,7 +6,7 @@ import io
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.demo import _watch
+from valvemap.cli.demo import _watch
 
 
 class Counting:

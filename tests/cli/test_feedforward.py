@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from service.app.build import build_identification
-from service.cli import feedforward
-from service.cli.feedforward import FIXED, FROZEN, LIVING, PHASES, Course, commission, demand
-from service.config.models import Config
-from service.identification.samples import Samples
-from virtual_rig.scenario import BUILTIN
-from virtual_rig.simulation import Commands, advance, initial
+from valvemap.app.build import build_identification
+from valvemap.cli import feedforward
+from valvemap.cli.feedforward import FIXED, FROZEN, LIVING, PHASES, Course, commission, demand
+from valvemap.config.models import Config
+from valvemap.model.samples import Samples
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.simulation import Commands, advance, initial
 
 STEP = 10
 SCENARIO = BUILTIN["feedforward"]

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from service.cli import run
+from valvemap.cli import run
 
 
 @pytest.fixture(scope="module")

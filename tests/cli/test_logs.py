@@ -6,9 +6,9 @@ import logging
 import pytest
 import structlog
 
-from service.cli.logs import set_up_logs
-from service.config.logs import LogConfig
-from service.hardened.logs import audit_logger, bounded_logger
+from guarded_opcua.logs import audit_logger, bounded_logger
+from valvemap.cli.logs import set_up_logs
+from valvemap.config.logs import LogConfig
 
 FORGED = "2026-11-22T00:00:00Z [info     ] session activated by anna"
 
@@ -30,7 +30,7 @@ def console(request, capfd):
 
 
 def guarded(text):
-    bounded_logger("service.hardened.test").warning("refused %s", text)
+    bounded_logger("guarded_opcua.test").warning("refused %s", text)
 
 
 def audit(text):
@@ -58,7 +58,7 @@ def test_a_traceback_keeps_its_lines_but_none_looks_like_the_logs(console):
         try:
             codecs.lookup_error(f"\n{FORGED}")
         except LookupError:
-            bounded_logger("service.hardened.test").exception("failed")
+            bounded_logger("guarded_opcua.test").exception("failed")
 
     lines = console(fail)
     assert not [line for line in lines if line.startswith(FORGED)]

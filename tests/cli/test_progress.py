@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from service.cli import progress
+from valvemap.cli import progress
 
 
 @pytest.fixture

@@ -1,10 +1,10 @@
 """``valvemap trust``: applications and users."""
 
 import pytest
-from support.certificates import CERTIFY, SIGN, root, self_signed
 
-from service.cli import run
-from service.hardened import Pki, Role, UserStore
+from guarded_opcua import Pki, Role, UserStore
+from support.certificates import CERTIFY, SIGN, root, self_signed
+from valvemap.cli import run
 
 PASSWORD = "correct horse"
 

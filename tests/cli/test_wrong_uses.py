@@ -6,7 +6,7 @@ and 1 where what was asked could not be done with what is there.
 
 import pytest
 
-from service.cli import run
+from valvemap.cli import run
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=1'\np2 = 's=2'\nQ = 's=3'\n"
 VALVE = "[[valves]]\nname = 'V7'\n"

@@ -2,11 +2,11 @@ from pathlib import Path
 
 import pytest
 
-from service.app.build import build_plans
-from service.config.loading import load_config
-from service.config.mqtt import MqttConfig
-from service.errors import ConfigurationError
-from service.identification.sensor_accuracy import SensorAccuracy
+from valvemap.app.build import build_plans
+from valvemap.config.loading import load_config
+from valvemap.config.mqtt import MqttConfig
+from valvemap.errors import ConfigurationError
+from valvemap.model.sensor_accuracy import SensorAccuracy
 
 NODES = "[valves.nodes]\nU = 's=U'\np1 = 's=p1'\np2 = 's=p2'\nQ = 's=Q'\n"
 FED = f"[[valves]]\n{NODES}required_U = 's=C'\n[valves.feed_forward]\n"

@@ -2,10 +2,10 @@
 
 import pytest
 
-from service.app.build import build_identification
-from service.app.warm_up import _one_of_each_kind
-from service.config.loading import load_config
-from service.errors import ConfigurationError
+from valvemap.app.build import build_identification
+from valvemap.app.warm_up import _one_of_each_kind
+from valvemap.config.loading import load_config
+from valvemap.errors import ConfigurationError
 
 VALVE = """
 [[valves]]

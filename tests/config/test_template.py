@@ -1,8 +1,8 @@
 from pathlib import Path
 
-from service.config.loading import load_config
-from service.config.models import Config, NodesConfig
-from service.config.template import configuration_template
+from valvemap.config.loading import load_config
+from valvemap.config.models import Config, NodesConfig
+from valvemap.config.template import configuration_template
 
 SHIPPED = Path(__file__).parents[2] / "config" / "service.toml"
 

@@ -6,7 +6,7 @@ import pytest
 
 from documentation.configuration import undescribed
 from documentation.pages import REFERENCE, pages
-from service.cli import COMMANDS
+from valvemap.cli import COMMANDS
 
 DOCS = REFERENCE.parent
 ROOT = DOCS.parent

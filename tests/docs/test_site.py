@@ -53,7 +53,7 @@ def test_formulas_are_drawn_by_the_browser_alone(site):
 
 def test_the_python_reference_has_what_the_docstrings_say(site):
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
-    titles = set(re.findall(r'<h3 id="service\.[\w.]+\.(\w+)"', text))
+    titles = set(re.findall(r'<h3 id="valvemap\.[\w.]+\.(\w+)"', text))
     assert set(valvemap.__all__) - {"__version__"} <= titles
     assert "Regressors." in text
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
 from support.processes import free_port, is_open
 
 ROOT = Path(__file__).parents[2]

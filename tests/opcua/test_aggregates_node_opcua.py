@@ -5,11 +5,11 @@ import subprocess
 
 import numpy as np
 import pytest
-from support import node_peer
 
-from service.hardened import Records
-from service.hardened.history.aggregates import Aggregate, Aggregation
-from service.hardened.history.intervals import Intervals, Rules
+from guarded_opcua import Records
+from guarded_opcua.history.aggregates import Aggregate, Aggregation
+from guarded_opcua.history.intervals import Intervals, Rules
+from support import node_peer
 
 pytestmark = pytest.mark.node
 

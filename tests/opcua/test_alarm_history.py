@@ -6,13 +6,13 @@ import pytest
 import pytest_asyncio
 from asyncua import ua
 from asyncua.ua import ua_binary
+
+from guarded_opcua.binary.encoding import instant
+from guarded_opcua.history import events as past_events
 from support.conditions import FIELDS, Event, Listener, S, event_filter, raised
 from support.plant import START
-
-from service.hardened.binary.encoding import instant
-from service.hardened.history import events as past_events
-from service.opcua.results_server import NAMESPACE
-from service.storage.history import HistoryFile
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.storage.history import HistoryFile
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

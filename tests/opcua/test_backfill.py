@@ -7,14 +7,14 @@ from itertools import repeat
 
 import numpy as np
 import pytest
-from support.stream import NODES, RATE_HZ, Collector, NumberedServer, until, watching
 
-from service.clock import SystemClock
-from service.hardened import Limits, Role, UserStore
-from service.opcua.client import OpcUaSource, SourceSettings
-from service.opcua.history import NEVER, Knowledge
-from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.supervisor import SupervisorSettings, supervise
+from guarded_opcua import Limits, Role, UserStore
+from support.stream import NODES, RATE_HZ, Collector, NumberedServer, until, watching
+from valvemap.clock import SystemClock
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings
+from valvemap.opcua_source.history import NEVER, Knowledge
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.runtime.supervisor import SupervisorSettings, supervise
 
 pytestmark = pytest.mark.waits
 

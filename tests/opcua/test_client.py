@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Server, ua
-from support.proxy import Proxy
 
-from service.errors import ConfigurationError, SourceLost, SourceRejected
-from service.hardened import (
+from guarded_opcua import (
     CertificateError,
     HardenedServer,
     Limits,
@@ -23,11 +21,13 @@ from service.hardened import (
     add_variable,
     ensure_certificate,
 )
-from service.hardened.security.certificates import trust
-from service.opcua import subscription as subscriptions
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.source_nodes import parse_node_id
-from service.streaming.data_changes import DataChanges, Signal
+from guarded_opcua.security.certificates import trust
+from support.proxy import Proxy
+from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
+from valvemap.opcua_source import subscription as subscriptions
+from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_source.source_nodes import parse_node_id
+from valvemap.pipeline.data_changes import DataChanges, Signal
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

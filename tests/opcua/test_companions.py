@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from support import ncc_peer, node_peer
-from support.conditions import raised
 
 from documentation.companions import KEPT, PARTS, NodeSet, cut
-from service.opcua.companions import DI, MACHINERY
-from service.opcua.results_server import NAMESPACE
-from service.streaming.device_health import DeviceHealth
+from support import ncc_peer, node_peer
+from support.conditions import raised
+from valvemap.opcua_results.companions import DI, MACHINERY
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.pipeline.device_health import DeviceHealth
 
 HERE = Path(__file__).parent
 STANDARD = "http://opcfoundation.org/UA/"

@@ -8,9 +8,9 @@ import pytest
 from asyncua import ua
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.conditions import Listener, raised
 
-from service.hardened import Limits
+from guarded_opcua import Limits
+from support.conditions import Listener, raised
 
 Codes = ua.StatusCodes
 FAST = Limits(publishing_interval_ms=10.0, handshake_seconds=300.0)  # a busy machine logs in late

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import ua
+
 from support.conditions import CONDITION_TYPE, Listener, event_filter, raised
 from support.plant import START
 from support.stream import until
-
-from service.streaming.ports import Health
+from valvemap.pipeline.ports import Health
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -13,11 +13,9 @@ from asyncua import ua
 from asyncua.crypto import uacrypto
 from asyncua.crypto.security_policies import encrypt_asymmetric
 from asyncua.ua import ua_binary
-from support.raw_peer import Closed, RawPeer
-from support.results import results_settings
 
 from documentation.companions import KEPT, PARTS, NodeSet
-from service.hardened import (
+from guarded_opcua import (
     Argument,
     HardenedServer,
     Pki,
@@ -30,7 +28,9 @@ from service.hardened import (
     add_object,
     add_variable,
 )
-from service.opcua.results_server import ResultsServer
+from support.raw_peer import Closed, RawPeer
+from support.results import results_settings
+from valvemap.opcua_results.results_server import ResultsServer
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -419,7 +419,10 @@ async def test_models_of_others_are_there_as_the_page_says(peer):
         f"i={ua.ObjectIds.GeneralModelChangeEventType}": "yes",
         f"i={ua.ObjectIds.SemanticChangeEventType}": "no",
     }
-    for node_set in ("service/opcua/valvemap.NodeSet2.xml", "virtual_rig/rig.NodeSet2.xml"):
+    for node_set in (
+        "service/valvemap/opcua_results/valvemap.NodeSet2.xml",
+        "virtual_rig/valvemap_rig/rig.NodeSet2.xml",
+    ):
         text = (HERE.parents[1] / node_set).read_text(encoding="utf-8")
         assert "NodeVersion" not in text
         assert not any(uri in text for uri in models)

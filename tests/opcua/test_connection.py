@@ -3,8 +3,8 @@ import struct
 import pytest
 from asyncua import ua
 
-from service.errors import SourceLost, SourceRejected
-from service.opcua.connection import source_errors, status_name
+from valvemap.errors import SourceLost, SourceRejected
+from valvemap.opcua_client.connection import source_errors, status_name
 
 URL = "opc.tcp://plant:4840/"
 

@@ -9,7 +9,7 @@ from asyncua.ua import ua_binary
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.opcua.decoding import (
+from valvemap.opcua_source.decoding import (
     EPOCH_TICKS,
     DecodeError,
     decode_publish_response,

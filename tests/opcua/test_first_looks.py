@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+
+from guarded_opcua import Role, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
-
-from service.hardened import Role, UserStore
-from service.identification.samples import Quality, Status
-from service.identification.survey import Survey
-from service.opcua.result_nodes import ResultNodes
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.ports import (
+from valvemap.model.samples import Quality, Status
+from valvemap.model.survey import Survey
+from valvemap.opcua_results.result_nodes import ResultNodes
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.ports import (
     EstimatorDescription,
     EstimatorResult,
     InverseResult,

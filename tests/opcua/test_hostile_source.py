@@ -8,10 +8,8 @@ from dataclasses import replace
 import pytest
 import pytest_asyncio
 from asyncua import ua
-from support.lying_server import Lie, LyingServer, chunk, frame
 
-from service.errors import SourceError, SourceLost
-from service.hardened import (
+from guarded_opcua import (
     HardenedServer,
     Pki,
     Role,
@@ -21,11 +19,13 @@ from service.hardened import (
     add_variable,
     ensure_certificate,
 )
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.opcua.connection import in_one_line
-from service.opcua.decoding import decode_data_changes
-from service.opcua.session import BatchSession
-from service.opcua.transport import BoundedClient
+from support.lying_server import Lie, LyingServer, chunk, frame
+from valvemap.errors import SourceError, SourceLost
+from valvemap.opcua_client.connection import in_one_line
+from valvemap.opcua_client.session import BatchSession
+from valvemap.opcua_client.transport import BoundedClient
+from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.opcua_source.decoding import decode_data_changes
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 

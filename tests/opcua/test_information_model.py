@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from asyncua import ua
 
-from service.errors import ConfigurationError
-from service.hardened import Unit
-from service.identification.adaptation import Adaptation
-from service.identification.inversion import InverseStatus
-from service.identification.samples import Status
-from service.opcua.information_model import (
+from guarded_opcua import Unit
+from valvemap.errors import ConfigurationError
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.samples import Status
+from valvemap.opcua_results.information_model import (
     axis,
     check_names,
     counter_variable,
@@ -15,8 +15,8 @@ from service.opcua.information_model import (
     inverse_variables,
     map_variable,
 )
-from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.ports import EstimatorDescription, ValveDescription
+from valvemap.pipeline.feedforward import FeedForwardStatus
+from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 
 RLS = EstimatorDescription(
     "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True

@@ -8,12 +8,12 @@ from itertools import repeat
 import numpy as np
 import pytest
 from asyncua import ua
+
+from guarded_opcua import Limits, Role, UserStore
 from support.lives import fresh, lived
 from support.stream import NODES, NumberedServer, until, watching
-
-from service.hardened import Limits, Role, UserStore
-from service.storage.checkpoints import CheckpointFile
-from service.streaming.supervisor import SupervisorSettings
+from valvemap.runtime.supervisor import SupervisorSettings
+from valvemap.storage.checkpoints import CheckpointFile
 
 pytestmark = pytest.mark.waits
 

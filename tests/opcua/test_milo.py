@@ -1,6 +1,7 @@
 """Eclipse Milo as a client at our results server."""
 
 import pytest
+
 from support import milo_peer
 from support.interoperation import ClientInteroperation
 from support.scada_interoperation import ScadaInteroperation

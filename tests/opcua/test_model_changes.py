@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asyncua import Client, ua
+
+from guarded_opcua import Role, UserStore
 from support import node_peer
 from support.clocks import TurnedClock
 from support.peer import Peer
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
 from support.stream import until
-
-from service.hardened import Role, UserStore
-from service.opcua.companions import DI
-from service.opcua.model_changes import model_change, version_of_root, version_of_valve
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.nameplate import Nameplate
-from service.streaming.ports import EstimatorDescription, ValveDescription
+from valvemap.opcua_results.companions import DI
+from valvemap.opcua_results.model_changes import model_change, version_of_root, version_of_valve
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.nameplate import Nameplate
+from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
 
 T = 1_800_000_000_000_000_000
 RLS = EstimatorDescription("RLS", "Least squares.", ("a1",), has_forgetting_factor=True)

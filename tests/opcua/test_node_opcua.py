@@ -2,6 +2,7 @@
 
 import pytest
 import pytest_asyncio
+
 from support import node_peer
 from support.interoperation import (
     Asking,

@@ -9,13 +9,13 @@ from xml.etree import ElementTree as ET
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from support import ncc_peer, node_peer
-from support.conditions import raised
 
 from documentation.node_set import rig_node_set, written
 from documentation.pages import NODE_SET, RIG_NODE_SET
-from service.opcua.namespaces import RIG_NAMESPACE
-from service.opcua.results_server import NAMESPACE
+from support import ncc_peer, node_peer
+from support.conditions import raised
+from valvemap.opcua_results.namespaces import RIG_NAMESPACE
+from valvemap.opcua_results.results_server import NAMESPACE
 
 HERE = Path(__file__).parent
 NODES = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"

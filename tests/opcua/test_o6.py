@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from support.interoperation import ClientInteroperation
 from support.scada_interoperation import ScadaInteroperation
 

@@ -7,15 +7,15 @@ from contextlib import asynccontextmanager
 import numpy as np
 import pytest
 from pydantic import SecretStr
-from support.stream import NODES, NumberedServer, until, watching
 
-from service.app.record import record, record_history
-from service.app.replay import as_json, replay
-from service.config.estimators import RlsConfig
-from service.config.models import Config, NodesConfig, SourceConfig, ValveConfig
-from service.errors import SourceRejected
-from service.hardened import Role, UserStore
-from service.storage.recordings import read_recording
+from guarded_opcua import Role, UserStore
+from support.stream import NODES, NumberedServer, until, watching
+from valvemap.app.record import record, record_history
+from valvemap.app.replay import as_json, replay
+from valvemap.config.estimators import RlsConfig
+from valvemap.config.models import Config, NodesConfig, SourceConfig, ValveConfig
+from valvemap.errors import SourceRejected
+from valvemap.storage.recordings import read_recording
 
 pytestmark = pytest.mark.waits
 

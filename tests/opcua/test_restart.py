@@ -6,11 +6,11 @@ from contextlib import suppress
 import numpy as np
 import pytest
 import pytest_asyncio
+
+from guarded_opcua import Role, UserStore
 from support.lives import fresh, lived
 from support.stream import NumberedServer
-
-from service.hardened import Role, UserStore
-from service.storage.checkpoints import CheckpointFile
+from valvemap.storage.checkpoints import CheckpointFile
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 

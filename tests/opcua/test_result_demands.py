@@ -5,9 +5,9 @@ from math import isnan
 
 import pytest
 
-from service.errors import CommandRejected
-from service.hardened import CommandRejected as Refused
-from service.opcua.result_demands import ResultDemands
+from guarded_opcua import CommandRejected as Refused
+from valvemap.errors import CommandRejected
+from valvemap.opcua_results.result_demands import ResultDemands
 
 
 class Operator:

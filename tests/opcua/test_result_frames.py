@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 from asyncua import ua
-from support.results import ESTIMATOR, INVERSE, results_of
 
-from service.identification.samples import Quality
-from service.opcua.result_frames import frame_names, frame_variables, frames
-from service.streaming.ports import (
+from support.results import ESTIMATOR, INVERSE, results_of
+from valvemap.model.samples import Quality
+from valvemap.opcua_results.result_frames import frame_names, frame_variables, frames
+from valvemap.pipeline.ports import (
     EstimatorDescription,
     SignalResults,
     ValveDescription,

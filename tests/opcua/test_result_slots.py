@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.opcua.result_slots import ValveSlots
-from service.streaming.ports import ValveDescription
+from valvemap.opcua_results.result_slots import ValveSlots
+from valvemap.pipeline.ports import ValveDescription
 
 BOOM, BUCKET, STICK = (ValveDescription(name, ()) for name in ("Boom", "Bucket", "Stick"))
 COUNTED = replace(BUCKET, counters=("late", "gaps"))

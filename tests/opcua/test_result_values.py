@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asyncua import ua
-from support.results import results_of
 
-from service.identification.inversion import InverseStatus
-from service.identification.samples import Quality, Status
-from service.opcua.result_values import Shown, columns_of, map_value
-from service.streaming.ports import EstimatorResult, InverseResult
+from support.results import results_of
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.samples import Quality, Status
+from valvemap.opcua_results.result_values import Shown, columns_of, map_value
+from valvemap.pipeline.ports import EstimatorResult, InverseResult
 
 T = 1_800_000_000_000_000_000
 NOW = T + 5

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pytest_asyncio
-from support.results import ESTIMATOR, INVERSE, results_of, results_settings
 
-from service.errors import CommandRejected, SourceLost, SourceRejected
-from service.hardened import Limits, Role, UserStore
-from service.identification.inversion import Inversion
-from service.identification.samples import Status
-from service.opcua.results_client import ResultsClient, SourceSettings
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.ports import (
+from guarded_opcua import Limits, Role, UserStore
+from support.results import ESTIMATOR, INVERSE, results_of, results_settings
+from valvemap.errors import CommandRejected, SourceLost, SourceRejected
+from valvemap.model.inversion import Inversion
+from valvemap.model.samples import Status
+from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.ports import (
     EstimatorDescription,
     ValveDescription,
 )

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
-from support.results import results_settings
 
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples, Segments
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.storage.history import HistoryFile
-from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
-from service.streaming.identification import Identification
-from service.streaming.past import PastKeeper
-from service.streaming.pipeline import ValvePlan
-from service.streaming.quality_gate import QualityGate
+from support.results import results_settings
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples, Segments
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.runtime.past import PastKeeper
+from valvemap.storage.history import HistoryFile
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

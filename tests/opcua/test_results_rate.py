@@ -6,12 +6,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from asyncua import Client, ua
+
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
-
-from service.identification.samples import Quality, Status
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.ports import (
+from valvemap.model.samples import Quality, Status
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.ports import (
     EstimatorDescription,
     EstimatorResult,
     InverseResult,

@@ -5,19 +5,19 @@ import numpy as np
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+
+from guarded_opcua import Role, ServerError, ServerSettings, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
-
-from service.errors import CommandRejected
-from service.hardened import Role, ServerError, ServerSettings, UserStore
-from service.identification.adaptation import Adaptation
-from service.identification.inversion import Inversion
-from service.identification.recursive_least_squares import Change
-from service.identification.samples import Quality, Status
-from service.identification.survey import Survey
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.feedforward import FeedForwardStatus
-from service.streaming.ports import (
+from valvemap.errors import CommandRejected
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.inversion import Inversion
+from valvemap.model.recursive_least_squares import Change
+from valvemap.model.samples import Quality, Status
+from valvemap.model.survey import Survey
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.feedforward import FeedForwardStatus
+from valvemap.pipeline.ports import (
     AlarmReport,
     AlarmResults,
     EstimatorDescription,

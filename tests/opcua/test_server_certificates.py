@@ -6,11 +6,8 @@ from dataclasses import replace
 import pytest
 import pytest_asyncio
 from asyncua import ua
-from support import certificate_cases as cases
-from support.impostor import Impostor
 
-from service.errors import SourceLost, SourceRejected
-from service.hardened import (
+from guarded_opcua import (
     HardenedServer,
     Pki,
     Role,
@@ -18,7 +15,10 @@ from service.hardened import (
     UserStore,
     ensure_certificate,
 )
-from service.opcua.connection import Security, SourceSettings, open_connection
+from support import certificate_cases as cases
+from support.impostor import Impostor
+from valvemap.errors import SourceLost, SourceRejected
+from valvemap.opcua_client.connection import Security, SourceSettings, open_connection
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -1,12 +1,12 @@
 """How far a source's clock is ahead of ours, where it says so late or not at all."""
 
 import pytest
-from support.stream import NumberedServer, until
 
-from service.hardened import SystemClock
-from service.opcua import source_clock
-from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
-from service.opcua.source_clock import Reading, SourceClock
+from guarded_opcua import SystemClock
+from support.stream import NumberedServer, until
+from valvemap.opcua_source import source_clock
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.opcua_source.source_clock import Reading, SourceClock
 
 NODES = ValveNodes("V1", *(f"nsu=urn:plant;s=V1.{name}" for name in ("U", "p1", "p2", "Q")))
 

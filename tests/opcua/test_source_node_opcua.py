@@ -1,6 +1,7 @@
 """Our client at a plant's server of another stack: node-opcua."""
 
 import pytest
+
 from support import node_peer
 from support.source_interoperation import SourceInteroperation
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from support.source_interoperation import SourceInteroperation
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")

@@ -7,9 +7,9 @@ import pytest
 import pytest_asyncio
 from asyncua import Server, ua
 
-from service.errors import SourceRejected
-from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
-from service.streaming.units import UNECE, Measure, unit_of
+from valvemap.errors import SourceRejected
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.pipeline.units import UNECE, Measure, unit_of
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -5,9 +5,9 @@ import time
 
 import pytest
 import pytest_asyncio
-from support.stream import NumberedServer, until, watching
 
-from service.hardened import Role, UserStore
+from guarded_opcua import Role, UserStore
+from support.stream import NumberedServer, until, watching
 
 pytestmark = [pytest.mark.waits, pytest.mark.asyncio(loop_scope="module")]
 

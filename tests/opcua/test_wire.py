@@ -4,7 +4,7 @@ import pytest
 from asyncua import ua
 from asyncua.ua import ua_binary
 
-from service.opcua.wire import MAX_DEPTH, DecodeError, Reader
+from valvemap.opcua_source.wire import MAX_DEPTH, DecodeError, Reader
 
 VARIANTS = [
     ua.Variant(None, ua.VariantType.Null),

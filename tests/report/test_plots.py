@@ -4,10 +4,10 @@ import sys
 import numpy as np
 import pytest
 
-import service.report
-from service.cli import run
-from service.errors import ConfigurationError, StorageError
-from service.report import plots
+import valvemap.report
+from valvemap.cli import run
+from valvemap.errors import ConfigurationError, StorageError
+from valvemap.report import plots
 
 N = 500
 T_NS = np.arange(N) * 10_000_000
@@ -79,14 +79,14 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.delitem(sys.modules, "service.report.plots")
-    monkeypatch.delattr(service.report, "plots")
+    monkeypatch.delitem(sys.modules, "valvemap.report.plots")
+    monkeypatch.delattr(valvemap.report, "plots")
     with pytest.raises(ConfigurationError, match=r"pip install 'valvemap\[plot\]'"):
-        importlib.import_module("service.report.plots")
+        importlib.import_module("valvemap.report.plots")
 
 
 def test_a_replay_without_pictures_needs_no_matplotlib(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "service.report.plots", None)
-    monkeypatch.delitem(sys.modules, "service.report.replay_plots", raising=False)
+    monkeypatch.setitem(sys.modules, "valvemap.report.plots", None)
+    monkeypatch.delitem(sys.modules, "valvemap.report.replay_plots", raising=False)
     assert run(["replay", "none.csv"]) == 2
     assert "none.csv" in capsys.readouterr().err

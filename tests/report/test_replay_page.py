@@ -5,8 +5,8 @@ import re
 import pytest
 from rich.table import Table
 
-from service.errors import StorageError
-from service.report.replay_page import write_page
+from valvemap.errors import StorageError
+from valvemap.report.replay_page import write_page
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

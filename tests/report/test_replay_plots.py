@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Quality, Samples
-from service.report.replay_plots import ReplayPlots
-from service.streaming.pipeline import fresh_lane
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Quality, Samples
+from valvemap.pipeline.valve_state import fresh_lane
+from valvemap.report.replay_plots import ReplayPlots
 
 N = 600
 

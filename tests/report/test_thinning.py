@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.report.thinning import Thinned
+from valvemap.report.thinning import Thinned
 
 
 @given(st.lists(st.integers(0, 40), max_size=30), st.integers(1, 20))

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from rich.console import Console
 
-from service.report.verification import verification_table
+from valvemap.report.verification import verification_table
 
 
 def shown(scores):

@@ -1,6 +1,7 @@
 """What the tests of SCADA programs share: a demo, and a service that lets users in alone."""
 
 import pytest
+
 from support import services
 
 

@@ -4,10 +4,10 @@ import json
 import re
 
 import pytest_asyncio
-from support import fuxa, node_red
 
 from documentation.address_space import nodes
-from service.config.models import Config
+from support import fuxa, node_red
+from valvemap.config.models import Config
 
 VARIABLE = re.compile(r"\b(?:Signals|Inverse|Auto|RLS)\.[A-Za-z0-9.]+")
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from asyncua import Client, ua
+
 from support import fuxa
 from support.processes import run
 from support.services import until_rejected

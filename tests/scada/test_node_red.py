@@ -5,6 +5,7 @@ import math
 
 import pytest
 from asyncua import Client, ua
+
 from support.node_red import flow, node_red, signed
 from support.processes import run
 from support.services import until_rejected

@@ -5,19 +5,19 @@ from contextlib import asynccontextmanager
 from itertools import repeat
 
 import pytest
-from support.sparkplug_fakes import FakeBroker, FakeService, Read
 
-from service.clock import SystemClock
-from service.errors import ConfigurationError
-from service.sparkplug.broker import PahoBroker
-from service.sparkplug.edge_node import EdgeNode
-from service.sparkplug.host import PrimaryHost
-from service.sparkplug.outbox import Outbox
-from service.sparkplug.reader import Reader
-from service.sparkplug.schema import Payload
-from service.sparkplug.sender import Sender
-from service.sparkplug.settings import BrokerSettings
-from service.sparkplug.shown import Shown
+from support.sparkplug_fakes import FakeBroker, FakeService, Read
+from valvemap.clock import SystemClock
+from valvemap.errors import ConfigurationError
+from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.edge_node import EdgeNode
+from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.outbox import Outbox
+from valvemap.sparkplug.reader import Reader
+from valvemap.sparkplug.schema import Payload
+from valvemap.sparkplug.sender import Sender
+from valvemap.sparkplug.settings import BrokerSettings
+from valvemap.sparkplug.shown import Shown
 
 VARIABLES = {
     "V1.RLS.Residual": ("Double", Read(0.5)),
@@ -107,7 +107,7 @@ async def test_births_hold_every_scalar_and_no_table_and_no_condition():
 
 
 async def test_valves_that_come_while_the_service_runs_are_born(monkeypatch):
-    monkeypatch.setattr("service.sparkplug.reader._ASK_S", 0.0)
+    monkeypatch.setattr("valvemap.sparkplug.reader._ASK_S", 0.0)
     async with running(wanted=("V*", "RLS.*")) as whole:
         await whole.births(1)
         whole.service.variables["V2.RLS.Residual"] = ("Double", Read(0.7))

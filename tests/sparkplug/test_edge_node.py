@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 
 import pytest
 
-from service.sparkplug.edge_node import Change, EdgeNode
-from service.sparkplug.metrics import Quality, Tag, Value, flag_in
-from service.sparkplug.schema import DataType, DecodeError, Payload
+from valvemap.sparkplug.edge_node import Change, EdgeNode
+from valvemap.sparkplug.metrics import Quality, Tag, Value, flag_in
+from valvemap.sparkplug.schema import DataType, DecodeError, Payload
 
 NOW = 1_790_000_000_000_000_000
 NOT_GOOD = 0x4000_0000

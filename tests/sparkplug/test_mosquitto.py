@@ -7,22 +7,22 @@ from itertools import pairwise, repeat
 import pytest
 from asyncua import Client
 from cryptography.hazmat.primitives import serialization
+
 from support import certificates, services
 from support.mosquitto import GROUP, HOST, NODE, host, mosquitto, until, users
 from support.processes import running, wait_for
 from support.sparkplug_fakes import FakeService, Read
-
-from service.clock import SystemClock
-from service.errors import SinkError, SinkLost, SinkRejected
-from service.opcua.namespaces import SERVICE_NAMESPACE
-from service.sparkplug.broker import PahoBroker
-from service.sparkplug.edge_node import EdgeNode, Message
-from service.sparkplug.host import PrimaryHost
-from service.sparkplug.outbox import Outbox
-from service.sparkplug.reader import Reader
-from service.sparkplug.sender import Sender
-from service.sparkplug.settings import BrokerSettings
-from service.sparkplug.shown import Shown
+from valvemap.clock import SystemClock
+from valvemap.errors import SinkError, SinkLost, SinkRejected
+from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
+from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.edge_node import EdgeNode, Message
+from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.outbox import Outbox
+from valvemap.sparkplug.reader import Reader
+from valvemap.sparkplug.sender import Sender
+from valvemap.sparkplug.settings import BrokerSettings
+from valvemap.sparkplug.shown import Shown
 
 PEM = serialization.Encoding.PEM
 

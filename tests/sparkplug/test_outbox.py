@@ -1,9 +1,9 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.sparkplug.metrics import Tag, Value
-from service.sparkplug.outbox import Outbox
-from service.sparkplug.schema import DataType
+from valvemap.sparkplug.metrics import Tag, Value
+from valvemap.sparkplug.outbox import Outbox
+from valvemap.sparkplug.schema import DataType
 
 TAG = Tag("V1.Signals.Q", "V1", "Signals/Q", DataType.DOUBLE, 1)
 OTHER = Tag("V2.Signals.Q", "V2", "Signals/Q", DataType.DOUBLE, 2)

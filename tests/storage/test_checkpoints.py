@@ -9,10 +9,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from service.errors import StorageError
-from service.storage import checkpoints
-from service.storage.checkpoints import CheckpointFile
-from service.streaming.ports import Checkpoint
+from valvemap.errors import StorageError
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.storage import checkpoints
+from valvemap.storage.checkpoints import CheckpointFile
 
 
 def checkpoint(valve="V1", estimator="RLS", **changes):
@@ -187,8 +187,8 @@ def test_a_closed_store_says_so(path):
 
 WRITER = textwrap.dedent("""
     import itertools, sys
-    from service.storage.checkpoints import CheckpointFile
-    from service.streaming.ports import Checkpoint
+    from valvemap.storage.checkpoints import CheckpointFile
+    from valvemap.pipeline.ports import Checkpoint
 
     store = CheckpointFile(sys.argv[1])
     for t in itertools.count(1):

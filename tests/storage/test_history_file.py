@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import StorageError
-from service.storage import alarm_changes
-from service.storage.history import BLOCK, HistoryFile
-from service.streaming.ports import AlarmChange, AlarmReport, Piece
+from valvemap.errors import StorageError
+from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
+from valvemap.storage import alarm_changes
+from valvemap.storage.history import BLOCK, HistoryFile
 
 EVER = -(2**63), 2**63 - 1
 S = 1_000_000_000

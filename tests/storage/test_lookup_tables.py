@@ -8,18 +8,18 @@ import subprocess
 import numpy as np
 import pytest
 
-from service.errors import ConfigurationError, StorageError
-from service.identification.auto import Auto
-from service.identification.inverse_map import invert
-from service.identification.inversion import InverseStatus
-from service.identification.linear_map import LinearMap, LinearMapState
-from service.identification.lookup_table import LookupTable, lookup_table
-from service.identification.model_structures import FiveTerms, TensorSpline
-from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Samples, Trace
-from service.identification.support import Support
-from service.storage.lookup_tables import as_c, as_csv, as_structured_text, write_table
+from valvemap.errors import ConfigurationError, StorageError
+from valvemap.model.auto import Auto
+from valvemap.model.inverse_map import invert
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.linear_map import LinearMap, LinearMapState
+from valvemap.model.lookup_table import LookupTable, lookup_table
+from valvemap.model.model_structures import FiveTerms, TensorSpline
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Samples, Trace
+from valvemap.model.support import Support
+from valvemap.storage.lookup_tables import as_c, as_csv, as_structured_text, write_table
 
 ESTIMATORS = {
     "eq. (7)": RecursiveLeastSquares(),

@@ -3,21 +3,21 @@ import json
 import numpy as np
 import pytest
 
-from service.errors import StorageError
-from service.identification.auto import Auto
-from service.identification.forgetting import Adaptive, Exponential
-from service.identification.inverse_map import invert
-from service.identification.linear_map import LinearMap
-from service.identification.maximum_likelihood import MaximumLikelihood
-from service.identification.model_structures import Polynomial, TensorSpline
-from service.identification.monotone import Monotone
-from service.identification.radial_basis import RadialBasis
-from service.identification.rbf_network import RbfNetwork
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.residual_spread import ResidualSpread
-from service.identification.samples import Quality, Samples, Status
-from service.identification.support import Support
-from service.storage.models import load_model, save_model
+from valvemap.errors import StorageError
+from valvemap.model.auto import Auto
+from valvemap.model.forgetting import Adaptive, Exponential
+from valvemap.model.inverse_map import invert
+from valvemap.model.linear_map import LinearMap
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.model_structures import Polynomial, TensorSpline
+from valvemap.model.monotone import Monotone
+from valvemap.model.radial_basis import RadialBasis
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.residual_spread import ResidualSpread
+from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.support import Support
+from valvemap.storage.models import load_model, save_model
 
 ESTIMATORS = {
     "eq. (7)": RecursiveLeastSquares(forgetting=Adaptive()),

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-import service.storage
-from service.errors import RecordingError, StorageError
-from service.identification.samples import Samples
-from service.storage.recordings import RecordingWriter, read_recording
+import valvemap.storage
+from valvemap.errors import RecordingError, StorageError
+from valvemap.model.samples import Samples
+from valvemap.storage.recordings import RecordingWriter, read_recording
 
 FORMS = ["csv", "csv.gz", "csv.xz", "parquet"]
 FIELDS = ("t", "U", "p1", "p2", "Q", "T", "quality")
@@ -343,8 +343,8 @@ def test_parquet_pages_that_are_damaged_are_said(tmp_path):
 
 def test_without_pyarrow_parquet_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.delitem(sys.modules, "service.storage.parquet_recordings", raising=False)
-    monkeypatch.delattr(service.storage, "parquet_recordings", raising=False)
+    monkeypatch.delitem(sys.modules, "valvemap.storage.parquet_recordings", raising=False)
+    monkeypatch.delattr(valvemap.storage, "parquet_recordings", raising=False)
     for use in (read_recording, RecordingWriter):
         with pytest.raises(RecordingError, match=r"pip install 'valvemap\[parquet\]'"):
             use(tmp_path / "r.parquet")
@@ -393,8 +393,8 @@ def test_a_recording_appears_under_its_name_only_when_it_is_complete(tmp_path):
 WRITER = textwrap.dedent("""
     import sys
     import numpy as np
-    from service.identification.samples import Samples
-    from service.storage.recordings import RecordingWriter
+    from valvemap.model.samples import Samples
+    from valvemap.storage.recordings import RecordingWriter
 
     recording = RecordingWriter(sys.argv[1])
     for n in range(10_000_000):

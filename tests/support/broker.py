@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
+
 from support.processes import free_port, is_open
 
 POM = Path(__file__).parents[1] / "fleet" / "broker" / "pom.xml"

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+
 from support.node_peer import installed
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")

@@ -9,6 +9,7 @@ import ipaddress
 from asyncua import ua
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
+
 from support.certificates import (
     CERTIFY,
     EMAIL,

@@ -1,6 +1,6 @@
 """A clock whose timers run by themselves and whose hands a test may turn."""
 
-from service.hardened import SystemClock
+from guarded_opcua import SystemClock
 
 
 class TurnedClock(SystemClock):

@@ -4,16 +4,16 @@ from contextlib import asynccontextmanager, suppress
 
 import numpy as np
 from asyncua import Client, ua
+
+from guarded_opcua import Role, UserStore
 from support.clocks import TurnedClock
 from support.interoperation import identification
 from support.plant import START, as_changes, plant
 from support.results import results_settings
 from support.stream import until
-
-from service.hardened import Role, UserStore
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.streaming.past import PastKeeper
-from service.streaming.ports import Remark
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.ports import Remark
+from valvemap.runtime.past import PastKeeper
 
 S = 1_000_000_000
 CONDITION_TYPE = ua.NodeId(ua.ObjectIds.ConditionType)

@@ -14,6 +14,7 @@ from asyncua import ua
 from asyncua.crypto import uacrypto
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256, encrypt_asymmetric
 from asyncua.ua import ua_binary
+
 from support.raw_peer import RawPeer
 
 OTHERS = [f"127.0.0.{number}" for number in range(2, 12)]

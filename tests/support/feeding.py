@@ -9,12 +9,13 @@ from pathlib import Path
 
 from pydantic import SecretStr
 
-from service.app.build import build_identification
-from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.app.serve import serve
-from service.cli.feedforward import commission
-from service.config.estimators import AutoConfig
-from service.config.models import (
+from guarded_opcua import CommandRejected, Role, ServerSettings, UserStore
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
+from valvemap.app.serve import serve
+from valvemap.cli.feedforward import commission
+from valvemap.config.estimators import AutoConfig
+from valvemap.config.models import (
     Config,
     FeedForwardConfig,
     NodesConfig,
@@ -23,10 +24,9 @@ from service.config.models import (
     StateConfig,
     ValveConfig,
 )
-from service.hardened import CommandRejected, Role, ServerSettings, UserStore
-from virtual_rig.excitation import External
-from virtual_rig.scenario import BUILTIN
-from virtual_rig.server import RigServer
+from valvemap_rig.excitation import External
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.server import RigServer
 
 PASSWORD = "correct horse"
 VALVE = "Valvistor"

@@ -1,17 +1,17 @@
 """A small fleet: groups, blocks of their samples, and an engine that is a dictionary."""
 
 import numpy as np
-from support.plant import plant
 
-from service.config.estimators import RbfConfig, RlsConfig, RmlConfig
-from service.config.models import Config, NodesConfig, ValveConfig
-from service.fleet.blocks import SamplesBlock, write_samples
-from service.fleet.catalogue import catalogue_of
-from service.fleet.commands import Command, Reply, write_message
-from service.fleet.group import Group, Rhythm
-from service.fleet.result_blocks import write_results
-from service.identification.samples import Samples, Segments
-from service.streaming.alignment import ByValve
+from support.plant import plant
+from valvemap.config.estimators import RbfConfig, RlsConfig, RmlConfig
+from valvemap.config.models import Config, NodesConfig, ValveConfig
+from valvemap.kafka.blocks import SamplesBlock, write_samples
+from valvemap.kafka.catalogue import catalogue_of
+from valvemap.kafka.commands import Command, Reply, write_message
+from valvemap.kafka.group import Group, Rhythm
+from valvemap.kafka.result_blocks import write_results
+from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alignment import ByValve
 
 ESTIMATORS = (RlsConfig(), RmlConfig(), RbfConfig())
 RHYTHM = Rhythm(results_ns=200_000_000, maps_ns=1_000_000_000)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from service.hardened import Role, ServerSettings, UserStore
-from service.identification.samples import Samples
-from virtual_rig.fleet import record, valve_names
-from virtual_rig.fleet_server import FleetServer
-from virtual_rig.scenario import BUILTIN, Fleet
+from guarded_opcua import Role, ServerSettings, UserStore
+from valvemap.model.samples import Samples
+from valvemap_rig.fleet import record, valve_names
+from valvemap_rig.fleet_server import FleetServer
+from valvemap_rig.scenario import BUILTIN, Fleet
 
 RIG = "urn:valvemap:rig"
 

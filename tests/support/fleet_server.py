@@ -4,12 +4,12 @@ import asyncio
 import sys
 from pathlib import Path
 
-from service.app.identities import APPLICATION_NAME, APPLICATION_URI
-from service.app.signals import stop_on_signal
-from service.cli.logs import set_up_logs
-from service.fleet.serve import serve
-from service.fleet.settings import load_fleet
-from service.hardened import Role, ServerSettings, UserStore
+from guarded_opcua import Role, ServerSettings, UserStore
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI
+from valvemap.app.signals import stop_on_signal
+from valvemap.cli.logs import set_up_logs
+from valvemap.kafka.serve import serve
+from valvemap.kafka.settings import load_fleet
 
 
 async def main(file, port, password):

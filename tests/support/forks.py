@@ -8,15 +8,15 @@ import time
 from pathlib import Path
 
 import numpy as np
-from support.plant import lively
 
-from service.app.build import build_identification
-from service.config.loading import load_config
-from service.config.models import GateConfig, ValveConfig
-from service.storage.checkpoints import LOG, CheckpointFile
-from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.kept_states import ALARMS
-from service.streaming.ports import Checkpoint
+from support.plant import lively
+from valvemap.app.build import build_identification
+from valvemap.config.loading import load_config
+from valvemap.config.models import GateConfig, ValveConfig
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.kept_states import ALARMS
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.storage.checkpoints import LOG, CheckpointFile
 
 GATE = {"U": {"max_rate_per_s": 400.0}, "T": {"frozen_s": 1e6}, "Q": {"spike": 60.0}}
 AT_ONCE = 5  # samples in a batch, and …

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+
 from support.node_peer import installed
 from support.node_red import PACKAGES, answers
 from support.processes import free_port, program

@@ -13,12 +13,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from asyncua import ua
-from support.peer import PeerError
-from support.plant import plant
-from support.proxy import Proxy
-from support.results import results_settings
 
-from service.hardened import (
+from guarded_opcua import (
     OwnCertificate,
     Pki,
     Role,
@@ -28,17 +24,21 @@ from service.hardened import (
     thumbprint,
     trust,
 )
-from service.identification.model_structures import FiveTerms
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.identification.samples import Segments
-from service.opcua.results_server import NAMESPACE, ResultsServer
-from service.storage.history import HistoryFile
-from service.streaming.alignment import Alignment, AlignmentSettings, ByValve
-from service.streaming.identification import Identification
-from service.streaming.nameplate import Nameplate
-from service.streaming.past import PastKeeper
-from service.streaming.pipeline import ValvePlan
-from service.streaming.quality_gate import QualityGate
+from support.peer import PeerError
+from support.plant import plant
+from support.proxy import Proxy
+from support.results import results_settings
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Segments
+from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.nameplate import Nameplate
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.runtime.past import PastKeeper
+from valvemap.storage.history import HistoryFile
 
 Codes = ua.StatusCodes
 VALVE = f"nsu={NAMESPACE};s=Valvistor"

@@ -4,17 +4,16 @@ import asyncio
 from contextlib import suppress
 
 from support.stream import NODES
-
-from service.clock import SystemClock
-from service.identification.recursive_least_squares import RecursiveLeastSquares
-from service.opcua.client import OpcUaSource, SourceSettings
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.identification import Identification
-from service.streaming.live import LiveService, LiveSettings
-from service.streaming.pipeline import ValvePlan
-from service.streaming.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
-from service.streaming.sources import Part, Sources, supervise_all
-from service.streaming.supervisor import SupervisorSettings
+from valvemap.clock import SystemClock
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.runtime.live import LiveService, LiveSettings
+from valvemap.runtime.sources import Part, Sources, supervise_all
+from valvemap.runtime.supervisor import SupervisorSettings
 
 GATE = QualityGate(limits={s: SignalLimits(*PLAUSIBLE[s], spike=60.0) for s in SENSORS})
 

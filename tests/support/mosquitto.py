@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
 from support.node_peer import installed
 from support.processes import free_port, is_open, program
 

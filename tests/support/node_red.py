@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+
 from support.node_peer import installed
 from support.processes import free_port, program
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from service.identification.samples import Samples
-from service.streaming.data_changes import DataChanges
+from valvemap.model.samples import Samples
+from valvemap.pipeline.data_changes import DataChanges
 
 START = 1_800_000_000_000_000_000
 

@@ -38,7 +38,7 @@ def service_url(port: int) -> str:
 def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = READY_S):
     """Run ``valvemap`` to its end; the answer has returncode, stdout and stderr."""
     return subprocess.run(
-        [sys.executable, "-m", "service", *arguments],
+        [sys.executable, "-m", "valvemap", *arguments],
         capture_output=True,
         text=True,
         encoding="utf-8",
@@ -51,7 +51,7 @@ def run(*arguments: str, env: dict[str, str] | None = None, timeout: float = REA
 @contextmanager
 def running(*arguments: str, python: Path | str = sys.executable, **more):
     """Run ``valvemap`` in the background, its output in ``log``; interrupted at the end."""
-    with program(python, "-u", "-m", "service", *arguments, **more) as process:
+    with program(python, "-u", "-m", "valvemap", *arguments, **more) as process:
         yield process
 
 

@@ -1,4 +1,4 @@
-"""What fakes of a server answer with; they fulfil `service.readings`."""
+"""What fakes of a server answer with; they fulfil `valvemap.readings`."""
 
 from dataclasses import dataclass
 

@@ -4,10 +4,10 @@ from dataclasses import fields
 
 import numpy as np
 
-from service.hardened import ServerSettings
-from service.identification.samples import Quality, Status
-from service.opcua.results_server import NAMESPACE
-from service.streaming.ports import (
+from guarded_opcua import ServerSettings
+from valvemap.model.samples import Quality, Status
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.pipeline.ports import (
     EstimatorResult,
     EstimatorResults,
     InverseResult,

@@ -7,12 +7,12 @@ import asyncio
 
 import numpy as np
 from asyncua import ua
+
 from support.interoperation import PERIOD_S, SAMPLES, VALVE, Codes, taken
 from support.plant import START
-
-from service.opcua.companions import DI
-from service.opcua.results_server import NAMESPACE
-from service.streaming.device_health import DeviceHealth
+from valvemap.opcua_results.companions import DI
+from valvemap.opcua_results.results_server import NAMESPACE
+from valvemap.pipeline.device_health import DeviceHealth
 
 HAS_TYPE, HAS_SUBTYPE, HAS_CONDITION = "i=40", "i=45", "i=9006"
 HAS_INTERFACE = "i=17603"

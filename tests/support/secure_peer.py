@@ -5,6 +5,7 @@ import secrets
 from asyncua import ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua import ua_binary
+
 from support.certificates import URI
 from support.raw_peer import RawPeer
 

@@ -3,10 +3,10 @@
 import asyncio
 from contextlib import asynccontextmanager
 
-from service.clock import SystemClock
-from service.dashboard.server import open_socket, serve, url_of
-from service.dashboard.settings import PageSettings
-from service.dashboard.web import Page
+from valvemap.clock import SystemClock
+from valvemap.page.server import open_socket, serve, url_of
+from valvemap.page.settings import PageSettings
+from valvemap.page.web import Page
 
 
 @asynccontextmanager

@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from support.readings import Node, Read
-
-from service.errors import SourceLost, SourceRejected
+from valvemap.errors import SourceLost, SourceRejected
 
 FRAME = (
     "Sequence",
@@ -27,7 +26,7 @@ SIGNALS = (40.0, 100.0, 60.0)
 
 @dataclass
 class ShownService:
-    """Fulfils `service.dashboard.ports.Client`."""
+    """Fulfils `valvemap.page.ports.Client`."""
 
     names: tuple[str, ...] = ("V1",)
     url: str = "opc.tcp://127.0.0.1:1/shown/"

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 
 import pytest
 from asyncua import ua
+
+from guarded_opcua import OwnCertificate, Pki, ensure_certificate, rejected, trust
 from support.peer import Peer
 from support.processes import free_port
 from support.proxy import Proxy
-
-from service.errors import SourceLost, SourceRejected
-from service.hardened import OwnCertificate, Pki, ensure_certificate, rejected, trust
-from service.opcua.client import OpcUaSource, Security, SourceSettings, ValveNodes
-from service.streaming.data_changes import DataChanges, Signal
+from valvemap.errors import SourceLost, SourceRejected
+from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
+from valvemap.pipeline.data_changes import DataChanges, Signal
 
 START_MS = 1_800_000_000_000
 STEP_MS = 10

@@ -5,15 +5,14 @@ import json
 from dataclasses import dataclass, field
 
 from support import readings
-
-from service.errors import SinkLost, SourceLost, SourceRejected
-from service.sparkplug.edge_node import Message
-from service.sparkplug.schema import Payload
+from valvemap.errors import SinkLost, SourceLost, SourceRejected
+from valvemap.sparkplug.edge_node import Message
+from valvemap.sparkplug.schema import Payload
 
 
 @dataclass
 class FakeSession:
-    """Fulfils `service.sparkplug.ports.Session`: notes what is published."""
+    """Fulfils `valvemap.sparkplug.ports.Session`: notes what is published."""
 
     broker: "FakeBroker"
     pending: list = field(default_factory=list)
@@ -45,7 +44,7 @@ class FakeSession:
 
 
 class FakeBroker:
-    """Fulfils `service.sparkplug.ports.Broker`; ``said`` is what surely arrived."""
+    """Fulfils `valvemap.sparkplug.ports.Broker`; ``said`` is what surely arrived."""
 
     url = "mqtt://fake:1"
 
@@ -95,7 +94,7 @@ class Read(readings.Read):
 
 
 class FakeService:
-    """Fulfils `service.sparkplug.ports.Service`: ``variables`` by id, each (type, Read)."""
+    """Fulfils `valvemap.sparkplug.ports.Service`: ``variables`` by id, each (type, Read)."""
 
     url = "opc.tcp://fake:1/service/"
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from asyncua import ua
-from support.proxy import Proxy
 
-from service.clock import SystemClock
-from service.hardened import HardenedServer, ServerSettings, add_object, add_variable
-from service.opcua.client import OpcUaSource, SourceSettings, ValveNodes
-from service.streaming.alignment import Alignment, AlignmentSettings
-from service.streaming.data_changes import SIGNALS_PER_VALVE, DataChanges
-from service.streaming.supervisor import SupervisorSettings, supervise
-from virtual_rig.history import Ring
+from guarded_opcua import HardenedServer, ServerSettings, add_object, add_variable
+from support.proxy import Proxy
+from valvemap.clock import SystemClock
+from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.runtime.supervisor import SupervisorSettings, supervise
+from valvemap_rig.history import Ring
 
 RATE_HZ = 100
 

@@ -10,15 +10,14 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from guarded_opcua import UserStore
 from support.processes import free_port, service_url
 from support.stream import SIGNALS
-
-from service.app.build import build_identification
-from service.config.loading import load_config
-from service.hardened import UserStore
-from service.storage.checkpoints import LOG, CheckpointFile
-from service.streaming.kept_states import ALARMS, MEMORY
-from service.streaming.live import POSITION
+from valvemap.app.build import build_identification
+from valvemap.config.loading import load_config
+from valvemap.pipeline.kept_states import ALARMS, MEMORY
+from valvemap.runtime.live import POSITION
+from valvemap.storage.checkpoints import LOG, CheckpointFile
 
 GATES = "{ U = { max_rate_per_s = 400.0 }, T = { frozen_s = 1e6 }, Q = { spike = 60.0 } }"
 ROOT = Path(__file__).parents[2]
@@ -54,7 +53,7 @@ class Whole:
         self.log = folder / "service.log"
         self.url = service_url(free_port())
         self.valves = valves
-        self.command = command or [sys.executable, "-u", "-m", "service", "serve", "--config"]
+        self.command = command or [sys.executable, "-u", "-m", "valvemap", "serve", "--config"]
         self._head = f"""
             [source]
             url = "opc.tcp://127.0.0.1:{self.plant.port}/plant/"

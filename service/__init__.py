@@ -1,1 +1,0 @@
-"""The identification service: OPC UA in, flow maps out."""

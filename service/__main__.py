@@ -1,5 +1,0 @@
-"""``python -m service`` is ``valvemap``."""
-
-from service.cli import main
-
-main()

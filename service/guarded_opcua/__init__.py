@@ -1,0 +1,112 @@
+"""An OPC UA server that holds up to experts and attackers, and knows nothing of valves."""
+
+from guarded_opcua.address_space.blocks import Block
+from guarded_opcua.address_space.declarations import (
+    Argument,
+    InvalidArgument,
+    Method,
+    OutOfRange,
+    Variable,
+)
+from guarded_opcua.address_space.insertion import many_nodes
+from guarded_opcua.address_space.nodes import (
+    add_method,
+    add_object,
+    add_property,
+    add_variable,
+)
+from guarded_opcua.address_space.types import Declarations, add_type
+from guarded_opcua.address_space.units import Unit
+from guarded_opcua.binary.encoding import instant
+from guarded_opcua.caller import caller
+from guarded_opcua.clock import Clock, ManualClock, SystemClock
+from guarded_opcua.conditions.condition import (
+    Condition,
+    ConditionClass,
+    ConditionKey,
+    ConditionKind,
+    event_fields,
+)
+from guarded_opcua.conditions.keeper import ConditionKeeper
+from guarded_opcua.errors import (
+    CertificateError,
+    CommandRejected,
+    ConfigurationError,
+    HardenedError,
+    ServerError,
+    StorageError,
+)
+from guarded_opcua.history.events import EventHistorian, PastEvent
+from guarded_opcua.history.historian import Historian, Records, Span
+from guarded_opcua.lifecycle import Startable
+from guarded_opcua.monitoring.event_filter import Event
+from guarded_opcua.security.certificates import (
+    OwnCertificate,
+    Pki,
+    ensure_certificate,
+    expiry_warning,
+    load_certificate,
+    rejected,
+    thumbprint,
+    trust,
+)
+from guarded_opcua.security.users import Account, Role, UserStore
+from guarded_opcua.server import HardenedServer, ServerCounters
+from guarded_opcua.settings import Limits, Product, ServerSettings
+
+__all__ = [
+    "Account",
+    "Argument",
+    "Block",
+    "CertificateError",
+    "Clock",
+    "CommandRejected",
+    "Condition",
+    "ConditionClass",
+    "ConditionKeeper",
+    "ConditionKey",
+    "ConditionKind",
+    "ConfigurationError",
+    "Declarations",
+    "Event",
+    "EventHistorian",
+    "HardenedError",
+    "HardenedServer",
+    "Historian",
+    "InvalidArgument",
+    "Limits",
+    "ManualClock",
+    "Method",
+    "OutOfRange",
+    "OwnCertificate",
+    "PastEvent",
+    "Pki",
+    "Product",
+    "Records",
+    "Role",
+    "ServerCounters",
+    "ServerError",
+    "ServerSettings",
+    "Span",
+    "Startable",
+    "StorageError",
+    "SystemClock",
+    "Unit",
+    "UserStore",
+    "Variable",
+    "add_method",
+    "add_object",
+    "add_property",
+    "add_type",
+    "add_variable",
+    "caller",
+    "ensure_certificate",
+    "event_fields",
+    "expiry_warning",
+    "instant",
+    "load_certificate",
+    "many_nodes",
+    "rejected",
+    "thumbprint",
+    "trust",
+]

@@ -1,0 +1,69 @@
+"""Variables, methods and arguments of a server's own namespace, as declared."""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from guarded_opcua.address_space.units import Unit
+from guarded_opcua.errors import CommandRejected
+from guarded_opcua.security.users import Role
+
+Range = tuple[float, float]
+Value = Any  # what a variable holds: bool, int, float, str, or a list or array of them
+OnWrite = Callable[[Any], Awaitable[None] | None]
+Function = Callable[..., Any]
+
+
+class OutOfRange(CommandRejected):
+    """A number lies outside of what is allowed; OPC UA says BadOutOfRange."""
+
+
+class InvalidArgument(CommandRejected):
+    """One argument of a call makes no sense; OPC UA says BadInvalidArgument and which one."""
+
+    def __init__(self, index: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.index = index
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A method's argument: name, type, what it means and what is allowed.
+
+    ``value_range`` is checked on every call (numbers only); a Double must be finite, or NaN where
+    ``or_nan``.
+    """
+
+    name: str
+    description: str = ""
+    type: ua.VariantType = ua.VariantType.Double
+    array: bool = False
+    unit: Unit | None = None
+    value_range: Range | None = None
+    or_nan: bool = False
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of our own: what :meth:`HardenedServer.write` and its peers need to know."""
+
+    id: ua.NodeId
+    type: ua.VariantType
+    array: bool = False
+    value_range: Range | None = None
+    writable_by: Role | None = None
+    on_write: OnWrite | None = None
+    or_nan: bool = False
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method of our own."""
+
+    id: ua.NodeId
+    function: Function
+    inputs: tuple[Argument, ...]
+    outputs: tuple[Argument, ...]
+    required: Role

@@ -1,0 +1,29 @@
+"""Nodes of other people's namespaces, from UANodeSets (Part 6, annex F), at their own ids."""
+
+from asyncua import Server, ua
+from asyncua.server.address_space import AddressSpace
+
+from guarded_opcua.address_space.insertion import reference
+
+_WRITING = 1 << ua.AccessLevel.CurrentWrite | 1 << ua.AccessLevel.HistoryWrite
+_LEVELS = ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel
+
+
+async def import_node_set(server: Server, aspace: AddressSpace, text: str) -> None:
+    """Add the nodes of a UANodeSet; nobody writes their variables, and their levels say so."""
+    for id_ in await server.import_xml(xmlstring=text.encode(), auto_load_definitions=False):
+        for level in _LEVELS:
+            held = aspace[id_].attributes.get(level)
+            if held is not None and held.value is not None:
+                readable = held.value.Value.Value & ~_WRITING
+                held.value = ua.DataValue(ua.Variant(readable, ua.VariantType.Byte))
+
+
+def refer(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
+    """Have a node refer to another, which does not refer back."""
+    aspace[source].references.append(reference(kind, aspace[target], forward=True))
+
+
+def refer_back(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
+    """Say of the target that the source refers to it."""
+    aspace[target].references.append(reference(kind, aspace[source], forward=False))

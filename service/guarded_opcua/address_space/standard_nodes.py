@@ -1,0 +1,132 @@
+"""The standard address space: parsed once, then read from a file of the user's own."""
+
+import asyncio
+import gc
+import os
+import pickle
+import stat
+import sys
+import tempfile
+import zlib
+from importlib.metadata import version
+from pathlib import Path
+
+from asyncua import ua
+from asyncua.server.address_space import AddressSpace, NodeManagementService
+from asyncua.server.standard_address_space import standard_address_space
+
+from guarded_opcua.address_space.packed_nodes import PackedNodes, pack
+from guarded_opcua.logs import bounded_logger
+from guarded_opcua.security.owner_only import write_owner_only
+
+_log = bounded_logger(__name__)
+_HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
+_HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
+_FORMAT = 3  # raise it when the preparation below changes
+
+
+async def load_standard_address_space(
+    aspace: AddressSpace, management: NodeManagementService, folder: Path | None
+) -> None:
+    """Fill an address space with the standard nodes, from the cache if it can be trusted.
+
+    The cache is a pickle, so a file that somebody else could have written is never opened:
+    file and folder must be the user's own and writable by nobody else.
+    """
+    file = (folder or user_cache_folder()) / _file_name()
+    gc_was_enabled = gc.isenabled()
+    gc.disable()  # half a million new objects and no garbage: three times faster
+    try:
+        packed = _read(file)
+        if packed is None:
+            await asyncio.to_thread(standard_address_space.fill_address_space, management)
+            _close_for_writing(aspace)
+            _drop_methods(aspace, ua.NodeId(ua.ObjectIds.Server_ServerCapabilities_RoleSet))
+            packed = pack(aspace._nodes)  # noqa: SLF001 - as AddressSpace.dump does
+            _write(file, packed)
+        aspace._nodes = PackedNodes(packed)  # noqa: SLF001 - as AddressSpace.load does
+    finally:
+        if gc_was_enabled:
+            gc.enable()
+        gc.freeze()  # a full collection over these nodes would stop every client for 0.2 s
+
+
+def user_cache_folder() -> Path:
+    """Return the folder where this platform keeps what can be made again."""
+    if sys.platform == "win32":
+        return (
+            Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "hardened-opcua" / "Cache"
+        )
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "hardened-opcua"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hardened-opcua"
+
+
+def _file_name() -> str:
+    python = f"{sys.implementation.cache_tag}"
+    return f"address-space-{version('asyncua')}-{python}-{_FORMAT}.pickle"
+
+
+def _read(file: Path) -> dict[ua.NodeId, bytes] | None:
+    if not _ours(file.parent, directory=True) or not _ours(file, directory=False):
+        return None
+    try:
+        content = file.read_bytes()
+        if zlib.crc32(content[4:]) != int.from_bytes(content[:4]):
+            raise ValueError("its checksum is wrong")  # noqa: TRY301 - as any other damage
+        packed = pickle.loads(content[4:])  # noqa: S301 - only a file of our own, see above
+    except Exception as error:  # noqa: BLE001 - a damaged pickle raises anything
+        _log.warning("%s: damaged, made anew: %s", file, error)
+        return None
+    return packed if isinstance(packed, dict) else None
+
+
+def _write(file: Path, packed: dict[ua.NodeId, bytes]) -> None:
+    try:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _ours(file.parent, directory=True):
+            _log.warning("%s: not the user's own folder, nothing is kept there", file.parent)
+            return
+        content = pickle.dumps(packed, pickle.HIGHEST_PROTOCOL)
+        write_owner_only(file, zlib.crc32(content).to_bytes(4) + content)
+    except OSError as error:
+        _log.warning("%s: cannot be written: %s", file, error.strerror)
+
+
+def _ours(path: Path, *, directory: bool) -> bool:
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    right_kind = stat.S_ISDIR(status.st_mode) if directory else stat.S_ISREG(status.st_mode)
+    if sys.platform == "win32":
+        return right_kind  # %LOCALAPPDATA% is the user's own by its access control list
+    forbidden = stat.S_IWGRP | stat.S_IWOTH
+    return right_kind and status.st_uid == os.geteuid() and not status.st_mode & forbidden
+
+
+def _close_for_writing(aspace: AddressSpace) -> None:
+    """Standard variables are written by the server alone; their access levels say so."""
+    writing = 1 << ua.AccessLevel.CurrentWrite | 1 << ua.AccessLevel.HistoryWrite
+    for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
+        for nodeid in list(aspace.keys()):
+            held = aspace[nodeid].attributes.get(attribute)
+            if held is None or held.value is None or held.value.Value is None:
+                continue
+            level = held.value.Value.Value
+            if isinstance(level, int) and level & writing:
+                held.value = ua.DataValue(ua.Variant(level & ~writing, ua.VariantType.Byte))
+
+
+def _drop_methods(aspace: AddressSpace, owner: ua.NodeId) -> None:
+    """Take away the methods of an object and of all below it: nobody would carry them out."""
+    node = aspace.get(owner)
+    for part in [ref for ref in node.references if ref.IsForward] if node is not None else ():
+        if part.NodeClass == ua.NodeClass.Method:
+            node.references.remove(part)
+            for argument in aspace[part.NodeId].references:
+                if argument.IsForward and argument.ReferenceTypeId == _HAS_PROPERTY:
+                    del aspace[argument.NodeId]
+            del aspace[part.NodeId]
+        elif part.ReferenceTypeId == _HAS_COMPONENT:
+            _drop_methods(aspace, part.NodeId)

@@ -1,0 +1,117 @@
+"""Types of objects: declared by the same code that adds their instances (Part 3, 6.2)."""
+
+from collections.abc import Callable, Collection, Coroutine, Iterable
+from typing import Any, Protocol
+
+from asyncua import ua
+from asyncua.server.address_space import AddressSpace
+
+from guarded_opcua.address_space.declarations import Method, Value, Variable
+from guarded_opcua.address_space.insertion import insert, reference
+from guarded_opcua.address_space.nodes import NodeOwner
+
+_Ids = ua.ObjectIds
+_HAS_RULE = ua.NodeId(_Ids.HasModellingRule)
+_PARTS = (ua.NodeId(_Ids.HasComponent), ua.NodeId(_Ids.HasProperty))
+_MANDATORY, _OPTIONAL = _Ids.ModellingRule_Mandatory, _Ids.ModellingRule_Optional
+_PLACEHOLDER = _Ids.ModellingRule_OptionalPlaceholder
+
+
+class TypeOwner(NodeOwner, Protocol):
+    """The server that types are added to."""
+
+    def add_later(self, folder: ua.NodeId, add: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Add what is below a node when somebody first looks there."""
+
+
+class Declarations:
+    """A place for nodes that stand for those of instances: without values, and nobody calls them.
+
+    What adds nodes to a server adds them here as well.
+    """
+
+    def __init__(self, server: NodeOwner) -> None:
+        self.namespace_index = server.namespace_index
+        self.address_space = server.address_space
+        self.utc = server.utc
+
+    def register_variable(self, variable: Variable, value: Value) -> None:  # noqa: ARG002
+        """Leave a variable without a value, and an array of any length."""
+        attributes = self.address_space[variable.id].attributes
+        held = attributes.get(ua.AttributeIds.ArrayDimensions)
+        if variable.array and held is not None and held.value is not None:
+            any_length = [0] * len(held.value.Value.Value)
+            dimensions = ua.Variant(any_length, ua.VariantType.UInt32, is_array=True)
+            held.value = ua.DataValue(dimensions)
+
+    def register_method(self, method: Method) -> None:
+        """Leave a method without a function."""
+
+    def write(self, updates: Iterable[Any]) -> None:
+        """Leave all without values."""
+
+    def add_history(self, variables: Collection[Variable], historian: Any) -> None:  # noqa: ANN401
+        """Leave all without a past."""
+
+
+Declare = Callable[[Declarations, ua.NodeId], Coroutine[Any, Any, None]]
+
+
+def add_type(
+    server: TypeOwner,
+    id: str,  # noqa: A002 - OPC UA's word
+    name: str,
+    declare: Declare,
+    *,
+    description: str = "",
+    optional: Collection[str] = (),
+) -> ua.NodeId:
+    """Add a type of objects, derived from BaseObjectType.
+
+    Parameters
+    ----------
+    id
+        String identifier; those of its instance declarations begin with it and a dot.
+    name
+        Its BrowseName.
+    declare
+        Adds what its instances have, when somebody first looks; it must not wait.
+    description
+        A sentence for who browses.
+    optional
+        Names of what not all instances have; those in angle brackets are placeholders.
+    """
+    item = ua.AddNodesItem()
+    item.ParentNodeId = ua.NodeId(_Ids.BaseObjectType)
+    item.RequestedNewNodeId = ua.NodeId(id, server.namespace_index)
+    item.BrowseName = ua.QualifiedName(name, server.namespace_index)
+    item.NodeClass = ua.NodeClass.ObjectType
+    item.ReferenceTypeId = ua.NodeId(_Ids.HasSubtype)
+    item.NodeAttributes = ua.ObjectTypeAttributes(
+        DisplayName=ua.LocalizedText(name),
+        Description=ua.LocalizedText(description),
+        IsAbstract=False,
+    )
+    own = insert(server.address_space, item, server.utc())
+
+    async def add() -> None:
+        await declare(Declarations(server), own)
+        _state_rules(server.address_space, own, optional)
+
+    server.add_later(own, add)
+    return own
+
+
+def _state_rules(aspace: AddressSpace, parent: ua.NodeId, optional: Collection[str]) -> None:
+    for part in list(aspace[parent].references):
+        is_own = str(part.NodeId.Identifier).startswith(f"{parent.Identifier}.")
+        if not (part.IsForward and part.ReferenceTypeId in _PARTS and is_own):
+            continue
+        name = part.BrowseName.Name
+        rule = _OPTIONAL if name in optional else _MANDATORY
+        if name.startswith("<"):
+            rule = _PLACEHOLDER
+        stated = reference(_HAS_RULE, aspace[ua.NodeId(rule)], forward=True)
+        node = aspace[part.NodeId]
+        node.references.append(stated)
+        _state_rules(aspace, node.nodeid, optional)

@@ -1,0 +1,218 @@
+"""One condition as it stands, and the event that says so (Part 9, 5.5 to 5.8). Pure.
+
+There are no branches: an alarm that comes again before anybody has acknowledged it is the same
+condition still. It is retained while it is active, unacknowledged or unconfirmed (annex B.1).
+"""
+
+import hashlib
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from asyncua import ua
+
+from guarded_opcua.binary.encoding import instant
+from guarded_opcua.monitoring.event_filter import Event
+
+_Ids = ua.ObjectIds
+_Types = ua.VariantType
+_EVENT_ID = struct.Struct("<qqB")  # which coming, time of the change, how it stands then
+_DIGEST_BYTES = 15
+_LOCALE = "en"
+
+
+class ConditionClass(Enum):
+    """Whose business a condition is (Part 9, 5.9)."""
+
+    PROCESS = _Ids.ProcessConditionClassType
+    MAINTENANCE = _Ids.MaintenanceConditionClassType
+    SYSTEM = _Ids.SystemConditionClassType
+
+
+class ConditionKind(Enum):
+    """What makes it active: its type."""
+
+    OFF_NORMAL = _Ids.OffNormalAlarmType
+    ABOVE_LIMIT = _Ids.ExclusiveLimitAlarmType
+    BELOW_LIMIT = -_Ids.ExclusiveLimitAlarmType
+
+
+@dataclass(frozen=True)
+class ConditionKey:
+    """What a condition is, whether it is there or not.
+
+    Attributes
+    ----------
+    id
+        ConditionId, the identifier of its node.
+    name
+        ConditionName.
+    source, source_name
+        What it is a condition of.
+    emitters
+        The objects whose subscribers hear of it.
+    """
+
+    id: ua.NodeId
+    name: str
+    kind: ConditionKind
+    category: ConditionClass
+    source: ua.NodeId
+    source_name: str
+    emitters: tuple[ua.NodeId, ...]
+
+    @property
+    def type_definition(self) -> ua.NodeId:
+        """Its type."""
+        return ua.NodeId(abs(self.kind.value))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition as it stands.
+
+    Attributes
+    ----------
+    severity
+        1 … 1,000.
+    message
+        What there is to say of it.
+    coming
+        How often it came.
+    changed
+        When it last came, went, was acknowledged or confirmed, UTC ns.
+    limit
+        What it is judged by, of limit alarms.
+    comment, commented_by, commented
+        What was said of it last, by whom, and when (UTC ns; 0: never).
+    """
+
+    key: ConditionKey
+    active: bool
+    acked: bool
+    confirmed: bool
+    severity: int
+    message: str
+    coming: int
+    changed: int
+    limit: float = 0.0
+    comment: str = ""
+    commented_by: str = ""
+    commented: int = 0
+
+    @property
+    def retain(self) -> bool:
+        """Whether it is shown to those who ask for a refresh."""
+        return self.active or not self.acked or not self.confirmed
+
+    @property
+    def event_id(self) -> bytes:
+        """Name of the change that led to how it stands: the same for ever, after a restart, too."""
+        remarked = self.commented > self.changed
+        moment = self.commented if remarked else self.changed
+        flags = self.active, self.acked, self.confirmed, remarked
+        stands = sum(flag << bit for bit, flag in enumerate(flags))
+        return _signed(self.key.id, _EVENT_ID.pack(self.coming, moment, stands))
+
+    def event(self) -> Event:
+        """The event of its newest change."""
+        kind = self.key.type_definition
+        return Event(self.key.emitters, kind, self.fields(), condition=self.key.id)
+
+    def is_told_by(self, event_id: object) -> bool:
+        """Whether an event of its present coming has that name: older ones are closed."""
+        if not isinstance(event_id, bytes) or len(event_id) != _EVENT_ID.size + _DIGEST_BYTES:
+            return False
+        content = event_id[: _EVENT_ID.size]
+        return event_id == _signed(self.key.id, content) and (
+            _EVENT_ID.unpack(content)[0] == self.coming
+        )
+
+    def fields(self) -> Mapping[str, ua.Variant]:
+        """All that an event says of it, by browse path; times are those of the newest change."""
+        key, now = self.key, instant(max(self.changed, self.commented))
+        commented, changed = instant(self.commented), instant(self.changed)
+        category = ua.NodeId(key.category.value)
+        return {
+            "EventId": ua.Variant(self.event_id, _Types.ByteString),
+            "EventType": ua.Variant(key.type_definition, _Types.NodeId),
+            "SourceNode": ua.Variant(key.source, _Types.NodeId),
+            "SourceName": ua.Variant(key.source_name, _Types.String),
+            "Time": ua.Variant(now, _Types.DateTime),
+            "ReceiveTime": ua.Variant(now, _Types.DateTime),
+            "Message": _text(self.message),
+            "Severity": ua.Variant(self.severity, _Types.UInt16),
+            "ConditionClassId": ua.Variant(category, _Types.NodeId),
+            "ConditionClassName": _text(f"{key.category.name.capitalize()}ConditionClassType"),
+            "ConditionName": ua.Variant(key.name, _Types.String),
+            "BranchId": ua.Variant(ua.NodeId(), _Types.NodeId),
+            "Retain": _flag(self.retain),
+            "EnabledState": _text("Enabled"),
+            "EnabledState/Id": _flag(True),  # noqa: FBT003 - a value
+            "Quality": ua.Variant(ua.StatusCode(), _Types.StatusCode),
+            "Quality/SourceTimestamp": ua.Variant(changed, _Types.DateTime),
+            "LastSeverity": ua.Variant(self.severity, _Types.UInt16),
+            "LastSeverity/SourceTimestamp": ua.Variant(changed, _Types.DateTime),
+            "Comment": _text(self.comment),
+            "Comment/SourceTimestamp": ua.Variant(commented, _Types.DateTime),
+            "ClientUserId": ua.Variant(self.commented_by, _Types.String),
+            "AckedState": _text("Acknowledged" if self.acked else "Unacknowledged"),
+            "AckedState/Id": _flag(self.acked),
+            "ConfirmedState": _text("Confirmed" if self.confirmed else "Unconfirmed"),
+            "ConfirmedState/Id": _flag(self.confirmed),
+            "ActiveState": _text("Active" if self.active else "Inactive"),
+            "ActiveState/Id": _flag(self.active),
+            "InputNode": ua.Variant(ua.NodeId(), _Types.NodeId),
+            "SuppressedOrShelved": _flag(False),  # noqa: FBT003 - a value
+            **self._of_kind(),
+        }
+
+    def _of_kind(self) -> Mapping[str, ua.Variant]:
+        if self.key.kind is ConditionKind.OFF_NORMAL:
+            return {"NormalState": ua.Variant(ua.NodeId(), _Types.NodeId)}
+        above = self.key.kind is ConditionKind.ABOVE_LIMIT
+        name = "High" if above else "Low"
+        state = getattr(_Ids, f"ExclusiveLimitStateMachineType_{name}")
+        return {
+            f"{name}Limit": ua.Variant(self.limit, _Types.Double),
+            "LimitState/CurrentState": _text(name if self.active else ""),
+            "LimitState/CurrentState/Id": ua.Variant(
+                ua.NodeId(state) if self.active else ua.NodeId(), _Types.NodeId
+            ),
+        }
+
+
+def event_fields() -> tuple[str, ...]:
+    """All fields that events of conditions have, of whatever kind, by browse path.
+
+    >>> [path for path in event_fields() if path.endswith("Limit")]
+    ['HighLimit', 'LowLimit']
+    """
+    nobody, found = ua.NodeId(), dict[str, ua.Variant]()
+    for kind in ConditionKind:
+        key = ConditionKey(nobody, "", kind, ConditionClass.PROCESS, nobody, "", ())
+        found |= Condition(
+            key,
+            active=False,
+            acked=True,
+            confirmed=True,
+            severity=1,
+            message="",
+            coming=0,
+            changed=0,
+        ).fields()
+    return tuple(found)
+
+
+def _signed(condition: ua.NodeId, content: bytes) -> bytes:
+    digest = hashlib.blake2b(content, key=condition.to_string().encode()[:64])
+    return content + digest.digest()[:_DIGEST_BYTES]
+
+
+def _flag(value: bool) -> ua.Variant:  # noqa: FBT001 - a value
+    return ua.Variant(value, _Types.Boolean)
+
+
+def _text(value: str) -> ua.Variant:
+    return ua.Variant(ua.LocalizedText(value, _LOCALE), _Types.LocalizedText)

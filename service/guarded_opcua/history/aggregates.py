@@ -1,0 +1,202 @@
+"""Aggregates of a variable's past, interval by interval (OPC UA Part 13).
+
+Raw values are taken in a piece at a time, so that a day of them needs the memory of its intervals.
+Time runs with the request: backwards, all times are negated, and the later end begins an interval.
+"""
+
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+from asyncua import ua
+from numpy.typing import NDArray
+
+from guarded_opcua.history.historian import Records
+from guarded_opcua.history.intervals import Intervals, Rules
+from guarded_opcua.history.line import BAD, INTERPOLATED, NO_DATA, SUB_NORMAL, UNCERTAIN, Line
+
+_Floats = NDArray[np.float64]
+_Times = NDArray[np.int64]
+_Codes32 = NDArray[np.uint32]
+
+INFO_TYPE: Final = 0x400  # Part 4, 7.39: the bits below speak of a data value
+CALCULATED, PARTIAL, MULTI_VALUE = 0x1, 0x4, 0x10
+_ANY_BIT: Final = CALCULATED | INTERPOLATED | PARTIAL | MULTI_VALUE
+
+
+class Aggregate(IntEnum):
+    """The functions there are, by their NodeIds in namespace 0."""
+
+    INTERPOLATIVE = ua.ObjectIds.AggregateFunction_Interpolative
+    AVERAGE = ua.ObjectIds.AggregateFunction_Average
+    TIME_AVERAGE = ua.ObjectIds.AggregateFunction_TimeAverage
+    MINIMUM = ua.ObjectIds.AggregateFunction_Minimum
+    MAXIMUM = ua.ObjectIds.AggregateFunction_Maximum
+    COUNT = ua.ObjectIds.AggregateFunction_Count
+
+
+class Aggregation:
+    """One aggregate of one variable, over some intervals.
+
+    ``stepped``: between two values the variable holds the first.
+
+    Examples
+    --------
+    >>> intervals, _ = Intervals.of(0, 4, 2, most=9)
+    >>> average = Aggregation(Aggregate.AVERAGE, intervals, Rules(), stepped=False)
+    >>> t, good = np.arange(5), np.zeros(5, np.uint32)
+    >>> average.take(Records(np.array([1.0, 3.0, 4.0, 8.0, 0.0]), good, t, t))
+    >>> average.records().values
+    array([2., 6.])
+    """
+
+    def __init__(
+        self, aggregate: Aggregate, intervals: Intervals, rules: Rules, *, stepped: bool
+    ) -> None:
+        self._aggregate = aggregate
+        self._intervals = intervals
+        self._rules = rules
+        self._line = Line(intervals, rules, stepped=stepped)
+        n = len(intervals)
+        self._good, self._bad, self._uncertain = np.zeros((3, n), np.int64)
+        self._sum = np.zeros(n)
+        sign = -1.0 if aggregate is Aggregate.MINIMUM else 1.0
+        self._extreme = _Extreme(n, sign)
+        self._first: int | None = None  # time of the first and the last value, as time runs
+        self._last: int | None = None
+
+    def take(self, records: Records) -> None:
+        """Take the next values in, in the order of the request.
+
+        Those before the first interval and behind the last are bounds.
+        """
+        if not len(records):
+            return
+        t = self._intervals.sign * records.source
+        if self._first is None:
+            self._first = int(t[0])
+        self._last = int(t[-1])
+        values = records.values.astype(np.float64)
+        if self._aggregate in (Aggregate.INTERPOLATIVE, Aggregate.TIME_AVERAGE):
+            self._line.take(t, values, records.codes)
+        bad = records.codes >= BAD
+        doubtful = ~bad & (records.codes >= UNCERTAIN)
+        good = ~bad & ~doubtful
+        edges = self._intervals.edges
+        self._bad += np.diff(np.searchsorted(t[bad], edges))
+        self._uncertain += np.diff(np.searchsorted(t[doubtful], edges))
+        t, values = t[good], values[good]
+        cuts = np.searchsorted(t, edges)
+        self._good += np.diff(cuts)
+        touched = np.flatnonzero(np.diff(cuts))
+        if not len(touched):
+            return
+        begins = t[cuts[touched]] == edges[touched]
+        starts, values = cuts[touched] - cuts[0], values[cuts[0] : cuts[-1]]
+        if self._aggregate is Aggregate.AVERAGE:
+            self._sum[touched] += np.add.reduceat(values, starts)
+        elif self._aggregate in (Aggregate.MINIMUM, Aggregate.MAXIMUM):
+            self._extreme.take(touched, values, starts, begins)
+
+    def records(self) -> Records:
+        """The aggregate of each interval, stamped with its beginning."""
+        values, codes = {
+            Aggregate.INTERPOLATIVE: self._interpolative,
+            Aggregate.AVERAGE: self._average,
+            Aggregate.TIME_AVERAGE: self._time_average,
+            Aggregate.MINIMUM: self._extremes,
+            Aggregate.MAXIMUM: self._extremes,
+            Aggregate.COUNT: self._count,
+        }[self._aggregate]()
+        bits = (codes & _ANY_BIT) > 0
+        codes = np.where(bits, codes | INFO_TYPE, codes).astype(np.uint32)
+        t = self._intervals.sign * self._intervals.edges[:-1]
+        return Records(values, codes, t, t)
+
+    def _interpolative(self) -> tuple[_Floats, _Codes32]:
+        values, codes, _ = self._line.bounds()
+        return values[:-1], codes[:-1]
+
+    def _average(self) -> tuple[_Floats, _Codes32]:
+        values = self._sum / np.maximum(self._good, 1)
+        return values, self._by_values(none=NO_DATA)
+
+    def _count(self) -> tuple[_Floats, _Codes32]:
+        return self._good.astype(np.float64), self._by_values(none=None)
+
+    def _time_average(self) -> tuple[_Floats, _Codes32]:
+        _, codes, area = self._line.bounds()
+        known = self._line.known()
+        values = np.divide(np.diff(area), known, out=np.zeros(len(known)), where=known > 0)
+        doubtful = (self._bad + self._uncertain > 0) | self._line.skipped()
+        found = np.where(doubtful, SUB_NORMAL, 0) | CALCULATED | self._partial()
+        codes = np.where(known > 0, found, NO_DATA).astype(np.uint32)
+        return values, codes
+
+    def _extremes(self) -> tuple[_Floats, _Codes32]:
+        extreme = self._extreme
+        doubtful = self._bad + self._uncertain > 0
+        raw = extreme.at_start & ~doubtful
+        bits = np.where(raw, 0, CALCULATED) | np.where(extreme.count > 1, MULTI_VALUE, 0)
+        found = np.where(doubtful, SUB_NORMAL, 0) | bits | self._partial()
+        return extreme.values(), np.where(self._good > 0, found, NO_DATA).astype(np.uint32)
+
+    def _by_values(self, none: int | None) -> _Codes32:
+        """Status by the shares of values that are Bad and Good (Part 13, 5.3.3.2.1)."""
+        total = self._good + self._bad + self._uncertain
+        bad = self._bad + (self._uncertain if self._rules.treat_uncertain_as_bad else 0)
+        share = 100.0 / np.maximum(total, 1)
+        codes = np.where(share * self._good >= self._rules.percent_good, 0, SUB_NORMAL)
+        codes = np.where(total == 0, 0, codes) | CALCULATED | self._partial()
+        codes = np.where((total > 0) & (share * bad >= self._rules.percent_bad), BAD, codes)
+        if none is not None:
+            codes = np.where(self._good == 0, none, codes)
+        return np.where(self._outside(), NO_DATA, codes).astype(np.uint32)
+
+    def _outside(self) -> NDArray[np.bool_]:
+        """Intervals before the first value, and behind the last."""
+        edges = self._intervals.edges
+        if self._first is None or self._last is None:
+            return np.ones(len(self._intervals), np.bool_)
+        return (edges[1:] <= self._first) | (edges[:-1] > self._last)
+
+    def _partial(self) -> NDArray[np.int64]:
+        """The bit for intervals that values do not cover, or that are cut short."""
+        edges = self._intervals.edges
+        first = edges[0] if self._first is None else self._first
+        last = edges[-1] if self._last is None else self._last
+        partial = (edges[:-1] < first) | (edges[1:] > last + 1)
+        partial[-1] |= self._intervals.truncated
+        return np.where(partial, PARTIAL, 0)
+
+
+class _Extreme:
+    """Largest value of each interval; smallest with ``sign`` -1."""
+
+    def __init__(self, n: int, sign: float) -> None:
+        self._sign = sign
+        self._best = np.full(n, -np.inf)
+        self.count = np.zeros(n, np.int64)
+        self.at_start = np.zeros(n, np.bool_)
+
+    def take(
+        self, touched: _Times, values: _Floats, starts: _Times, begins: NDArray[np.bool_]
+    ) -> None:
+        """Take values in: those of interval ``touched[k]`` begin at ``starts[k]``.
+
+        ``begins[k]``: the first of them is at the interval's own beginning.
+        """
+        values = self._sign * values
+        best = np.maximum.reduceat(values, starts)
+        own = np.repeat(best, np.diff(np.append(starts, len(values))))
+        count = np.add.reduceat((values == own).astype(np.int64), starts)
+        at_start = begins & (values[starts] == best)
+        larger, as_large = best > self._best[touched], best == self._best[touched]
+        anew, too = touched[larger], touched[as_large]
+        self._best[anew], self.count[anew] = best[larger], count[larger]
+        self.at_start[anew] = at_start[larger]
+        self.count[too] += count[as_large]
+        self.at_start[too] |= at_start[as_large]
+
+    def values(self) -> _Floats:
+        return np.where(np.isfinite(self._best), self._sign * self._best, 0.0)

@@ -1,0 +1,418 @@
+"""The monitored items of one subscription on one block, served as arrays (Part 4, 5.13).
+
+The rules are those of ``data_item``; the tests hold the two against each other byte by byte.
+What needs more than arrays can do (a sampling interval of its own, a queue that discards the
+newest, links to other items, mode Sampling) is served there, item by item: see :func:`serves`.
+"""
+
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+from numpy.typing import NDArray
+
+from guarded_opcua.address_space.blocks import Batch, Block, Bools
+from guarded_opcua.binary.records import Form, encode_records
+from guarded_opcua.monitoring.block_queue import BlockQueue, Counts, Notifications, Slots
+from guarded_opcua.monitoring.parameters import Monitoring, Queued, Reporter
+
+_FEWEST = 50  # variables: in a smaller block they are faster one by one
+_Mode = ua.MonitoringMode
+_Trigger = ua.DataChangeTrigger
+_Pair = tuple[NDArray[Any], NDArray[Any]]
+_Order = tuple[Slots, Slots]  # slots in use in the order of their columns, and the columns
+
+
+def serves(block: Block, monitoring: Monitoring) -> bool:
+    """Whether arrays can serve an item with these parameters."""
+    exact = monitoring.rule.deadband == 0.0 or block.dtype == np.float64
+    simple = monitoring.interval_s == 0.0 and monitoring.discard_oldest
+    return simple and exact and len(block) >= _FEWEST
+
+
+class BlockItem:
+    """One of the items; monitors the value of one variable."""
+
+    __slots__ = ("links", "monitoring", "number", "of", "slot", "wanted")
+
+    def __init__(
+        self,
+        of: "BlockItems",
+        slot: int,
+        number: int,
+        wanted: ua.ReadValueId,
+        monitoring: Monitoring,
+    ) -> None:
+        self.of = of
+        self.slot = slot
+        self.number = number
+        self.wanted = wanted
+        self.monitoring = monitoring
+        self.links: set[int] = set()  # stays empty: who triggers others is served one by one
+
+    def __len__(self) -> int:
+        return self.of.queue.length(self.slot)
+
+    def __bool__(self) -> bool:
+        return True
+
+    @property
+    def client_handle(self) -> int:
+        """The client's own number of the item."""
+        return self.monitoring.client_handle
+
+    @property
+    def mode(self) -> ua.MonitoringMode:
+        """The monitoring mode."""
+        return _Mode(int(self.of.modes[self.slot]))
+
+    def start(self, _: ua.DataValue | None = None) -> None:
+        """Sample for the first time, or again after the item was disabled."""
+        self.of.start(self.slot)
+
+    def repeat(self, _: ua.DataValue | None = None) -> None:
+        """Report the value even if it was reported before (for a new owner)."""
+        if self.mode != _Mode.Disabled and not len(self):
+            self.start()
+
+    def set_mode(self, mode: ua.MonitoringMode) -> bool:
+        """Change the mode; return whether a first sample is due."""
+        return self.of.set_mode(self.slot, mode)
+
+    def modify(self, monitoring: Monitoring) -> None:
+        """Take new parameters; a shorter queue loses its surplus."""
+        self.monitoring = monitoring
+        self.of.modify(self.slot, monitoring)
+
+    def clear(self) -> None:
+        """Forget what is queued."""
+        self.of.clear(self.slot)
+
+
+class BlockItems:
+    """All of them; each has a slot in arrays of shape (slots,).
+
+    Attributes
+    ----------
+    queue
+        What they have to report.
+    modes
+        Monitoring modes, Reporting or Disabled; a free slot is disabled.
+    number
+        Numbers of the items.
+    """
+
+    def __init__(self, subscription: Reporter, block: Block) -> None:
+        self.block = block
+        self.queue = BlockQueue()
+        self.modes = np.zeros(0, np.int8)
+        self.number = np.zeros(0, np.int64)
+        self._subscription = subscription
+        self._free: list[int] = []
+        self._order: _Order | None = None
+        self._column = np.zeros(0, np.intp)
+        self._handle = np.zeros(0, np.uint32)
+        self._size = np.zeros(0, np.int64)
+        self._trigger = np.zeros(0, np.int8)
+        self._deadband = np.zeros(0)
+        self._stamps = np.zeros(0, np.int8)
+        # what was reported last
+        self._reported = np.zeros(0, np.bool_)
+        self._values = np.zeros((0, block.width), block.dtype)
+        self._codes = np.zeros(0, np.uint32)
+        self._has = np.zeros(0, np.bool_)
+        self._source = np.zeros(0, np.int64)
+
+    def add(
+        self, number: int, wanted: ua.ReadValueId, column: int, monitoring: Monitoring
+    ) -> BlockItem:
+        """Add an item; it is disabled yet."""
+        if not self._free:
+            self._grow()
+        slot = self._free.pop()
+        self.number[slot] = number
+        self._column[slot] = column
+        self.modes[slot] = _Mode.Disabled
+        self._set(slot, monitoring)
+        return BlockItem(self, slot, number, wanted, monitoring)
+
+    def remove(self, item: BlockItem) -> None:
+        """Forget an item."""
+        self.clear(item.slot)
+        self.modes[item.slot] = _Mode.Disabled
+        self.number[item.slot] = 0
+        self._free.append(item.slot)
+        self._order = None
+
+    def start(self, slot: int) -> None:
+        """Sample for the first time."""
+        self._reported[slot] = False
+        column = int(self._column[slot])
+        moment = self._subscription.holding.next_moment() - column
+        self._see(self.block.newest(column), np.array([slot]), np.array([column]), moment)
+
+    def set_mode(self, slot: int, mode: ua.MonitoringMode) -> bool:
+        """Change the mode of an item; return whether a first sample is due."""
+        was_disabled = bool(self.modes[slot] == _Mode.Disabled)
+        self.modes[slot] = mode
+        self._order = None
+        if mode == _Mode.Disabled:
+            self.clear(slot)
+            return False
+        return was_disabled
+
+    def modify(self, slot: int, monitoring: Monitoring) -> None:
+        """Give an item new parameters."""
+        self._set(slot, monitoring)
+        surplus = self.queue.length(slot) - monitoring.queue_size
+        if surplus > 0:
+            self.queue.drop(slot, surplus)
+            self._subscription.holding.add(-surplus)
+            self._subscription.holding.lose(surplus)
+
+    def clear(self, slot: int) -> None:
+        """Empty an item's queue."""
+        self._subscription.holding.add(-self.queue.length(slot))
+        self.queue.clear(slot)
+
+    def take_in(self, batch: Batch, moment: int) -> None:
+        """Take samples in, the first of which belongs to the moment."""
+        if self._order is None:
+            self._order = self._by_column()
+        slots, columns = self._order
+        if not len(slots):
+            return
+        if batch.columns is not None:
+            which, of_batch = _common(columns, batch.columns)
+            slots, columns, batch = slots[which], columns[which], batch.of(of_batch)
+        elif len(columns) != len(self.block) or (columns != np.arange(len(columns))).any():
+            batch = batch.of(columns)
+        if len(slots):
+            self._see(batch, slots, columns, moment)
+
+    def _by_column(self) -> _Order:
+        used = np.flatnonzero(self.modes != _Mode.Disabled)
+        order = used[np.lexsort((self.number[used], self._column[used]))]
+        return order, self._column[order]
+
+    def take(self, front: Notifications) -> tuple[bytes, Counts]:
+        """Take (the beginning of) the queue's front, encoded: all bytes, and where each ends."""
+        taken = self.queue.take(front)
+        self._subscription.holding.add(-len(taken))
+        handles, stamps = self._handle[taken.slot], self._stamps[taken.slot]
+        block = self.block
+        return encode_records(
+            Form(block.type, block.dtype.str, block.length, handle=True),
+            stamps,
+            {
+                "handle": handles,
+                "value": taken.values,
+                "status": taken.codes,
+                "has": taken.has,
+                "source": taken.source,
+                "server": taken.server,
+            },
+        )
+
+    def release(self, item: BlockItem) -> tuple[list[Queued], ua.DataValue | None]:
+        """Give an item away: what it had queued, with the moments, and what it reported last."""
+        slot, block = item.slot, self.block
+        last = None
+        if self._reported[slot]:
+            last = block.data_value(
+                self._values[slot],
+                int(self._codes[slot]),
+                bool(self._has[slot]),
+                int(self._source[slot]),
+                0,
+            )
+        taken = self.queue.take_all_of(slot)
+        queued = [] if taken is None else [self._queued(taken, i) for i in range(len(taken))]
+        self.remove(item)
+        return queued, last
+
+    def _queued(self, taken: Notifications, i: int) -> Queued:
+        return int(taken.moment[i]), self.block.data_value(
+            taken.values[i],
+            int(taken.codes[i]),
+            bool(taken.has[i]),
+            int(taken.source[i]),
+            int(taken.server[i]),
+        )
+
+    def _see(self, batch: Batch, slots: Slots, columns: Slots, moment: int) -> None:
+        """Queue what has changed in samples of just these columns."""
+        changed = self._changes(batch, slots)
+        if not changed.any():
+            return
+        rows = np.arange(len(batch))[:, None]
+        self._push(batch, slots, changed, moment + rows * len(self.block) + columns)
+        self._subscription.hurry()
+
+    def _changes(self, batch: Batch, slots: Slots) -> Bools:
+        """What is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""
+        if batch.present is None and not self._deadband[slots].any():
+            return self._changes_of_all(batch, slots)
+        changed = np.zeros(batch.codes.shape, np.bool_)
+        for row in range(len(batch)):
+            one = self._is_change(
+                slots,
+                ~self._reported[slots],
+                (self._values[slots], batch.values[row]),
+                (self._codes[slots], batch.codes[row]),
+                (self._has[slots], batch.has[row]),
+                (self._source[slots], batch.source[row]),
+            )
+            if batch.present is not None:
+                one &= batch.present[row]
+            self._remember(slots[one], batch, row, np.flatnonzero(one))
+            changed[row] = one
+        return changed
+
+    def _changes_of_all(self, batch: Batch, slots: Slots) -> Bools:
+        """Without a deadband, to differ from the last report is to differ from the last sample."""
+        unreported = np.zeros(batch.codes.shape, np.bool_)
+        unreported[0] = ~self._reported[slots]
+        changed = self._is_change(
+            slots,
+            unreported,
+            (np.concatenate((self._values[None, slots], batch.values[:-1])), batch.values),
+            (np.concatenate((self._codes[None, slots], batch.codes[:-1])), batch.codes),
+            (np.concatenate((self._has[None, slots], batch.has[:-1])), batch.has),
+            (np.concatenate((self._source[None, slots], batch.source[:-1])), batch.source),
+        )
+        if changed[-1].all():
+            self._remember(slots, batch, -1, slice(None))
+        else:
+            which = np.flatnonzero(changed.any(axis=0))
+            last = len(batch) - 1 - np.argmax(changed[::-1, which], axis=0)
+            self._remember(slots[which], batch, last, which)
+        return changed
+
+    def _is_change(
+        self,
+        slots: Slots,
+        unreported: Bools,
+        values: _Pair,
+        codes: _Pair,
+        has: _Pair,
+        source: _Pair,
+    ) -> Bools:
+        """Compare what was reported with what is new; shapes (slots, …) or (k, slots, …)."""
+        trigger, deadband = self._trigger[slots], self._deadband[slots]
+        old, new = values
+        differs = old != new
+        if deadband.any():
+            with np.errstate(invalid="ignore"):
+                far = np.abs(new - old)
+            beyond = np.where(np.isnan(far), differs, far > deadband[:, None])
+            differs = np.where(deadband[:, None] > 0.0, beyond, differs)
+        if self.block.dtype.kind == "f":
+            differs &= ~(np.isnan(old) & np.isnan(new))
+        differs = differs[..., 0] if differs.shape[-1] == 1 else differs.any(axis=-1)
+        differs = (differs & has[1]) | (has[0] != has[1])
+        differs |= (trigger == _Trigger.StatusValueTimestamp) & (source[0] != source[1])
+        differs &= trigger != _Trigger.Status
+        return differs | (codes[0] != codes[1]) | unreported
+
+    def _remember(self, slots: Slots, batch: Batch, row: int | Slots, which: Slots | slice) -> None:
+        self._reported[slots] = True
+        self._values[slots] = batch.values[row, which]
+        self._codes[slots] = batch.codes[row, which]
+        self._has[slots] = batch.has[row, which]
+        self._source[slots] = batch.source[row, which]
+
+    def _push(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
+        queue, holding = self.queue, self._subscription.holding
+        counts = changed.sum(axis=0)
+        total = int(counts.sum())
+        lengths = queue.tail[slots] - queue.head[slots]
+        if bool((lengths + counts <= self._size[slots]).all()) and total <= holding.room():
+            numbers = queue.tail[slots] + np.cumsum(changed, axis=0) - 1
+            queue.tail[slots] += counts
+            holding.add(total)
+            queue.append(_notifications(batch, slots, changed, numbers, moments))
+            return
+        for row in np.flatnonzero(changed.any(axis=1)):
+            here = slice(row, row + 1)
+            self._push_row(batch[here], slots, changed[here], moments[here])
+
+    def _push_row(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
+        """Queue one sample of each item where not everything may fit."""
+        queue, holding = self.queue, self._subscription.holding
+        pushed = changed[0]
+        lengths, size = queue.tail[slots] - queue.head[slots], self._size[slots]
+        fits = pushed & (lengths < size)
+        added = fits & ((np.cumsum(fits) <= holding.room()) | (lengths == 0))
+        full = pushed & ~added
+        lost = full & ~((lengths == 1) & (size == 1))  # that one holds the newest; no overflow
+        holding.add(int(added.sum()))
+        holding.lose(int(lost.sum()))
+        numbers = queue.tail[slots]
+        queue.tail[slots[pushed]] += 1
+        queue.discard(slots[full])
+        queue.flag(slots[lost])
+        queue.append(_notifications(batch, slots, changed, numbers[None], moments))
+
+    def _set(self, slot: int, monitoring: Monitoring) -> None:
+        self._handle[slot] = monitoring.client_handle
+        self._size[slot] = monitoring.queue_size
+        self._trigger[slot] = monitoring.rule.trigger
+        self._deadband[slot] = monitoring.rule.deadband
+        self._stamps[slot] = monitoring.stamps
+
+    def _grow(self) -> None:
+        old, new = len(self.modes), max(16, 2 * len(self.modes))
+        more = new - old
+        self._free = list(range(new - 1, old - 1, -1))
+        self.queue.grow(new)
+        for name in (
+            "modes",
+            "number",
+            "_column",
+            "_handle",
+            "_size",
+            "_trigger",
+            "_deadband",
+            "_stamps",
+            "_reported",
+            "_values",
+            "_codes",
+            "_has",
+            "_source",
+        ):
+            held = getattr(self, name)
+            empty = np.zeros((more, *held.shape[1:]), held.dtype)
+            setattr(self, name, np.concatenate((held, empty)))
+
+
+def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
+    """Where ascending columns (several may be equal) are written, and where what is written is."""
+    first = np.searchsorted(columns, written, "left")
+    counts = np.searchsorted(columns, written, "right") - first
+    of_batch = np.repeat(np.arange(len(written)), counts)
+    nth = np.arange(len(of_batch)) - np.repeat(np.cumsum(counts) - counts, counts)
+    which = first[of_batch] + nth
+    order = np.argsort(which)
+    return which[order], of_batch[order]
+
+
+def _notifications(
+    batch: Batch, slots: Slots, pushed: Bools, numbers: Counts, moments: Counts
+) -> Notifications:
+    everything = bool(pushed.all())
+
+    def flat(array: NDArray[Any]) -> NDArray[Any]:
+        return array.reshape(pushed.size, *array.shape[2:]) if everything else array[pushed]
+
+    slot = flat(np.broadcast_to(slots, pushed.shape))
+    return Notifications(
+        slot,
+        flat(numbers),
+        flat(moments),
+        flat(batch.values),
+        flat(batch.codes),
+        flat(batch.has),
+        flat(batch.source),
+        np.full(len(slot), batch.server),
+    )

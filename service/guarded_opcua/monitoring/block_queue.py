@@ -1,0 +1,166 @@
+"""The queues of many monitored items, as one log of arrays.
+
+Every notification gets a number within its item, and an item's queue is the range ``head`` to
+``tail`` of these numbers; the log keeps the notifications of all items in the order they came. To
+discard the oldest is to move ``head``; to take is to cut off the front of the log. None of it
+looks at a notification by itself, and none looks further than it takes.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from guarded_opcua.address_space.blocks import Codes, Ticks, Values
+from guarded_opcua.monitoring.parameters import OVERFLOW
+
+Slots = NDArray[np.intp]
+Counts = NDArray[np.int64]
+_PIECE = 16_384  # nothing is looked at in larger pieces
+_SPARE = 4_096  # discarded notifications that are no reason to tidy up
+
+
+@dataclass(frozen=True)
+class Notifications:
+    """N notifications in their order: all arrays of length N.
+
+    ``slot``, whose; ``number`` within that item's; ``moment``, number of the change; the rest is
+    what is reported (see ``Batch``).
+    """
+
+    slot: Slots
+    number: Counts
+    moment: Counts
+    values: Values
+    codes: Codes
+    has: NDArray[np.bool_]
+    source: Ticks
+    server: Ticks
+
+    def __len__(self) -> int:
+        return len(self.slot)
+
+    def __getitem__(self, rows: slice | NDArray[Any]) -> Self:
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """One after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+class BlockQueue:
+    """Queues by slot; slots are added with :meth:`grow`."""
+
+    def __init__(self) -> None:
+        self.head = np.zeros(0, np.int64)
+        self.tail = np.zeros(0, np.int64)
+        self._flagged = np.zeros(0, np.int64)  # number of the one that is flagged
+        self._log: deque[Notifications] = deque()
+        self._logged = 0
+        self._live = 0
+
+    def __len__(self) -> int:
+        return self._live
+
+    def length(self, slot: int) -> int:
+        """Return how many notifications a queue holds."""
+        return int(self.tail[slot] - self.head[slot])
+
+    def grow(self, slots: int) -> None:
+        """Have room for so many slots."""
+        more = slots - len(self.head)
+        self.head = np.append(self.head, np.zeros(more, np.int64))
+        self.tail = np.append(self.tail, np.zeros(more, np.int64))
+        self._flagged = np.append(self._flagged, np.full(more, -1, np.int64))
+
+    def append(self, new: Notifications) -> None:
+        """Put notifications in; each takes the next number of its item."""
+        self._log.extend(new[i : i + _PIECE] for i in range(0, len(new), _PIECE))
+        self._logged += len(new)
+        self._live += len(new)
+        if self._logged > _SPARE and self._logged > 2 * (self._live + len(new)):
+            self._tidy()
+
+    def discard(self, slots: Slots) -> None:
+        """Drop the oldest of each of these queues."""
+        self.head[slots] += 1
+        self._live -= len(slots)
+
+    def flag(self, slots: Slots) -> None:
+        """Let the oldest of each queue say that others are lost."""
+        self._flagged[slots] = self.head[slots]
+
+    def drop(self, slot: int, count: int) -> None:
+        """Drop the oldest ones of a queue."""
+        self.head[slot] += count
+        self._live -= count
+
+    def clear(self, slot: int) -> None:
+        """Empty a queue."""
+        self.drop(slot, self.length(slot))
+
+    def front(self, most: int) -> Notifications | None:
+        """Return up to ``most`` notifications that are next; they stay where they are."""
+        parts: list[Notifications] = []
+        for part in self._log:
+            if most <= 0:
+                break
+            if self._live == self._logged:
+                found = part[:most]
+            else:
+                found = part[np.flatnonzero(self._alive(part))[:most]]
+            if len(found):
+                parts.append(found)
+            most -= len(found)
+        return Notifications.joined(parts) if parts else None
+
+    def take(self, front: Notifications) -> Notifications:
+        """Take (the beginning of) the front out."""
+        all_alive = self._live == self._logged
+        self.head[front.slot] = front.number + 1  # of a slot that comes twice the last counts
+        self._live -= len(front)
+        left = len(front)
+        while self._log and (left > 0 or not all_alive):
+            first = self._log[0]
+            if all_alive:
+                start = min(left, len(first))
+            else:
+                alive = self._alive(first)
+                start = int(np.argmax(alive)) if alive.any() else len(first)
+            left -= start
+            self._logged -= start
+            if start < len(first):
+                self._log[0] = first[start:]
+                break
+            self._log.popleft()
+        return self._flagging(front)
+
+    def take_all_of(self, slot: int) -> Notifications | None:
+        """Take out one queue."""
+        parts = [part[(part.slot == slot) & self._alive(part)] for part in self._log]
+        parts = [part for part in parts if len(part)]
+        self.clear(slot)
+        return self._flagging(Notifications.joined(parts)) if parts else None
+
+    def _flagging(self, taken: Notifications) -> Notifications:
+        flagged = self._flagged[taken.slot] == taken.number
+        if not flagged.any():
+            return taken
+        return replace(
+            taken, codes=np.where(flagged, taken.codes | np.uint32(OVERFLOW), taken.codes)
+        )
+
+    def _alive(self, part: Notifications) -> NDArray[np.bool_]:
+        return np.asarray(part.number >= self.head[part.slot])
+
+    def _tidy(self) -> None:
+        left = [part[self._alive(part)] for part in self._log]
+        self._log = deque(part for part in left if len(part))
+        self._logged = self._live

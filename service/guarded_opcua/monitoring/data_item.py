@@ -1,0 +1,221 @@
+"""Items that monitor an attribute: what they sample, queue and lose (Part 4, 5.13)."""
+
+import dataclasses
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+
+from asyncua import ua
+
+from guarded_opcua.binary.encoding import encode_data_value, encoding_cost
+from guarded_opcua.binary.index_range import Ranges, select
+from guarded_opcua.monitoring.parameters import OVERFLOW, Monitoring, Queued, Reporter
+
+
+class _Done:
+    """Awaiting it takes no time: asyncua awaits its callbacks, ours are done when they return."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield from ()
+
+
+_DONE = _Done()
+
+
+class DataItem:
+    """Monitors one attribute of one node."""
+
+    __slots__ = (
+        "_due",
+        "_loss_before_first",
+        "_pending",
+        "_queue",
+        "_reported",
+        "_subscription",
+        "callback_handle",
+        "links",
+        "mode",
+        "monitoring",
+        "number",
+        "ranges",
+        "wanted",
+    )
+
+    def __init__(
+        self,
+        subscription: Reporter,
+        number: int,
+        wanted: ua.ReadValueId,
+        mode: ua.MonitoringMode,
+        monitoring: Monitoring,
+        ranges: Ranges | None,
+    ) -> None:
+        self.number = number
+        self.wanted = wanted
+        self.mode = mode
+        self.monitoring = monitoring
+        self.ranges = ranges
+        self.callback_handle = 0
+        self.links: set[int] = set()
+        self._subscription = subscription
+        self._queue: deque[Queued] = deque()
+        self._reported: ua.DataValue | None = None
+        self._pending: ua.DataValue | None = None
+        self._due = 0.0
+        self._loss_before_first = False  # of the queue: it is flagged when it is taken
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def __bool__(self) -> bool:
+        return True
+
+    @property
+    def client_handle(self) -> int:
+        """The client's own number of the item."""
+        return self.monitoring.client_handle
+
+    def __call__(
+        self, _handle: int, value: ua.DataValue | None, error: ua.StatusCode | None = None
+    ) -> _Done:
+        """Take a change (asyncua's callback)."""
+        if self.mode != ua.MonitoringMode.Disabled:
+            self._sample(ua.DataValue(StatusCode=error) if value is None else value)
+        return _DONE
+
+    @property
+    def waiting(self) -> Iterator[tuple[int, float]]:
+        """Numbers of the changes that are queued, and what it costs to encode each, s."""
+        return ((moment, encoding_cost(value)) for moment, value in self._queue)
+
+    def start(self, value: ua.DataValue) -> None:
+        """Sample for the first time, or again after the item was disabled."""
+        self._subscription.holding.next_moment()
+        self._due = 0.0
+        self._reported = None
+        self._sample(value)
+
+    def repeat(self, value: ua.DataValue) -> None:
+        """Report the value even if it was reported before (for a new owner)."""
+        if self.mode != ua.MonitoringMode.Disabled and not self._queue:
+            self.start(value)
+
+    def sample_pending(self, now: float) -> bool:
+        """Take the value that waited for its sampling time; return whether it still waits."""
+        if self._pending is None:
+            return False
+        if now < self._due:
+            return True
+        value, self._pending = self._pending, None
+        self._sample(value)
+        return False
+
+    def set_mode(self, mode: ua.MonitoringMode) -> bool:
+        """Change the mode; return whether a first sample is due."""
+        was_disabled = self.mode == ua.MonitoringMode.Disabled
+        self.mode = mode
+        if mode == ua.MonitoringMode.Disabled:
+            self.clear()
+            self._subscription.has_no_report(self.number)
+            return False
+        if mode == ua.MonitoringMode.Reporting and self._queue:
+            self._subscription.has_report(self.number)
+        return was_disabled
+
+    def modify(self, monitoring: Monitoring) -> None:
+        """Take new parameters; a shorter queue loses its surplus."""
+        self.monitoring = monitoring
+        while len(self._queue) > monitoring.queue_size:
+            if monitoring.discard_oldest:
+                self._queue.popleft()
+                self._loss_before_first = False
+            else:
+                self._queue.pop()
+            self._subscription.holding.add(-1)
+            self._subscription.holding.lose(1)
+
+    def take(self, most: int) -> list[bytes]:
+        """Take up to ``most`` notifications out of the queue, encoded."""
+        monitoring, queue = self.monitoring, self._queue
+        handle = monitoring.client_handle.to_bytes(4, "little")
+        stamps = monitoring.stamps
+        count = min(most, len(queue))
+        self._subscription.holding.add(-count)
+        if self._loss_before_first and count:
+            queue[0] = _overflown(queue[0])
+            self._loss_before_first = False
+        return [handle + encode_data_value(queue.popleft()[1], stamps) for _ in range(count)]
+
+    def adopt(self, queue: Iterable[Queued], reported: ua.DataValue | None) -> None:
+        """Take over what was queued and reported for this item before; it is counted already."""
+        self._queue.extend(queue)
+        self._reported = reported
+
+    def clear(self) -> None:
+        """Forget what is queued."""
+        self._subscription.holding.add(-len(self._queue))
+        self._queue.clear()
+        self._pending = None
+        self._loss_before_first = False
+
+    def _sample(self, value: ua.DataValue) -> None:
+        interval = self.monitoring.interval_s
+        if interval > 0.0:
+            now = self._subscription.time()
+            if self._pending is not None and now >= self._due:
+                self._report(self._pending)
+                self._due += interval
+            if now < self._due:
+                self._pending = value
+                self._subscription.has_pending(self.number)
+                return
+            # on a grid, so that jitter does not thin out a signal of just that rate; the same grid
+            # for all items of an interval, so that values of one moment are seen together
+            self._due = (now // interval + 1.0) * interval
+        self._pending = None
+        self._report(value)
+
+    def _report(self, value: ua.DataValue) -> None:
+        if self.ranges is not None:
+            value = _cut(value, self.ranges)
+        if self.monitoring.rule.is_change(self._reported, value):
+            self._reported = value
+            self._push(value)
+
+    def _push(self, value: ua.DataValue) -> None:
+        queue, holding, size = self._queue, self._subscription.holding, self.monitoring.queue_size
+        new = (holding.moment, value)
+        if len(queue) < size and (holding.has_room() or not queue):
+            queue.append(new)
+            holding.add(1)
+        elif len(queue) == 1 == size:
+            queue[0] = new  # a queue of one holds the newest value; no overflow is flagged
+            self._loss_before_first = False
+        elif self.monitoring.discard_oldest:
+            holding.lose(1)
+            queue.popleft()
+            queue.append(new)
+            self._loss_before_first = True
+        else:
+            holding.lose(1)
+            queue[-1] = _overflown(new)
+        if self.mode == ua.MonitoringMode.Reporting:
+            self._subscription.has_report(self.number)
+        if self.links:
+            self._subscription.trigger(self.number)
+
+
+def _cut(value: ua.DataValue, ranges: Ranges) -> ua.DataValue:
+    if value.StatusCode is not None and value.StatusCode.is_bad():
+        return value
+    piece = select(value.Value, ranges)
+    if piece is None:
+        code = ua.StatusCode(ua.StatusCodes.BadIndexRangeNoData)
+        return dataclasses.replace(value, Value=ua.Variant(), StatusCode=code)
+    return dataclasses.replace(value, Value=piece)
+
+
+def _overflown(queued: Queued) -> Queued:
+    moment, value = queued
+    code = value.StatusCode.value if value.StatusCode is not None else 0
+    flagged = dataclasses.replace(value, StatusCode=ua.StatusCode(code | OVERFLOW))
+    return moment, flagged

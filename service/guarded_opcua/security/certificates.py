@@ -1,0 +1,354 @@
+"""Application certificates and the folders of whom we trust (OPC UA Part 6, 6.2.2; Part 12, 7)."""
+
+import datetime as dt
+import hashlib
+import ipaddress
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from guarded_opcua.errors import CertificateError
+from guarded_opcua.logs import bounded_logger, escaped
+from guarded_opcua.security.owner_only import write_owner_only
+
+_log = bounded_logger(__name__)
+
+KEY_BITS = 2048
+VALID_DAYS = 730
+WARN_DAYS = 30
+MAX_REJECTED = 100
+CERTIFICATE_SUFFIXES = {".der", ".cer", ".crt", ".pem"}
+
+
+@dataclass(frozen=True)
+class Pki:
+    """Folders of certificates: ``own``, ``trusted``, ``issuers`` and ``rejected``.
+
+    ``trusted`` holds the certificates (DER or PEM) of peers, or of authorities whose peers, we
+    let in; ``issuers`` those of authorities that only complete a chain; revocation lists
+    (``.crl``) may lie in either. What an unknown peer shows lands in ``rejected``.
+    """
+
+    folder: Path
+
+    @property
+    def own(self) -> Path:
+        """Our certificates and keys."""
+        return self.folder / "own"
+
+    @property
+    def trusted(self) -> Path:
+        """Certificates of those we let in."""
+        return self.folder / "trusted"
+
+    @property
+    def issuers(self) -> Path:
+        """Certificates of authorities that complete a chain but are not trusted by themselves."""
+        return self.folder / "issuers"
+
+    @property
+    def rejected(self) -> Path:
+        """Certificates of those we refused."""
+        return self.folder / "rejected"
+
+    def make_folders(self) -> None:
+        """Make what is missing.
+
+        Raises
+        ------
+        CertificateError
+            if a folder cannot be made.
+        """
+        try:
+            for folder in (self.own, self.trusted, self.issuers, self.rejected):
+                folder.mkdir(parents=True, exist_ok=True)
+            self.own.chmod(0o700)
+        except OSError as error:
+            raise CertificateError(f"{self.folder}: cannot be made: {error.strerror}") from error
+
+
+@dataclass(frozen=True)
+class OwnCertificate:
+    """Where one application's certificate (DER) and private key (PEM, owner only) lie."""
+
+    certificate: Path
+    key: Path
+
+
+def ensure_certificate(
+    pki: Pki, application_uri: str, host_names: tuple[str, ...], name: str
+) -> OwnCertificate:
+    """Return our certificate, making or renewing it where needed.
+
+    A self-signed certificate is renewed (with the same key) if it has expired or does not name
+    the application or all of the hosts; one signed by an authority is never touched.
+
+    Parameters
+    ----------
+    pki
+        Folders; made if missing.
+    application_uri
+        Goes to the SubjectAlternativeName letter by letter.
+    host_names
+        DNS names and IP addresses under which peers reach us.
+    name
+        Name of the application; also the files' name in ``own``.
+
+    Raises
+    ------
+    CertificateError
+        if a file cannot be read or written, certificate and key do not belong together, or an
+        authority's certificate does not fit.
+    """
+    pki.make_folders()
+    paths = OwnCertificate(pki.own / f"{name}.der", pki.own / f"{name}.pem")
+    key = _load_key(paths.key) if paths.key.exists() else None
+    if key is not None and paths.certificate.exists():
+        certificate = load_certificate(paths.certificate)
+        if certificate.public_key() != key.public_key():
+            raise CertificateError(f"{paths.certificate}: does not belong to {paths.key}")
+        fault = _fault(certificate, application_uri, host_names)
+        if fault is None:
+            return paths
+        if certificate.issuer != certificate.subject:
+            raise CertificateError(f"{paths.certificate}: {fault}; ask its issuer for a new one")
+        _log.warning("%s: %s; a new one is made, peers must trust it", paths.certificate, fault)
+    try:
+        if key is None:
+            key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
+            write_owner_only(paths.key, _key_bytes(key))
+        certificate = make_certificate(key, application_uri, host_names, name)
+        paths.certificate.write_bytes(certificate.public_bytes(serialization.Encoding.DER))
+    except OSError as error:
+        raise CertificateError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    return paths
+
+
+def make_certificate(
+    key: rsa.RSAPrivateKey, application_uri: str, host_names: tuple[str, ...], name: str
+) -> x509.Certificate:
+    """Make a self-signed application certificate as OPC UA Part 6, 6.2.2 wants it."""
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name[:64])])
+    now = dt.datetime.now(dt.UTC).replace(microsecond=0)
+    names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(application_uri)]
+    names += [_general_name(host) for host in dict.fromkeys(host_names)]
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - dt.timedelta(hours=1))
+        .not_valid_after(now + dt.timedelta(days=VALID_DAYS))
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(
+            x509.KeyUsage(
+                digital_signature=True,
+                content_commitment=True,
+                key_encipherment=True,
+                data_encipherment=True,
+                key_cert_sign=True,
+                key_agreement=False,
+                crl_sign=False,
+                encipher_only=False,
+                decipher_only=False,
+            ),
+            critical=True,
+        )
+        .add_extension(
+            x509.ExtendedKeyUsage(
+                [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+            ),
+            critical=False,
+        )
+        .add_extension(identifier, critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(identifier),
+            critical=False,
+        )
+        .sign(key, hashes.SHA256())
+    )
+
+
+def thumbprint(certificate: x509.Certificate | bytes) -> str:
+    """SHA-1 of the DER form in hex: how OPC UA names a certificate; it proves nothing."""
+    return hashlib.sha1(_der(certificate), usedforsecurity=False).hexdigest()
+
+
+def fingerprint(certificate: x509.Certificate | bytes) -> str:
+    """SHA-256 of the DER form in hex: this certificate and no other."""
+    return hashlib.sha256(_der(certificate)).hexdigest()
+
+
+def rejected(pki: Pki) -> tuple[Path, ...]:
+    """List the certificates that were refused, the newest first."""
+    files = files_with(pki.rejected, CERTIFICATE_SUFFIXES)
+    return tuple(sorted(files, key=lambda file: file.stat().st_mtime, reverse=True))
+
+
+def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
+    """Trust a peer: a refused one by (the beginning of) its thumbprint, or any by its file.
+
+    Returns
+    -------
+    Path
+        The file in ``trusted``.
+
+    Raises
+    ------
+    CertificateError
+        if nothing fits, more than one certificate does, or the file is not a certificate.
+    """
+    pki.make_folders()
+    source = Path(thumbprint_or_file)
+    if not source.is_file():
+        source = _rejected_by_thumbprint(pki, str(thumbprint_or_file))
+    certificate = load_certificate(source)
+    target = pki.trusted / f"{thumbprint(certificate)}.der"
+    try:
+        target.write_bytes(certificate.public_bytes(serialization.Encoding.DER))
+        if source.parent == pki.rejected:
+            source.unlink()
+    except OSError as error:
+        raise CertificateError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    return target
+
+
+def reject(pki: Pki, certificate: bytes) -> Path | None:
+    """Keep what an unknown peer showed, at most ``MAX_REJECTED`` of them.
+
+    Returns
+    -------
+    Path or None
+        The file; None if it could not be kept.
+    """
+    target = pki.rejected / f"{thumbprint(certificate)}.der"
+    try:
+        if not target.exists():
+            pki.rejected.mkdir(parents=True, exist_ok=True)
+            for old in rejected(pki)[MAX_REJECTED - 1 :]:
+                old.unlink(missing_ok=True)
+            target.write_bytes(certificate)
+    except OSError as error:
+        _log.warning("%s: cannot be kept: %s", target, error.strerror)
+        return None
+    return target
+
+
+def expiry_warning(certificate: x509.Certificate, now: dt.datetime | None = None) -> str:
+    """Say when a certificate expires if that is less than 30 days ahead, else ''."""
+    left = certificate.not_valid_after_utc - (now or dt.datetime.now(dt.UTC))
+    if left >= dt.timedelta(days=WARN_DAYS):
+        return ""
+    name = escaped(certificate.subject.rfc4514_string())
+    if left < dt.timedelta(0):
+        return f"the certificate {name} expired on {certificate.not_valid_after_utc:%Y-%m-%d}"
+    return f"the certificate {name} expires on {certificate.not_valid_after_utc:%Y-%m-%d}"
+
+
+def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """List the files in a folder that end with one of some suffixes, by name.
+
+    Raises
+    ------
+    OSError
+    """
+    if not folder.is_dir():
+        return []
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes)
+
+
+def load_certificate(file: Path) -> x509.Certificate:
+    """Read a certificate in DER or PEM form.
+
+    Raises
+    ------
+    CertificateError
+        if the file cannot be read or is none.
+    """
+    try:
+        content = file.read_bytes()
+        if content.startswith(b"-----BEGIN"):
+            return x509.load_pem_x509_certificate(content)
+        return x509.load_der_x509_certificate(content)
+    except OSError as error:
+        raise CertificateError(f"{file}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise CertificateError(f"{file}: not an X.509 certificate (DER or PEM)") from error
+
+
+def _der(certificate: x509.Certificate | bytes) -> bytes:
+    if isinstance(certificate, x509.Certificate):
+        return certificate.public_bytes(serialization.Encoding.DER)
+    return certificate
+
+
+def _load_key(file: Path) -> rsa.RSAPrivateKey:
+    try:
+        key = serialization.load_pem_private_key(file.read_bytes(), password=None)
+    except OSError as error:
+        raise CertificateError(f"{file}: cannot be read: {error.strerror}") from error
+    except (ValueError, TypeError) as error:
+        raise CertificateError(f"{file}: not an unencrypted private key in PEM form") from error
+    if not isinstance(key, rsa.RSAPrivateKey) or key.key_size < KEY_BITS:
+        raise CertificateError(f"{file}: an RSA key of at least {KEY_BITS} bits is needed")
+    return key
+
+
+def _key_bytes(key: rsa.RSAPrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+
+
+def _fault(
+    certificate: x509.Certificate, application_uri: str, host_names: tuple[str, ...]
+) -> str | None:
+    if certificate.not_valid_after_utc <= dt.datetime.now(dt.UTC):
+        return f"it expired on {certificate.not_valid_after_utc:%Y-%m-%d}"
+    try:
+        extension = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    except x509.ExtensionNotFound:
+        return "it has no SubjectAlternativeName"
+    names = extension.value
+    if application_uri not in names.get_values_for_type(x509.UniformResourceIdentifier):
+        return f"it does not name the application {application_uri}"
+    missing = [host for host in host_names if _general_name(host) not in list(names)]
+    return f"it does not name the host {missing[0]}" if missing else None
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _rejected_by_thumbprint(pki: Pki, text: str) -> Path:
+    wanted = text.lower().replace(":", "").replace(" ", "")
+    fitting = [file for file in rejected(pki) if len(wanted) >= 6 and _has_thumbprint(file, wanted)]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise CertificateError(f"{text}: fits {len(fitting)} refused certificates; give more of it")
+    raise CertificateError(
+        f"{text}: neither a file nor the thumbprint (6 digits or more) of a certificate in "
+        f"{pki.rejected}"
+    )
+
+
+def _has_thumbprint(file: Path, beginning: str) -> bool:
+    try:
+        certificate = load_certificate(file)
+    except CertificateError:
+        return False
+    return any(f(certificate).startswith(beginning) for f in (thumbprint, fingerprint))

@@ -1,0 +1,173 @@
+"""Who logs in: user identity tokens, checked against the users of the server (Part 4, 7.41)."""
+
+import hmac
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto import uacrypto
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import rsa
+
+from guarded_opcua.security.certificate_rules import (
+    CertificateRefused,
+    Use,
+    check_own_rules,
+    first_certificate,
+    parse,
+)
+from guarded_opcua.security.login_queue import LoginQueue
+from guarded_opcua.security.peer_certificates import PeerTrust
+from guarded_opcua.security.users import Role, UserStore
+
+_Codes = ua.StatusCodes
+_MAX_PASSWORD_BYTES = 4_096
+
+Refused = Callable[[bytes, int, str], None]  # certificate (DER), status code, sentence
+
+ANONYMOUS = "anonymous"
+USERNAME = "username"
+CERTIFICATE = "certificate"
+_DECRYPT = {
+    "http://www.w3.org/2001/04/xmlenc#rsa-oaep": uacrypto.decrypt_rsa_oaep,
+    "http://opcfoundation.org/UA/security/rsa-oaep-sha2-256": uacrypto.decrypt_rsa_oaep_sha256,
+}
+_VERIFY = {
+    "http://www.w3.org/2001/04/xmldsig-more#rsa-sha256": uacrypto.verify_sha256,
+    "http://opcfoundation.org/UA/security/rsa-pss-sha2-256": uacrypto.verify_pss_sha256,
+}
+
+
+@dataclass(frozen=True)
+class Principal:
+    """Who acts, and in which role."""
+
+    name: str
+    role: Role
+    certificate: bytes = field(default=b"", compare=False, repr=False)  # if by one (DER)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.role.name.lower()})"
+
+
+@dataclass(frozen=True)
+class Challenge:
+    """What a token must be bound to: our certificate (DER), key and last nonce."""
+
+    certificate: bytes
+    key: rsa.RSAPrivateKey
+    nonce: bytes
+
+
+async def identify(
+    token: object,
+    signature: ua.SignatureData,
+    challenge: Challenge,
+    users: UserStore,
+    origin: str,
+    logins: LoginQueue,
+    trust: PeerTrust,
+    refused: Refused,
+    *,
+    anonymous_allowed: bool,
+) -> Principal:
+    """Find out who logs in.
+
+    ``trust`` judges user certificates; ``refused`` hears why one is refused.
+
+    Raises
+    ------
+    ServiceError
+        BadIdentityTokenInvalid for what cannot be read, BadIdentityTokenRejected for what is not
+        accepted here, a user certificate that is refused included, BadUserAccessDenied for a wrong
+        password, an unknown certificate or a locked user, BadUserSignatureInvalid.
+    """
+    if isinstance(token, ua.AnonymousIdentityToken) or _is_null(token):
+        if not anonymous_allowed:
+            raise ServiceError(_Codes.BadIdentityTokenRejected)
+        return Principal(ANONYMOUS, Role.OBSERVER)
+    if isinstance(token, ua.UserNameIdentityToken):
+        name, password = token.UserName or "", _password(token, challenge)
+        role = await logins.authenticate(name, password, origin)
+        if role is None:
+            raise ServiceError(_Codes.BadUserAccessDenied)
+        return Principal(name, role)
+    if isinstance(token, ua.X509IdentityToken):
+        return _by_certificate(token, signature, challenge, users, trust, refused)
+    raise ServiceError(_Codes.BadIdentityTokenInvalid)
+
+
+def still_accepted(
+    principal: Principal, users: UserStore, trust: PeerTrust, refused: Refused
+) -> bool:
+    """Whether somebody who is logged in could do so again; asked once in a while.
+
+    The folders of ``trust`` count as they were last read.
+    """
+    account = users.account(principal.name)
+    if account is None and principal.name == ANONYMOUS:
+        return True
+    if account is None or account.role != principal.role:
+        return False
+    if not principal.certificate:
+        return bool(account.password_hash)
+    try:
+        trust.check_again(principal.certificate, Use.USER, account.anchors)
+    except CertificateRefused as reason:
+        refused(first_certificate(principal.certificate), reason.code, str(reason))
+        return False
+    return True
+
+
+def _is_null(token: object) -> bool:
+    return token is None or (isinstance(token, ua.ExtensionObject) and token.TypeId.is_null())
+
+
+def _password(token: ua.UserNameIdentityToken, challenge: Challenge) -> str:
+    """Decrypt it; a password in plain text is never taken."""
+    decrypt = _DECRYPT.get(token.EncryptionAlgorithm or "")
+    secret = token.Password or b""
+    if decrypt is None or not secret or len(secret) > 4 * _MAX_PASSWORD_BYTES:
+        raise ServiceError(_Codes.BadIdentityTokenInvalid)
+    size = challenge.key.key_size // 8
+    blocks = [secret[at : at + size] for at in range(0, len(secret), size)]
+    if len(blocks) > _MAX_PASSWORD_BYTES // size:
+        raise ServiceError(_Codes.BadIdentityTokenInvalid)
+    try:
+        plain = b"".join(decrypt(challenge.key, block) for block in blocks)
+    except ValueError as error:
+        raise ServiceError(_Codes.BadIdentityTokenInvalid) from error
+    length = int.from_bytes(plain[:4], "little")
+    body = plain[4 : 4 + length]
+    nonce = body[len(body) - len(challenge.nonce) :]
+    if len(body) != length or not hmac.compare_digest(nonce, challenge.nonce):
+        raise ServiceError(_Codes.BadIdentityTokenInvalid)
+    return body[: length - len(challenge.nonce)].decode("utf-8", "replace")
+
+
+def _by_certificate(
+    token: ua.X509IdentityToken,
+    signature: ua.SignatureData,
+    challenge: Challenge,
+    users: UserStore,
+    trust: PeerTrust,
+    refused: Refused,
+) -> Principal:
+    verify, shown = _VERIFY.get(signature.Algorithm or ""), token.CertificateData or b""
+    if verify is None or not signature.Signature or not shown:
+        raise ServiceError(_Codes.BadIdentityTokenInvalid)
+    try:
+        certificate, _ = parse(shown)
+        check_own_rules(certificate, Use.USER)
+        account = users.by_certificate(certificate)
+        if account is None:
+            raise ServiceError(_Codes.BadUserAccessDenied)
+        verify(certificate, challenge.certificate + challenge.nonce, signature.Signature)
+        trust.check(shown, Use.USER, anchors=account.anchors)
+    except CertificateRefused as reason:
+        refused(first_certificate(shown), reason.code, str(reason))
+        raise ServiceError(_Codes.BadIdentityTokenRejected) from reason
+    except (InvalidSignature, uacrypto.InvalidSignature, ValueError) as error:
+        raise ServiceError(_Codes.BadUserSignatureInvalid) from error
+    return Principal(account.name, account.role, shown)

@@ -1,0 +1,357 @@
+"""Who may do what: roles, hashed passwords, lock-out."""
+
+import base64
+import hashlib
+import hmac
+import json
+import re
+import secrets
+import sys
+from collections import OrderedDict
+from dataclasses import asdict, dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Self
+
+from cryptography import x509
+from cryptography.x509.oid import NameOID
+
+from guarded_opcua.clock import Clock, SystemClock
+from guarded_opcua.errors import ConfigurationError, StorageError
+from guarded_opcua.logs import bounded_logger
+from guarded_opcua.security.certificate_rules import UNREADABLE, extension
+from guarded_opcua.security.certificates import fingerprint, thumbprint
+from guarded_opcua.security.lock_out import Failures
+from guarded_opcua.security.owner_only import write_owner_only
+
+_log = bounded_logger(__name__)
+
+_SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and some 40 ms a guess
+_SCRYPT_MEMORY = 64 * 1024 * 1024
+_REMEMBERED_STRANGERS = 1_000  # names that nobody has
+_REMEMBERED_ORIGINS = 100  # addresses from which a user has logged in
+_DUMMY_SALT = bytes(16)
+_HEX = re.compile("([0-9a-f]{40}|[0-9a-f]{64})?")
+
+
+class Role(IntEnum):
+    """What a user may do; a higher role may do all that a lower one may.
+
+    >>> Role.OPERATOR >= Role.OBSERVER
+    True
+    """
+
+    OBSERVER = 1
+    OPERATOR = 2
+    ENGINEER = 3
+    SECURITY_ADMIN = 4
+
+
+@dataclass(frozen=True)
+class Account:
+    """One user as stored: the password only as a salted scrypt hash, a certificate, or both.
+
+    ``password_hash`` and ``salt`` are base64. ``thumbprint`` is the SHA-256 of the user's
+    certificate in hex, or its SHA-1 where an earlier version stored it. ``authority`` is the
+    SHA-256 of an authority that certifies the user under the common name ``name``. All may be
+    empty, but not together.
+    """
+
+    name: str
+    role: Role
+    salt: str = ""
+    password_hash: str = ""
+    thumbprint: str = ""
+    authority: str = ""
+    n: int = _SCRYPT_N
+    r: int = _SCRYPT_R
+    p: int = _SCRYPT_P
+
+    @property
+    def anchors(self) -> frozenset[str]:
+        """Thumbprints of what the user logs in with: a certificate, or who issued it."""
+        return frozenset({self.thumbprint, self.authority} - {""})
+
+
+class UserStore:
+    """The users of a server.
+
+    After ``allowed_failures`` wrong passwords for one name from one peer, that pair is locked
+    for ``lock_seconds``; ten times as many from anywhere lock the name for everybody but those
+    addresses from which the user has logged in before, so that many peers guess no faster. While
+    locked, the right password is refused too.
+
+    >>> store = UserStore()
+    >>> store.add("anna", Role.ENGINEER, "correct horse")
+    >>> store.authenticate("anna", "correct horse")
+    <Role.ENGINEER: 3>
+    >>> store.authenticate("anna", "battery staple") is None
+    True
+    """
+
+    def __init__(
+        self,
+        *,
+        allowed_failures: int = 5,
+        lock_seconds: float = 300.0,
+        clock: Clock | None = None,
+    ) -> None:
+        self._accounts: dict[str, Account] = {}
+        self._file: Path | None = None
+        self._stamp: tuple[int, ...] = ()
+        self._failures_of_users = Failures(sys.maxsize, lock_seconds)
+        self._failures_of_strangers = Failures(_REMEMBERED_STRANGERS, lock_seconds)
+        self._origins: dict[str, OrderedDict[str, None]] = {}  # where each user has logged in
+        self._allowed_failures = allowed_failures
+        self._clock = clock or SystemClock()
+
+    @classmethod
+    def one_time(cls, name: str, role: Role) -> tuple[Self, str]:
+        """Make a store with one user and a random password that is kept nowhere.
+
+        Returns
+        -------
+        tuple
+            The store, and the password to show to the user once.
+        """
+        store, password = cls(), secrets.token_urlsafe(12)
+        store.add(name, role, password)
+        return store, password
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all users, sorted."""
+        return tuple(sorted(self._accounts))
+
+    def account(self, name: str) -> Account | None:
+        """Return the stored account, or None if there is no such user."""
+        return self._accounts.get(name)
+
+    def add(self, name: str, role: Role, password: str) -> None:
+        """Add a user with a password, or replace it.
+
+        Raises
+        ------
+        ConfigurationError
+            if the name is empty or longer than 64 characters, or the password has fewer than 8.
+        """
+        _check_name(name)
+        if len(password) < 8:
+            raise ConfigurationError(f"user {name}: a password needs at least 8 characters")
+        salt = secrets.token_bytes(16)
+        self._accounts[name] = Account(
+            name=name,
+            role=Role(role),
+            salt=base64.b64encode(salt).decode(),
+            password_hash=base64.b64encode(_hash(password, salt)).decode(),
+        )
+
+    def add_certificate(self, name: str, role: Role, certificate: bytes) -> None:
+        """Let a user log in with a certificate (DER); one who is there keeps the password.
+
+        An authority's certificate lets in whom it certifies under the common name ``name``.
+
+        Raises
+        ------
+        ConfigurationError
+            if the name is empty or longer than 64 characters, or it is no certificate.
+        """
+        _check_name(name)
+        try:
+            shown = x509.load_der_x509_certificate(certificate)
+            constraints = extension(shown, x509.BasicConstraints)
+            usage = extension(shown, x509.KeyUsage)
+        except UNREADABLE as error:
+            raise ConfigurationError(f"user {name}: not an X.509 certificate") from error
+        is_authority = bool(constraints and constraints.ca and usage and usage.key_cert_sign)
+        own = fingerprint(certificate)
+        self._accounts[name] = replace(
+            self._accounts.get(name) or Account(name, role),
+            role=Role(role),
+            thumbprint="" if is_authority else own,
+            authority=own if is_authority else "",
+        )
+
+    def remove(self, name: str) -> None:
+        """Remove a user; an unknown one is an error.
+
+        Raises
+        ------
+        ConfigurationError
+            if there is no such user.
+        """
+        if self._accounts.pop(name, None) is None:
+            raise ConfigurationError(f"user {name}: unknown; known are {', '.join(self.names)}")
+
+    def authenticate(self, name: str, password: str, origin: str = "") -> Role | None:
+        """Check a password; takes as long for an unknown name as for a known one.
+
+        Parameters
+        ----------
+        name, password
+            What the peer sent.
+        origin
+            Where it came from (host address), for the lock-out.
+
+        Returns
+        -------
+        Role or None
+            None if the name is unknown, the password wrong or the user locked.
+        """
+        account = self._accounts.get(name)
+        stored = account if account is not None and account.password_hash else None
+        salt = base64.b64decode(stored.salt) if stored else _DUMMY_SALT
+        cost = (stored.n, stored.r, stored.p) if stored else (_SCRYPT_N, _SCRYPT_R, _SCRYPT_P)
+        digest = _hash(password, salt, cost)
+        expected = base64.b64decode(stored.password_hash) if stored else bytes(len(digest))
+        right = hmac.compare_digest(digest, expected) and stored is not None
+        if self.locked(name, origin):
+            return None
+        if not right or stored is None:
+            self._failures_of(name).add(name, origin, self._clock.monotonic())
+            return None
+        self._failures_of(name).forget(name, origin)
+        origins = self._origins.setdefault(name, OrderedDict())
+        origins[origin] = None
+        origins.move_to_end(origin)
+        if len(origins) > _REMEMBERED_ORIGINS:
+            origins.popitem(last=False)
+        return stored.role
+
+    def knows(self, name: str, origin: str) -> bool:
+        """Whether this user has logged in from this address since the start."""
+        return origin in self._origins.get(name, ())
+
+    def by_certificate(self, certificate: x509.Certificate) -> Account | None:
+        """Return the user who shows a certificate: whose it is, or whom its common name names."""
+        shown = {fingerprint(certificate), thumbprint(certificate)}
+        for account in self._accounts.values():
+            if not account.anchors.isdisjoint(shown):
+                return account
+        names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        named = self._accounts.get(str(names[0].value)) if len(names) == 1 else None
+        return named if named is not None and named.authority else None
+
+    def locked(self, name: str, origin: str = "") -> bool:
+        """Whether this name is locked for this peer now.
+
+        Guesses from elsewhere do not lock out an address from which the user has logged in before.
+        """
+        failures, now = self._failures_of(name), self._clock.monotonic()
+        if failures.of_origin(name, origin, now) >= self._allowed_failures:
+            return True
+        from_anywhere = failures.of_name(name, now) >= 10 * self._allowed_failures
+        return from_anywhere and not self.knows(name, origin)
+
+    def unlock(self, name: str) -> None:
+        """Forget all wrong passwords for a name."""
+        self._failures_of(name).forget_name(name)
+
+    def save(self, file: Path) -> None:
+        """Write the users to a JSON file that only its owner can read.
+
+        Raises
+        ------
+        StorageError
+            if the file cannot be written.
+        """
+        text = json.dumps([asdict(account) for account in self._accounts.values()], indent=2)
+        try:
+            write_owner_only(file, text.encode() + b"\n")
+        except OSError as error:
+            raise StorageError(f"{file}: cannot be written: {error.strerror}") from error
+
+    @classmethod
+    def load(cls, file: Path, *, clock: Clock | None = None) -> Self:
+        """Read the users from a JSON file.
+
+        Raises
+        ------
+        ConfigurationError
+            if the file is missing, not JSON, or a field is wrong: names file and user.
+        """
+        store = cls(clock=clock)
+        store._file = file
+        store._read(file)
+        return store
+
+    def refresh(self) -> bool:
+        """Read the file again if it has changed; return whether the users are others now.
+
+        What cannot be read changes nothing, and is said.
+        """
+        if self._file is None or _stamp(self._file) == self._stamp:
+            return False
+        before = self._accounts
+        try:
+            self._read(self._file)
+        except ConfigurationError as error:
+            _log.warning("%s; the users stay as they were", error)
+        return self._accounts != before
+
+    def _read(self, file: Path) -> None:
+        self._stamp = _stamp(file)
+        accounts: dict[str, Account] = {}
+        try:
+            entries = json.loads(file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigurationError(f"{file}: cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise ConfigurationError(f"{file}: not a JSON file of users: {error}") from error
+        if not isinstance(entries, list):
+            raise ConfigurationError(f"{file}: a list of users is expected")
+        for number, entry in enumerate(entries):
+            try:
+                account = Account(**{**entry, "role": Role(entry["role"])})
+                _check_account(account)
+            except (TypeError, KeyError, ValueError, ConfigurationError) as error:
+                raise ConfigurationError(f"{file}: user {number + 1}: {error}") from error
+            accounts[account.name] = account
+        self._accounts = accounts
+
+    def _failures_of(self, name: str) -> Failures:
+        """Names that nobody has are counted apart: however many, they flush no user's."""
+        known = name in self._accounts
+        return self._failures_of_users if known else self._failures_of_strangers
+
+
+def _hash(
+    password: str,
+    salt: bytes,
+    cost: tuple[int, int, int] = (_SCRYPT_N, _SCRYPT_R, _SCRYPT_P),
+) -> bytes:
+    n, r, p = cost
+    return hashlib.scrypt(
+        password.encode("utf-8", "surrogatepass"),
+        salt=salt,
+        n=n,
+        r=r,
+        p=p,
+        maxmem=_SCRYPT_MEMORY,
+        dklen=32,
+    )
+
+
+def _stamp(file: Path) -> tuple[int, ...]:
+    try:
+        held = file.stat()
+    except OSError:
+        return ()
+    return held.st_mtime_ns, held.st_ctime_ns, held.st_size, held.st_ino
+
+
+def _check_name(name: str) -> None:
+    if not name or len(name) > 64:
+        raise ConfigurationError("a user's name needs 1 to 64 characters")
+
+
+def _check_account(account: Account) -> None:
+    _check_name(account.name)
+    if account.n > 2**16 or account.n < 2**14 or account.r != 8 or not 1 <= account.p <= 4:
+        raise ConfigurationError(f"{account.name}: scrypt cost out of range")
+    if not (account.thumbprint or account.authority or account.password_hash):
+        raise ConfigurationError(f"{account.name}: neither password_hash nor thumbprint")
+    if not _HEX.fullmatch(account.thumbprint) or not _HEX.fullmatch(account.authority):
+        raise ConfigurationError(f"{account.name}: a thumbprint has 40 or 64 digits 0-9, a-f")
+    base64.b64decode(account.salt, validate=True)
+    base64.b64decode(account.password_hash, validate=True)

@@ -1,0 +1,329 @@
+"""One subscription: when it publishes, what it keeps for Republish (Part 4, 5.14)."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from asyncua import ua
+
+from guarded_opcua.address_space.blocks import Block
+from guarded_opcua.binary.encoding import encode_message, ticks_of_ns
+from guarded_opcua.clock import Clock, Timer
+from guarded_opcua.ledger import Holding
+from guarded_opcua.monitoring.block_items import BlockItem, BlockItems
+from guarded_opcua.monitoring.data_item import DataItem
+from guarded_opcua.monitoring.event_item import EventItem
+from guarded_opcua.security.users import Role
+from guarded_opcua.subscriptions.reports import Reports
+
+Item = DataItem | EventItem | BlockItem
+
+_LAST_SEQUENCE = 2**32 - 1
+_COARSE_S = 0.002  # timers come up to 1 ms late: so fast a rhythm follows the changes instead
+
+
+class Owner(Protocol):
+    """The session that a subscription publishes to."""
+
+    @property
+    def holding(self) -> Holding:
+        """What the queues of the session hold."""
+
+    @property
+    def subscriptions(self) -> dict[int, "Subscription"]:
+        """Its subscriptions, by number."""
+
+    def publish(self, subscription: "Subscription") -> None:
+        """Send the subscription's next message if a publish request waits, else remember it."""
+
+    def has_publish_requests(self) -> bool:
+        """Whether a publish request waits."""
+
+    def lose(self, subscription: "Subscription", code: int | None = None) -> None:
+        """Lose a subscription; the client hears why if there is a code."""
+
+    def hears(self, audience: Role) -> bool:
+        """Whether the user may hear of an event that is for that role and above."""
+
+    def is_same_client(self, other: object) -> bool:
+        """Whether another session acts for the same user of the same application."""
+
+    def charge(self, cost: float) -> None:
+        """Put what was done for the session on its account, s of the processor."""
+
+
+@dataclass
+class Timing:
+    """Revised parameters of a subscription."""
+
+    interval_s: float
+    keep_alive_count: int
+    lifetime_count: int
+    notifications_per_publish: int
+    priority: int
+
+
+@dataclass(frozen=True)
+class Message:
+    """What goes into one publish response."""
+
+    sequence: int
+    content: bytes
+    available: tuple[int, ...]
+    more: bool
+
+
+@dataclass
+class RepublishStore:
+    """Room for unacknowledged messages, shared by all subscriptions."""
+
+    messages: int
+    capacity: int
+    held: int = 0
+
+
+class Subscription:
+    """Collects what its items report and publishes it in its own rhythm."""
+
+    def __init__(
+        self,
+        number: int,
+        owner: Owner,
+        timing: Timing,
+        store: RepublishStore,
+        clock: Clock,
+        expired: Callable[["Subscription"], None],
+        *,
+        publishing: bool,
+    ) -> None:
+        self.number = number
+        self.owner = owner
+        self.timing = timing
+        self.publishing = publishing
+        self.items: dict[int, Item] = {}
+        self.links = 0  # by which items trigger others, in all
+        self.waiting_since: float | None = None
+        self._store = store
+        self._clock = clock
+        self._expired = expired
+        self._reports = Reports()
+        self._triggered: set[int] = set()  # items whose linked ones are to be reported
+        self._linked_by: dict[int, set[int]] = {}
+        self._stopped = False
+        self._pending: dict[int, DataItem] = {}
+        self._unacknowledged: OrderedDict[int, bytes] = OrderedDict()
+        self._sequence = 1
+        self._silent_cycles = timing.keep_alive_count  # the first cycle always sends a message
+        self._unheard_cycles = 0
+        self._last_message: float
+        self._next_cycle: float
+        self._hurries: bool  # the next cycle is under way before its time
+        self._timer: Timer
+        self._begin_rhythm()
+
+    @property
+    def holding(self) -> Holding:
+        """What the queues of the owning session hold."""
+        return self.owner.holding
+
+    def give_to(self, owner: Owner) -> None:
+        """Move to another session, with all that is queued."""
+        queued = sum(len(item) for item in self.items.values())
+        self.owner.holding.add(-queued)
+        self.owner = owner
+        owner.holding.add(queued)
+        self.heard_of()
+
+    def time(self) -> float:
+        """Seconds that never run back."""
+        return self._clock.monotonic()
+
+    def has_report(self, number: int) -> None:
+        """Note that an item has something to report."""
+        item = self.items[number]
+        if not isinstance(item, BlockItem) and not self._stopped:
+            self._reports.add(item)
+            self.hurry()
+
+    def has_no_report(self, number: int) -> None:
+        """Note that an item has nothing to report any more."""
+        self._reports.forget(number)
+
+    def hurry(self) -> None:
+        """Publish at once if the rhythm is a fast one and a whole interval has passed."""
+        timing = self.timing
+        if timing.interval_s > _COARSE_S or self._hurries or self._stopped:
+            return
+        if self._clock.monotonic() - self._last_message >= timing.interval_s:
+            self._hurries = True
+            self._timer.cancel()
+            self._timer = self._clock.call_at(0.0, self._cycle)  # with all that changes until then
+
+    def block_items(self, block: Block) -> BlockItems:
+        """Return the items on a block that are served as arrays."""
+        found = self._reports.blocks.get(block)
+        if found is None:
+            found = self._reports.blocks[block] = BlockItems(self, block)
+            block.watchers.append(found)
+        return found
+
+    def has_pending(self, number: int) -> None:
+        """Note that an item holds a value back until its sampling time."""
+        item = self.items[number]
+        if isinstance(item, DataItem):
+            self._pending[number] = item
+
+    def trigger(self, number: int) -> None:
+        """Report what the items linked to this one have sampled, when the next message is made."""
+        self._triggered.add(number)
+        self.hurry()
+
+    def link(self, item: Item, number: int) -> None:
+        """Let an item trigger another one."""
+        self.links += number not in item.links
+        item.links.add(number)
+        self._linked_by.setdefault(number, set()).add(item.number)
+
+    def unlink(self, item: Item, number: int) -> bool:
+        """Let an item trigger another one no more; whether it did."""
+        if number not in item.links:
+            return False
+        self.links -= 1
+        item.links.discard(number)
+        self._linked_by[number].discard(item.number)
+        if not self._linked_by[number]:
+            del self._linked_by[number]
+        return True
+
+    def has_message(self) -> bool:
+        """Whether something is to be sent now."""
+        if self._triggered:
+            self._report_linked()
+        if self.publishing and self._reports:
+            return True
+        return self._silent_cycles >= self.timing.keep_alive_count
+
+    def next_message(self) -> Message:
+        """Take the next message: notifications, or a keep-alive if there are none."""
+        self._silent_cycles = 0
+        self._unheard_cycles = 0
+        notifications = self._take_notifications()
+        sequence = self._sequence
+        content = encode_message(sequence, ticks_of_ns(self._clock.now()), notifications)
+        if notifications:
+            self._sequence = 1 if sequence == _LAST_SEQUENCE else sequence + 1
+            self._keep(sequence, content)
+        more = self.publishing and bool(self._reports)
+        return Message(sequence, content, tuple(self._unacknowledged), more)
+
+    def heard_of(self) -> None:
+        """Note that the client still asks: the lifetime starts anew."""
+        self._unheard_cycles = 0
+
+    def acknowledge(self, sequence: int) -> int:
+        """Drop a message the client has; a status code."""
+        content = self._unacknowledged.pop(sequence, None)
+        if content is None:
+            return ua.StatusCodes.BadSequenceNumberUnknown
+        self._store.held -= len(content)
+        return ua.StatusCodes.Good
+
+    def republish(self, sequence: int) -> bytes | None:
+        """Return a message that was sent and not acknowledged."""
+        self.heard_of()
+        return self._unacknowledged.get(sequence)
+
+    @property
+    def available(self) -> list[int]:
+        """Sequence numbers that can be asked for again."""
+        return list(self._unacknowledged)
+
+    def retime(self, timing: Timing) -> None:
+        """Take revised parameters; the rhythm starts anew."""
+        self.timing = timing
+        self.heard_of()
+        self._timer.cancel()
+        self._begin_rhythm()
+
+    def forget(self, item: Item) -> None:
+        """Drop an item and what it had queued."""
+        if isinstance(item, BlockItem):
+            item.of.remove(item)
+        else:
+            item.clear()
+        for number in list(item.links):
+            self.unlink(item, number)
+        for number in list(self._linked_by.get(item.number, ())):
+            self.unlink(self.items[number], item.number)
+        self.items.pop(item.number, None)
+        self._reports.forget(item.number)
+        self._pending.pop(item.number, None)
+        self._triggered.discard(item.number)
+
+    def stop(self) -> None:
+        """End the rhythm: nothing is published any more; the items are to be forgotten."""
+        self._stopped = True
+        self._timer.cancel()
+        for block, items in self._reports.blocks.items():
+            block.watchers.remove(items)
+        self._reports.clear()
+        self._pending.clear()
+        self._triggered.clear()
+        self._store.held -= sum(map(len, self._unacknowledged.values()))
+        self._unacknowledged.clear()
+
+    def _report_linked(self) -> None:
+        triggered, self._triggered = self._triggered, set()
+        for trigger in triggered:
+            for number in self.items[trigger].links:
+                if len(self.items[number]):
+                    self.has_report(number)
+
+    def _begin_rhythm(self) -> None:
+        self._last_message = self._clock.monotonic()
+        self._next_cycle = self._last_message + self.timing.interval_s
+        self._hurries = False
+        self._timer = self._clock.call_at(self._next_cycle, self._cycle)
+
+    def _cycle(self) -> None:
+        now = self._clock.monotonic()
+        interval = self.timing.interval_s
+        if self._hurries:
+            self._next_cycle = now
+            self._hurries = False
+        missed = max(0, int((now - self._next_cycle) / interval))
+        self._next_cycle += (missed + 1) * interval
+        self._timer = self._clock.call_at(self._next_cycle, self._cycle)
+        if self._pending:
+            self._pending = {
+                number: item for number, item in self._pending.items() if item.sample_pending(now)
+            }
+        if self.owner.has_publish_requests():
+            self._unheard_cycles = 0
+        else:
+            self._unheard_cycles += 1
+            if self._unheard_cycles >= self.timing.lifetime_count:
+                self._expired(self)
+                return
+        if not self.has_message():
+            self._silent_cycles += 1
+        if self.has_message():
+            self._last_message = now
+            before = self._clock.processor()
+            self.owner.publish(self)
+            self.owner.charge(self._clock.processor() - before)
+
+    def _take_notifications(self) -> list[bytes]:
+        if not self.publishing or not self._reports:
+            return []
+        return self._reports.take(self.timing.notifications_per_publish)
+
+    def _keep(self, sequence: int, content: bytes) -> None:
+        self._unacknowledged[sequence] = content
+        self._store.held += len(content)
+        while len(self._unacknowledged) > self._store.messages or (
+            self._store.held > self._store.capacity and len(self._unacknowledged) > 1
+        ):
+            _, dropped = self._unacknowledged.popitem(last=False)
+            self._store.held -= len(dropped)

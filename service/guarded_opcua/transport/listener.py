@@ -1,0 +1,195 @@
+"""The listening socket: admits connections, and ends those that overstay."""
+
+import asyncio
+import os
+import socket
+from collections import Counter
+from collections.abc import Container
+from functools import partial
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+
+from guarded_opcua.audit import Actor
+from guarded_opcua.logs import bounded_logger
+from guarded_opcua.security.identity import still_accepted
+from guarded_opcua.sessions.session import Session
+from guarded_opcua.transport.connection import Connection
+from guarded_opcua.transport.shared import Shared
+
+_log = bounded_logger(__name__)
+_REAP_S = 1.0
+_BACKLOG = 100
+_ACCEPTED_AT_ONCE = 8  # asyncio accepts as many at a stretch as the backlog says
+
+
+class Listener:
+    """Listens, admits connections, and ends those that overstay."""
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self._connections: set[Connection] = set()
+        self._of_host: Counter[str] = Counter()
+        self._openings: Counter[str] = Counter()  # in this second
+        self._second = 0
+        self._server: asyncio.Server | None = None
+        self._reaper: asyncio.Task[None] | None = None
+
+    async def start(self, host: str, port: int) -> int:
+        """Listen; return the port.
+
+        Raises
+        ------
+        OSError
+        """
+        loop = asyncio.get_running_loop()
+        found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = found[0]
+        # With the protocol named, asyncio sends without delay (TCP_NODELAY).
+        listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        try:
+            if os.name == "posix":
+                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+            self._server = await loop.create_server(
+                lambda: Connection(self._shared, self), sock=listening, backlog=_ACCEPTED_AT_ONCE
+            )
+        except OSError:
+            listening.close()
+            raise
+        listening.listen(_BACKLOG)
+        self._reaper = asyncio.create_task(self._reap_for_ever())
+        return int(self._server.sockets[0].getsockname()[1])
+
+    async def stop(self) -> None:
+        """Stop listening and close every session and connection."""
+        if self._reaper is not None:
+            self._reaper.cancel()
+        if self._server is not None:
+            self._server.close()
+        for session in self._shared.sessions:
+            self._shared.sessions.close(session, code=ua.StatusCodes.BadServerHalted)
+        for connection in list(self._connections):
+            connection.close()
+        if self._server is not None:
+            await self._server.wait_closed()
+        await asyncio.sleep(0)
+
+    def admit(self, connection: Connection) -> bool:
+        """Take a new connection; where there are too many, another one gives way if it can.
+
+        The address that holds most gives way, with what came least far, the oldest first; who is
+        logged in stays.
+        """
+        limits, host = self._shared.limits, connection.host
+        second = int(self._shared.clock.monotonic())
+        if second != self._second:
+            self._second = second
+            self._openings.clear()
+        self._openings[host] += 1
+        if self._openings[host] > limits.connections_per_second:
+            return self._refuse(connection)
+        if self._of_host[host] >= limits.connections_per_host and not self._make_room({host}):
+            return self._refuse(connection)
+        full = len(self._connections) >= limits.connections
+        if full and not self._make_room(self._of_host):
+            return self._refuse(connection)
+        self._connections.add(connection)
+        self._of_host[host] += 1
+        return True
+
+    def forget(self, connection: Connection) -> None:
+        """Forget a connection that is gone."""
+        if connection not in self._connections:
+            return
+        self._connections.discard(connection)
+        self._of_host[connection.host] -= 1
+        if not self._of_host[connection.host]:
+            del self._of_host[connection.host]
+        self._shared.sessions.lose_line(connection)
+
+    def sent(self, connection: Connection) -> None:
+        """Note that something was sent; the slowest reader goes if all hold too much."""
+        if connection.writable:
+            return
+        total = sum(other.unsent for other in self._connections)
+        if total > self._shared.limits.unsent_bytes:
+            slowest = max(self._connections, key=lambda other: other.unsent)
+            _log.warning("%s: disconnected: reads too slowly", slowest.host)
+            slowest.abort()
+
+    def _refuse(self, connection: Connection) -> bool:
+        self._shared.traffic.refused_connections += 1
+        _log.warning("%s: refused: too many connections", connection.host)
+        return False
+
+    def _make_room(self, hosts: Container[str]) -> bool:
+        """End a connection that nobody is logged in on; whether there was one."""
+        lines = {id(session.line) for session in self._shared.sessions if session.active}
+        idle = [one for one in self._connections if one.host in hosts and id(one) not in lines]
+        if not idle:
+            return False
+        victim = min(idle, key=lambda one: (-self._of_host[one.host], one.progress, one.since))
+        _log.warning("%s: disconnected: gives way to others", victim.host)
+        self.forget(victim)
+        victim.abort()
+        return True
+
+    async def _reap_for_ever(self) -> None:
+        while True:
+            await self._shared.clock.sleep(_REAP_S)
+            try:
+                self._reap()
+                await self._part_with_the_distrusted()
+            except Exception:  # noqa: BLE001 - it must go on for the others
+                _log.exception("tidying up failed")
+
+    def _reap(self) -> None:
+        for session in self._shared.sessions.drop_timed_out():
+            self._shared.audit.session_closed(Actor(session, session.host), timed_out=True)
+        limits, now = self._shared.limits, self._shared.clock.monotonic()
+        lines = {id(session.line) for session in self._shared.sessions if session.active}
+        for connection in list(self._connections):
+            blocked = connection.blocked_since
+            if blocked is not None and now - blocked > limits.slow_reader_seconds:
+                _log.warning("%s: disconnected: reads too slowly", connection.host)
+                connection.abort()
+            elif connection.channel.expired:
+                connection.fail(ua.StatusCodes.BadSecureChannelClosed, "channel not renewed")
+            elif id(connection) not in lines and now - connection.idle_since > (
+                limits.handshake_seconds
+            ):
+                connection.fail(ua.StatusCodes.BadTimeout, "nobody logged in")
+
+    async def _part_with_the_distrusted(self) -> None:
+        """Close channels and sessions whose certificate, or user, is accepted no more.
+
+        Others go on between two checks: one takes 10 ms where a revocation list has 50,000 entries.
+        """
+        self._shared.users.refresh()
+        if not self._shared.trust.look_again():
+            return
+        for connection in list(self._connections):
+            await asyncio.sleep(0)
+            if connection.is_closing:
+                continue
+            try:
+                connection.channel.check_again()
+            except ServiceError as error:
+                for session in self._shared.sessions:
+                    if session.line is connection:
+                        self._end(session, error.code)
+                connection.fail(error.code, "its certificate is accepted no more")
+        for session in self._shared.sessions:
+            await asyncio.sleep(0)
+            principal = session.principal
+            if principal is None or session.closed:
+                continue
+            refused = partial(self._shared.audit.certificate_refused, session.host)
+            if not still_accepted(principal, self._shared.users, self._shared.trust, refused):
+                _log.warning("%s: session of %s ended: accepted no more", session.host, principal)
+                self._end(session, ua.StatusCodes.BadIdentityTokenRejected)
+
+    def _end(self, session: Session, code: int) -> None:
+        self._shared.audit.session_closed(Actor(session, session.host))
+        self._shared.sessions.close(session, code=code)

@@ -1,3 +1,0 @@
-"""The source paper rebuilt: its figures and tables, and a verdict on each of its claims."""
-
-import service.report.plots  # noqa: F401 - where matplotlib is missing, it says so in one line

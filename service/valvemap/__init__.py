@@ -1,0 +1,101 @@
+"""valvemap in scripts and notebooks: what is named here stays; the rest of the code may move.
+
+Each name is loaded when it is first used.
+
+Estimators on arrays:
+
+`recursive_least_squares`, `recursive_maximum_likelihood`
+    theta, its history, innovations, covariance of X (N, n) and y (N,), or of y and u.
+`FlowMapRegressor`
+    The flow map as a scikit-learn estimator (extra ``sklearn``).
+
+Recordings and maps:
+
+`read_recording`
+    The samples of a CSV or Parquet file, valve by valve, a batch at a time.
+`replay`
+    Recordings through the service's own pipeline: what each estimator knows at the end.
+`load_config`, `Config`
+    Configurations (TOML) and their schema.
+`open_model`, `Model`
+    A saved map, or one identified from a recording.
+`invert`
+    The control voltage that passes a flow at a pressure drop, with its interval.
+`Samples`
+    Aligned samples: U (%), p1, p2 (bar), Q (l/min), T (°C), t (UTC ns).
+`ValvemapError`
+    What all of it raises, a sentence for the user.
+
+Examples
+--------
+>>> import numpy as np
+>>> import valvemap
+>>> X = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
+>>> found = valvemap.recursive_least_squares(X, X @ [2.0, 3.0])
+>>> found.theta.round(9)
+array([2., 3.])
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from valvemap.app.models import open_model
+    from valvemap.app.replay import replay
+    from valvemap.config.loading import load_config
+    from valvemap.config.models import Config
+    from valvemap.errors import ValvemapError
+    from valvemap.model import recursive_least_squares, recursive_maximum_likelihood
+    from valvemap.model.inverse_map import invert
+    from valvemap.model.samples import Samples
+    from valvemap.sklearn import FlowMapRegressor
+    from valvemap.storage.models import Model
+    from valvemap.storage.recordings import read_recording
+
+__all__ = [
+    "Config",
+    "Model",
+    "Samples",
+    "ValvemapError",
+    "__version__",
+    "invert",
+    "load_config",
+    "open_model",
+    "read_recording",
+    "recursive_least_squares",
+    "recursive_maximum_likelihood",
+    "replay",
+]
+
+if find_spec("sklearn") is not None:  # help() looks at every name
+    __all__ += ["FlowMapRegressor"]
+
+__version__ = version("valvemap")
+
+_HOMES = {
+    "Config": "valvemap.config.models",
+    "FlowMapRegressor": "valvemap.sklearn",
+    "Model": "valvemap.storage.models",
+    "Samples": "valvemap.model.samples",
+    "ValvemapError": "valvemap.errors",
+    "invert": "valvemap.model.inverse_map",
+    "load_config": "valvemap.config.loading",
+    "open_model": "valvemap.app.models",
+    "read_recording": "valvemap.storage.recordings",
+    "recursive_least_squares": "valvemap.model",
+    "recursive_maximum_likelihood": "valvemap.model",
+    "replay": "valvemap.app.replay",
+}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'valvemap' has no name {name!r}")
+    return getattr(import_module(home), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

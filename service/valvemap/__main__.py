@@ -1,0 +1,5 @@
+"""``python -m valvemap`` is ``valvemap``."""
+
+from valvemap.cli import main
+
+main()

@@ -1,0 +1,62 @@
+"""The live page from start to end: a process of its own, beside any service."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+from valvemap.app.page_access import Watched, settings_of
+from valvemap.clock import SystemClock
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_results.namespaces import RIG_NAMESPACE, SERVICE_NAMESPACE
+from valvemap.page.ports import Client
+from valvemap.page.server import open_socket, serve, url_of
+from valvemap.page.settings import PageSettings
+from valvemap.page.web import Page
+
+_TIMEOUT_S = 3.0  # for every answer: a service that is gone shows after so long
+
+
+async def run_dashboard(
+    watched: Watched,
+    page_settings: PageSettings,
+    stop: asyncio.Event,
+    say: Callable[[str], None],
+    *,
+    any_port: bool = False,
+) -> None:
+    """Serve the page until ``stop`` is set; ``say`` where, once it can be opened.
+
+    Raises
+    ------
+    ValvemapError
+        of the page's address, or of our certificate.
+    """
+    source = settings_of(watched, _TIMEOUT_S)
+    rig_url = watched.rig_url
+
+    def clients(user: str, password: str) -> tuple[Client, Client | None]:
+        own = replace(source, user=user, password=password)
+        rig = None if rig_url is None else replace(own, url=rig_url)
+        return (
+            ResultsClient(own, SERVICE_NAMESPACE),
+            None if rig is None else ResultsClient(rig, RIG_NAMESPACE),
+        )
+
+    clock = SystemClock()
+    page = Page(ResultsClient(source, SERVICE_NAMESPACE), clients, page_settings, clock, rig_url)
+    listening = open_socket(page_settings, or_any=any_port)
+    say(url_of(page_settings, listening))
+    observing = asyncio.create_task(page.observer.run())
+    serving = asyncio.create_task(serve(page.guard, page_settings, listening, stop))
+    try:
+        await asyncio.wait({observing, serving}, return_when=asyncio.FIRST_COMPLETED)
+        if observing.done():
+            observing.result()
+    finally:
+        stop.set()
+        await serving
+        observing.cancel()
+        with suppress(asyncio.CancelledError):
+            await observing
+        await page.log_ins.close()

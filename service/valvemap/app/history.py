@@ -1,0 +1,78 @@
+"""What the service has kept, as a recording."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from valvemap.config.models import Config
+from valvemap.errors import ConfigurationError, NoSuchFile, RecordingError
+from valvemap.model.samples import Floats, Quality, Samples
+from valvemap.runtime.past import signals_of
+from valvemap.storage.history import HistoryFile
+from valvemap.storage.recordings import RecordingWriter
+
+ROWS = 100_000  # at once
+_SIGNALS = "U", "p1", "p2", "Q", "T"
+
+
+def export_history(
+    config: Config,
+    out: Path,
+    valves: Sequence[str],
+    start: int,
+    stop: int,
+    progress: Callable[[int], None] = lambda _n: None,
+) -> int:
+    """Write the samples of some valves from ``start`` to ``stop``, UTC ns, as a recording.
+
+    Returns
+    -------
+    int
+        How many.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no history, or no such valve.
+    RecordingError
+        if nothing is known of that span.
+    StorageError
+        naming the file.
+    """
+    file = config.history.file
+    if file is None:
+        raise ConfigurationError("history.file is not set: no history is kept; name a file there")
+    if not file.exists():
+        raise NoSuchFile(f"{file}: no such file; `valvemap serve` makes it")
+    known = [valve.name for valve in config.valves]
+    unknown = [name for name in valves if name not in known]
+    if unknown:
+        raise ConfigurationError(f"valve '{unknown[0]}': there are {', '.join(known)}")
+    n = 0
+    with HistoryFile(file) as store, RecordingWriter(out) as recording:
+        for valve in valves or known:
+            for samples in _samples(store, valve, start, stop):
+                recording.append(valve, samples)
+                n += len(samples)
+                progress(n)
+    if not n:
+        raise RecordingError(f"{file}: nothing is known of that span; ask for another one")
+    return n
+
+
+def _samples(store: HistoryFile, valve: str, start: int, stop: int) -> Iterator[Samples]:
+    series = signals_of(valve)
+    while True:
+        rows = store.read(series, "Q", start, stop, most=ROWS)
+        if not len(rows.t):
+            return
+        last = int(rows.t[-1])
+        columns: dict[str, Floats] = {
+            name: store.read(series, name, start, last, most=ROWS).values for name in _SIGNALS
+        }
+        quality = np.minimum(rows.codes >> 30, int(Quality.BAD)).astype(np.uint8)
+        measured = ~np.isnan(rows.values)  # what notes a loss holds no sample
+        samples = Samples.of(rows.t, **columns, quality=quality)
+        yield samples[measured]
+        start = last + 1

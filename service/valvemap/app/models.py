@@ -1,0 +1,124 @@
+"""Maps for use elsewhere: from a saved model, or identified from recordings on the spot."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from valvemap.app.replay import BEST_FIT, Progress, Report, replay
+from valvemap.config.models import Config
+from valvemap.errors import ConfigurationError, StorageError
+from valvemap.storage.models import Model, is_model, load_model, save_model
+
+PREFERRED = "Auto"
+
+
+def open_model(
+    file: Path,
+    valve: str | None = None,
+    estimator: str | None = None,
+    config: Config | None = None,
+    progress: Progress = lambda _file, _fraction: None,
+) -> Model:
+    """Load a model (.json), or identify one from a recording.
+
+    Parameters
+    ----------
+    file
+        A saved model, or a recording to learn from.
+    valve, estimator
+        Which of a recording's; without them its only valve, and Auto (else the first).
+    config
+        Of a recording: valves and estimators, columns and units.
+    progress
+        Called with a recording and how much of it is done (0 to 1).
+
+    Raises
+    ------
+    StorageError, RecordingError
+        naming the file.
+    ConfigurationError
+        if there is no such valve or estimator, or the choice is open.
+    """
+    if is_model(file):
+        model = load_model(file)
+        for what, wanted, there in (
+            ("valve", valve, model.valve),
+            ("estimator", estimator, model.name),
+        ):
+            if wanted not in (None, there):
+                raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; {there} is")
+        return model
+    report = replay([file], config, progress=progress)
+    valve = _chosen(file, "valve", valve, list(report))
+    names = [name for name in report[valve] if name != BEST_FIT]
+    preferred = estimator or (PREFERRED if PREFERRED in names else names[0])
+    name = _chosen(file, "estimator", preferred, names)
+    found = report[valve][name]
+    return Model(
+        valve=valve,
+        name=name,
+        estimator=found.lane.estimator,
+        state=found.lane.state,
+        noise_std=found.noise_std,
+        T=found.T,
+        t=found.lane.t,
+        samples=found.lane.spread.weights,
+        support=found.lane.support,
+    )
+
+
+def save_models(target: Path, report: Report) -> list[Path]:
+    """Save what a replay identified: one model (``target`` ends in .json), or all in a folder.
+
+    One model is that of the only valve by `Auto`, or by the only estimator. In a folder each is
+    called ``<Valve>.<Estimator>.json``; what is not determined yet is left out.
+
+    Raises
+    ------
+    StorageError
+        naming file or folder.
+    ConfigurationError
+        if one file is to hold several valves.
+    """
+    if is_model(target):
+        valve = _chosen(target, "valve", None, list(report))
+        names = [name for name in report[valve] if name != BEST_FIT]
+        name = _chosen(target, "estimator", PREFERRED if PREFERRED in names else None, names)
+        return [_save(target, report, valve, name)]
+    _make(target)
+    return [
+        _save(target / f"{valve}.{name}.json", report, valve, name)
+        for valve, estimators in report.items()
+        for name in estimators
+        if name != BEST_FIT and _is_determined(report, valve, name)
+    ]
+
+
+def _save(file: Path, report: Report, valve: str, name: str) -> Path:
+    found = report[valve][name]
+    lane = found.lane
+    rests_on = lane.spread, lane.support
+    save_model(file, valve, name, lane.estimator, lane.state, *rests_on, lane.t, found.T)
+    return file
+
+
+def _is_determined(report: Report, valve: str, name: str) -> bool:
+    values = report[valve][name].parameters.values()
+    return all(value == value for value in values)  # noqa: PLR0124 - NaN is not itself
+
+
+def _chosen(file: Path, what: str, wanted: str | None, there: Sequence[str]) -> str:
+    if wanted is None and len(there) == 1:
+        return there[0]
+    if wanted in there:
+        return str(wanted)
+    known = ", ".join(there)
+    if wanted is None:
+        raise ConfigurationError(f"{file}: which {what}? {known} are there")
+    raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; allowed is {known}")
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None

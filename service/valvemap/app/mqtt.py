@@ -1,0 +1,74 @@
+"""Results as Sparkplug B from start to end: a process of its own, beside any service."""
+
+import asyncio
+
+from valvemap.app.page_access import Watched, settings_of
+from valvemap.clock import SystemClock
+from valvemap.config.mqtt import MqttConfig
+from valvemap.config.secret_files import read_secret
+from valvemap.opcua_client.results_client import ResultsClient
+from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
+from valvemap.runtime.backoff import backoff
+from valvemap.sparkplug.broker import PahoBroker
+from valvemap.sparkplug.edge_node import EdgeNode
+from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.outbox import Outbox
+from valvemap.sparkplug.reader import Reader
+from valvemap.sparkplug.sender import Sender
+from valvemap.sparkplug.settings import BrokerSettings
+from valvemap.sparkplug.shown import Shown
+
+_TIMEOUT_S = 5.0  # for every answer of the service
+
+
+async def run_mqtt(config: MqttConfig, watched: Watched, stop: asyncio.Event) -> None:
+    """Send results until ``stop`` is set.
+
+    Raises
+    ------
+    ValvemapError
+        of a file of certificates, keys or passwords.
+    """
+    clock = SystemClock()
+    outbox = Outbox(config.most_waiting)
+    shown = Shown(outbox, clock.now())
+    service = ResultsClient(settings_of(watched, _TIMEOUT_S), SERVICE_NAMESPACE)
+    broker = PahoBroker(build_broker(config))
+    node = EdgeNode(config.group, config.edge_node)
+    every_s = config.interval_s
+    reader = Reader(service, shown, config.variables, every_s, clock, backoff)
+    host = None if config.primary_host is None else PrimaryHost(config.primary_host)
+    sender = Sender(broker, node, shown, outbox, every_s, clock, backoff, host)
+    tasks = [asyncio.create_task(run) for run in (reader.run(), sender.run(), stop.wait())]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in reversed(tasks):  # the goodbye is said while the service is still looked at
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
+def build_broker(config: MqttConfig) -> BrokerSettings:
+    """How the broker is reached.
+
+    Raises
+    ------
+    ConfigurationError
+        if the password's file cannot be read.
+    """
+    host, port = config.address
+    return BrokerSettings(
+        host=host,
+        port=port,
+        client_id=config.client_id or f"valvemap-{config.group}-{config.edge_node}",
+        tls=config.tls,
+        ca_file=config.ca_file,
+        certificate_file=config.certificate_file,
+        key_file=config.key_file,
+        user=config.user,
+        password=None if config.password_file is None else read_secret(config.password_file),
+        keep_alive_s=config.keep_alive_s,
+        timeout_s=config.timeout_s,
+    )

@@ -1,0 +1,46 @@
+"""How the live page, and commands beside it, reach a running service: certificate, user, checks."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from guarded_opcua.security.certificates import Pki, ensure_certificate
+from valvemap.app.identities import PAGE_NAME, PAGE_URI
+from valvemap.opcua_client.results_client import Security, SourceSettings
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The service that is looked at.
+
+    ``rig_url`` is that of a demo's rig; ``pki`` holds our certificate unless ``security`` is NONE.
+    """
+
+    url: str
+    security: Security
+    pki: Path
+    user: str | None = None
+    password: str | None = None
+    rig_url: str | None = None
+    check_host_name: bool = True
+    require_crl: bool = True
+
+
+def settings_of(watched: Watched, timeout_s: float = SourceSettings.timeout_s) -> SourceSettings:
+    """Of the connection; every answer may take ``timeout_s``."""
+    own = None
+    if watched.security is not Security.NONE:
+        file_name = PAGE_NAME.replace(" ", "-")
+        names = ("localhost", "127.0.0.1")
+        own = ensure_certificate(Pki(watched.pki), PAGE_URI, names, file_name)
+    return SourceSettings(
+        url=watched.url,
+        security=watched.security,
+        pki=None if own is None else Pki(watched.pki),
+        own=own,
+        user=watched.user,
+        password=watched.password,
+        check_host_name=watched.check_host_name,
+        require_crl=watched.require_crl,
+        application_uri=None if own is not None else PAGE_URI,
+        timeout_s=timeout_s,
+    )

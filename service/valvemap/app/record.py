@@ -1,0 +1,144 @@
+"""Recording a source: aligned samples, as they come, into a file."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import structlog
+
+from valvemap.app.build import (
+    build_alignment,
+    build_source,
+    build_supervisor_settings,
+    build_timing,
+)
+from valvemap.clock import SystemClock
+from valvemap.config.models import Config
+from valvemap.errors import SourceError, StorageError
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.supervisor import supervise
+from valvemap.storage.recordings import RecordingWriter
+
+log = structlog.get_logger(__name__)
+
+
+async def record(
+    config: Config,
+    file: Path,
+    stop: asyncio.Event,
+    duration_s: float | None = None,
+    progress: Callable[[int], None] = lambda _samples: None,
+) -> int:
+    """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` is over.
+
+    Where the signals carried no common time, ``FILE.timing.json`` says how each came. ``progress``
+    is called with the number of samples whenever some were written.
+
+    Returns
+    -------
+    int
+        Number of samples written.
+
+    Raises
+    ------
+    SourceError, StorageError, RecordingError
+    """
+    clock = SystemClock()
+    with RecordingWriter(file) as writer:
+        recorder = _Recorder(config, writer, progress)
+        ends = None
+        if duration_s is not None:
+            ends = asyncio.get_running_loop().call_later(duration_s, stop.set)
+        try:
+            await supervise(
+                build_source(config), recorder, clock, stop, build_supervisor_settings(config)
+            )
+        finally:
+            if ends is not None:
+                ends.cancel()
+        recorder.finish()
+    recorder.write_timing(file)
+    return recorder.samples
+
+
+async def record_history(
+    config: Config,
+    file: Path,
+    start: int,
+    stop: int,
+    progress: Callable[[int], None] = lambda _samples: None,
+) -> int:
+    """Write to ``file`` what the source remembers of a span of time (UTC ns), as `record` would.
+
+    Raises
+    ------
+    SourceError, StorageError, RecordingError
+    """
+    with RecordingWriter(file) as writer:
+        recorder = _Recorder(config, writer, progress)
+        async for changes in build_source(config).recall(start, stop):
+            await recorder.take(changes)
+        recorder.finish()
+    recorder.write_timing(file)
+    return recorder.samples
+
+
+class _Recorder:
+    """Fulfils :class:`valvemap.runtime.supervisor.Consumer`."""
+
+    def __init__(
+        self, config: Config, writer: RecordingWriter, progress: Callable[[int], None]
+    ) -> None:
+        self._names = [valve.name for valve in config.valves]
+        self._arrivals = Arrivals(self._names, build_alignment(config), build_timing(config))
+        self._writer = writer
+        self._progress = progress
+        self._source_started = 0
+        self.samples = 0
+
+    async def connected(self, source_started: int, _valves: Times | None = None) -> None:
+        """The source is there; if it was restarted, its samples are counted anew."""
+        before, self._source_started = self._source_started, source_started
+        if before and source_started and source_started != before:
+            self._append(self._arrivals.begin_source_anew(np.arange(len(self._names))))
+
+    async def take(self, changes: DataChanges, _valves: Times | None = None) -> None:
+        self._append(self._arrivals.take(changes))
+
+    def finish(self) -> None:
+        """Write what waits for more of its scan, or for earlier samples."""
+        for samples in self._arrivals.finish():
+            self._append(samples)
+
+    def write_timing(self, file: Path) -> None:
+        """Write beside the recording how the signals came.
+
+        Raises
+        ------
+        StorageError
+        """
+        found = self._arrivals.timing.found_by(self._names)
+        if not found:
+            return
+        beside = file.with_name(f"{file.name}.timing.json")
+        try:
+            beside.write_text(json.dumps(found, indent=2, ensure_ascii=False), encoding="utf-8")
+        except OSError as error:
+            raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
+
+    def _append(self, samples: ByValve) -> None:
+        for valve, batch in samples.items():
+            self._writer.append(self._names[valve], batch)
+            self.samples += len(batch)
+        self._progress(self.samples)
+
+    async def tick(self, _valves: Times | None = None) -> None:
+        pass
+
+    async def lost(self, reason: SourceError, _valves: Times | None = None) -> None:
+        log.warning("recording has a gap", reason=str(reason))

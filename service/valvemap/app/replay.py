@@ -1,0 +1,357 @@
+"""Replay: recordings through the same pipeline as live data, and a verdict at the end."""
+
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from valvemap.app.build import build_layout, build_plans
+from valvemap.config.models import Config, ValveConfig
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.model.forgetting import Exponential
+from valvemap.model.inverse_map import invert
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.recursive_least_squares import Change, RecursiveLeastSquares
+from valvemap.model.samples import Floats, Quality, Samples, Segments, Trace
+from valvemap.model.survey import Survey
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
+from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
+from valvemap.pipeline.ports import EstimatorResults
+from valvemap.pipeline.score import Score
+from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
+from valvemap.storage.layout import Layout
+from valvemap.storage.recordings import read_recording
+
+BEST_FIT = "eq. (7), batch LSM"
+MOST_TRIED: Final = 1_000  # samples of a batch: to invert a network costs 100 times its learning
+
+T = TypeVar("T")
+S = TypeVar("S", Samples, Floats)
+
+Progress = Callable[[Path, float], None]
+Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
+
+
+@dataclass(frozen=True)
+class EstimatorReport:
+    """What a replay says of one estimator: its final lane, and figures.
+
+    Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
+    ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
+    inverse calls feasible, ``infeasible`` the number of the others; of a batch at most
+    ``MOST_TRIED`` samples are tried, evenly spaced. ``noise_std`` (l/min) is the
+    recent spread of measurements about the map, ``covered`` the share of the samples tried that
+    lay within their 95 % interval, ``survey`` what the map does not know, ``beyond_range`` how many
+    samples had a U that some estimator of the valve cannot describe, ``T`` (°C) the oil
+    temperature measured last, ``change`` the last change of the valve that was found,
+    ``structure`` what `Auto` has chosen, ``rejected`` why samples were not learnt from, with
+    ``samples`` the number of all, and ``hints`` what looks odd about the valve's signals.
+    """
+
+    lane: Lane
+    parameters: Mapping[str, float]
+    std: Mapping[str, float]
+    one_step: Score
+    verify: Score | None
+    round_trip_max: float
+    infeasible: int
+    noise_std: float
+    covered: float
+    survey: Survey
+    beyond_range: int
+    T: float
+    change: Change | None
+    structure: str | None
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    samples: int = 0
+    hints: tuple[str, ...] = ()
+
+
+Report = Mapping[str, Mapping[str, EstimatorReport]]
+
+
+def replay(
+    files: Iterable[Path],
+    config: Config | None = None,
+    verify: Path | None = None,
+    progress: Progress = lambda _file, _fraction: None,
+    tap: Tap = lambda _valve, _samples, _traces: None,
+    *,
+    insist: bool = False,
+    only: Collection[str] | None = None,
+    read_ahead: bool = True,
+) -> Report:
+    """Run recordings through the pipeline, file after file, in constant memory.
+
+    Parameters
+    ----------
+    files, verify
+        Recordings to learn from, and one to predict with the final parameters.
+    config
+        Valves and estimators; without it the default estimators run on every valve found.
+    progress
+        Called with the file and how much of it is done (0 to 1).
+    tap
+        Sees every batch with what the estimators said of it.
+    insist
+        Learn from signals that cannot be what they are called, too.
+    only
+        Names of the valves that are learnt; None: all.
+    read_ahead
+        A thread reads the next batch while one is learnt from; for nothing where every processor
+        has enough to do.
+
+    Returns
+    -------
+    Report
+        By valve and estimator; under ``BEST_FIT`` the batch LSM of eq. (7) on the same samples,
+        the best that the paper's structure can do.
+
+    Raises
+    ------
+    RecordingError, ConfigurationError
+    """
+    plans = None if config is None else {plan.name: plan for plan in build_plans(config)}
+    layout = None if config is None else build_layout(config)
+    valves: dict[str, _Learnt] = {}
+    turn = _one_ahead if read_ahead else iter
+    for file in files:
+        for name, samples in _read(file, layout, progress, turn):
+            if only is not None and name not in only:
+                continue
+            if name not in valves:
+                plan = _default_plan(name) if plans is None else plans.get(name)
+                if plan is None:
+                    continue
+                valves[name] = _Learnt(replace(plan, insist=plan.insist or insist))
+            judged, traces = valves[name].learn(valves[name].look_at(samples, file))
+            tap(name, judged, traces)
+    if not valves:
+        named = ", ".join(plans or ())
+        raise ConfigurationError(f"the recordings hold none of the configured valves: {named}")
+    if verify is None:
+        checks = {name: [_check(v, v.last, scored=False)] for name, v in valves.items()}
+    else:
+        checks = {name: [] for name in valves}
+        for name, samples in _read(verify, layout, progress, turn):
+            if name in valves:
+                checks[name].append(_check(valves[name], samples, scored=True))
+    return {
+        name: _report(valve, _summed(checks[name]), verified=verify is not None)
+        for name, valve in valves.items()
+    }
+
+
+def as_json(report: Report) -> dict[str, Any]:
+    """The report in the contract's form; what is not known is null."""
+    return {
+        valve: {
+            name: {
+                "parameters": _numbers(r.parameters),
+                "std": _numbers(r.std),
+                "one_step": _numbers(
+                    {k: getattr(r.one_step, k) for k in ("rmse", "nrmse", "r2", "n")}
+                ),
+                "verify": None
+                if r.verify is None
+                else _numbers({k: getattr(r.verify, k) for k in ("rmse", "max_abs", "r2", "n")}),
+                "inverse": _numbers(
+                    {"round_trip_max": r.round_trip_max, "infeasible": r.infeasible}
+                ),
+                "interval": _numbers({"noise_std": r.noise_std, "covered": r.covered}),
+                "next_point": _numbers({"U": r.survey.suggested_U, "dp": r.survey.suggested_dp}),
+                "coverage": _numbers({"share": r.survey.share, "condition": r.survey.condition}),
+                "last_change": None if r.change is None else asdict(r.change),
+                "structure": r.structure,
+            }
+            for name, r in estimators.items()
+            if name != BEST_FIT
+        }
+        for valve, estimators in report.items()
+    }
+
+
+class _Learnt:
+    """One valve's pipeline and the last batch that taught it."""
+
+    def __init__(self, plan: ValvePlan) -> None:
+        best = RecursiveLeastSquares(forgetting=Exponential(1.0))
+        self.plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
+        self.last = Samples.empty()
+        self._fleet = Fleet(self.plan, 1)
+        self._plausibility = Plausibility(1)
+        self.samples = 0
+
+    def look_at(self, samples: Samples, file: Path) -> Samples:
+        """Refuse to learn from what cannot be what it is called; of a moment, from that alone."""
+        if len(samples) == 0:
+            return samples
+        self.samples += len(samples)
+        refused = self._plausibility.count(samples, Segments.one(len(samples)))
+        for finding in self._plausibility.findings(0):
+            if finding.kind is Kind.REFUSED and not self.plan.insist:
+                raise RecordingError(
+                    f"{file}: valve {self.plan.name}: {finding.sentence}; --insist learns from it "
+                    "all the same"
+                )
+        return samples if self.plan.insist else refuse(samples, refused)
+
+    def hints(self) -> tuple[str, ...]:
+        """What looks odd, and what was insisted upon."""
+        return tuple(finding.sentence for finding in self._plausibility.findings(0))
+
+    def rejected(self) -> Mapping[str, int]:
+        """Why samples were not learnt from."""
+        counts = self._fleet.rejections()[0].tolist()
+        return {name: n for name, n in zip(COUNTER_NAMES, counts, strict=True) if n}
+
+    def learn(self, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
+        if len(samples) == 0:
+            return samples, {}
+        self.last = samples
+        return self._fleet.take(samples, Segments.one(len(samples)))
+
+    def results(self) -> Mapping[str, EstimatorResults]:
+        return self._fleet.results(np.zeros(1, np.int64))
+
+    def state(self) -> ValveState:
+        return self._fleet.state(0)
+
+    @property
+    def beyond_range(self) -> int:
+        return int(self._fleet.rejections()[0, COUNTER_NAMES.index("beyond_range")])
+
+
+@dataclass(frozen=True)
+class _Check:
+    """How one estimator's map and its inverse fare on samples that it does not learn from.
+
+    ``score`` is of all of them, the rest of those that were tried.
+    """
+
+    score: Score
+    tried: int
+    round_trip_max: float
+    infeasible: int
+    covered: int
+
+
+def _check(valve: _Learnt, samples: Samples, *, scored: bool) -> Mapping[str, _Check]:
+    """Check all estimators of a valve; where nobody asks for a score, on those tried alone."""
+    gate = valve.plan.gate
+    _, judged = gate.update(gate.initial_state(), samples)
+    good = judged[judged.quality != Quality.BAD]
+    good = good if scored else _some(good)
+    return {name: _check_lane(lane, good) for name, lane in valve.state().lanes.items()}
+
+
+def _check_lane(lane: Lane, samples: Samples) -> _Check:
+    estimator, state = lane.estimator, lane.state
+    Q_hat = valve_state.predicted_along(lane, samples)
+    residual = samples.Q - Q_hat
+    trace = Trace(Q_hat, residual, residual, np.zeros(len(samples), np.uint8))
+    tried = _some(samples)
+    inverse = invert(estimator, state, tried.Q, tried.dp, tried.T)
+    feasible = inverse.status == InverseStatus.OK
+    U, dp, T = (x[feasible] for x in (inverse.U, tried.dp, tried.T))
+    Q_back, _ = estimator.predict(state, U, dp, T)
+    _, half, _ = valve_state.predicted_measurement(lane, tried.U, tried.dp, tried.T)
+    return _Check(
+        tried=len(tried),
+        covered=int((np.abs(_some(residual)) <= half).sum()),
+        score=Score.none().add(samples, trace),
+        round_trip_max=float(np.abs(Q_back - tried.Q[feasible]).max(initial=0.0)),
+        infeasible=int((~feasible).sum()),
+    )
+
+
+def _some(rows: S) -> S:
+    """At most ``MOST_TRIED`` of them, evenly spaced."""
+    return rows[:: max(1, math.ceil(len(rows) / MOST_TRIED))]
+
+
+def _summed(checks: Sequence[Mapping[str, _Check]]) -> Mapping[str, _Check]:
+    names = checks[0] if checks else ()
+    return {
+        name: _Check(
+            score=Score.merged([check[name].score for check in checks]),
+            round_trip_max=max(check[name].round_trip_max for check in checks),
+            tried=sum(check[name].tried for check in checks),
+            infeasible=sum(check[name].infeasible for check in checks),
+            covered=sum(check[name].covered for check in checks),
+        )
+        for name in names
+    }
+
+
+def _report(
+    valve: _Learnt, checks: Mapping[str, _Check], *, verified: bool
+) -> Mapping[str, EstimatorReport]:
+    report = {}
+    state, results = valve.state(), valve.results()
+    for name, lane in state.lanes.items():
+        result, names = results[name], lane.estimator.parameter_names
+        check = checks.get(name)
+        report[name] = EstimatorReport(
+            lane=lane,
+            parameters=dict(zip(names, result.theta[0].tolist(), strict=True)),
+            std=dict(zip(names, result.std[0].tolist(), strict=True)),
+            one_step=lane.score,
+            verify=check.score if check is not None and verified else None,
+            round_trip_max=np.nan if check is None else check.round_trip_max,
+            infeasible=0 if check is None else check.infeasible,
+            noise_std=float(result.noise_std[0]),
+            covered=check.covered / check.tried if check and check.tried else np.nan,
+            survey=valve_state.survey_of(valve.plan, state, name),
+            beyond_range=valve.beyond_range,
+            T=state.T,
+            change=result.change[0],
+            structure=result.structure[0],
+            rejected=valve.rejected(),
+            samples=valve.samples,
+            hints=valve.hints(),
+        )
+    return report
+
+
+def _read(
+    file: Path,
+    layout: Layout | None,
+    progress: Progress,
+    turn: Callable[[Iterator[tuple[str, Samples]]], Iterator[tuple[str, Samples]]],
+) -> Iterator[tuple[str, Samples]]:
+    with read_recording(file, layout=layout) as recording:
+        progress(file, 0.0)
+        for name, samples in turn(recording):
+            yield name, samples
+            progress(file, recording.fraction)
+
+
+def _one_ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same items; while one is worked on, a thread of its own reads the next."""
+    with ThreadPoolExecutor(1) as thread:
+        coming = thread.submit(next, items, None)
+        while (item := coming.result()) is not None:
+            coming = thread.submit(next, items, None)
+            yield item
+
+
+def _default_plan(name: str) -> ValvePlan:
+    try:
+        valve = ValveConfig(name=name)
+    except ValidationError:
+        raise ConfigurationError(
+            f"valve {name!r}: a name is a letter, then letters, digits, _ or -, 64 at most"
+        ) from None
+    (plan,) = build_plans(Config(valves=(valve,)))
+    return plan
+
+
+def _numbers(values: Mapping[str, float]) -> dict[str, float | None]:
+    return {key: value if np.isfinite(value) else None for key, value in values.items()}

@@ -1,0 +1,193 @@
+"""The live service from start to end."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from dataclasses import replace
+
+import structlog
+
+from guarded_opcua import HardenedError, ServerSettings
+from valvemap.app.build import (
+    build_history,
+    build_live_settings,
+    build_supervisor_settings,
+    own_certificate,
+)
+from valvemap.app.memory import giving_back
+from valvemap.app.plan import Plan, make_plan
+from valvemap.app.reload import Reload, check_what_stays, in_one_line
+from valvemap.app.shown import Shown
+from valvemap.clock import SystemClock
+from valvemap.config.models import Config
+from valvemap.errors import StorageError, ValvemapError
+from valvemap.model.kernels.compiled import was_warmed_up
+from valvemap.model.samples import Samples
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.runtime.live import LiveService
+from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.sources import supervise_all
+from valvemap.storage.checkpoints import CheckpointFile
+from valvemap.storage.history import HistoryFile
+
+log = structlog.get_logger(__name__)
+
+SampleTap = Callable[[str, Samples], None]
+
+
+async def serve(
+    config: Config,
+    stop: asyncio.Event,
+    server_settings: ServerSettings | None = None,
+    identification: Identification | None = None,
+    on_samples: SampleTap | None = None,
+    reload: Reload | None = None,
+) -> None:
+    """Identify and publish until ``stop`` is set; keep all states at the end.
+
+    Parameters
+    ----------
+    config
+        The whole configuration.
+    stop
+        Ends the service.
+    server_settings
+        Instead of what the configuration says (the demo's open endpoint).
+    identification
+        Instead of a new one from the configuration, for one who wants to look inside.
+    on_samples
+        Sees every valve's samples as they are identified from.
+    reload
+        By which another configuration is asked for.
+
+    Raises
+    ------
+    ValvemapError
+        at start: of the configuration, the source, the server's address, the stores; at the end:
+        if the states cannot be kept.
+    """
+    reload = reload or Reload(lambda: config)
+    plan: Plan | None = make_plan(config, server_settings, identification)
+    before: Plan | None = None
+    known: list[Checkpoint] = []
+    shown = Shown(reload)
+    async with AsyncExitStack() as opened:
+        store = opened.enter_context(CheckpointFile(config.state.file))
+        past = build_history(config)
+        if past is not None:
+            opened.enter_context(past)
+        if store.set_aside is not None:
+            log.warning("damaged or old state file set aside", file=str(store.set_aside))
+        opened.push_async_callback(shown.end)
+        await opened.enter_async_context(giving_back())
+        while plan is not None:
+            try:
+                following, states = await _live(
+                    plan, store, past, stop, on_samples, reload, known, shown
+                )
+            except (ValvemapError, HardenedError) as error:
+                if before is None or stop.is_set():
+                    raise
+                reason = in_one_line(error)
+                log.warning("configuration given up, the one before it goes on", reason=reason)
+                back = make_plan(before.config, server_settings, after_another=True)
+                back.source.succeed(plan.source)
+                await plan.source.close()
+                plan, before = back, None
+            else:
+                plan, before, known = following, plan, states
+
+
+async def _live(
+    plan: Plan,
+    store: CheckpointFile,
+    past: HistoryFile | None,
+    stop: asyncio.Event,
+    on_samples: SampleTap | None,
+    reload: Reload,
+    known: list[Checkpoint],
+    shown: Shown,
+) -> tuple[Plan | None, list[Checkpoint]]:
+    """Run one configuration until the end; return what is to run then, and all that is known."""
+    config, clock = plan.config, SystemClock()
+    keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
+    server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
+    live = LiveService(
+        plan.identification,
+        plan.source,
+        server,
+        store,
+        clock,
+        build_live_settings(config, own_certificate(config) if plan.settings.pki else None),
+        on_samples,
+        keeper,
+    )
+    ended = asyncio.Event()
+    await live.start(known)
+    log.info("results served", url=server.url)
+    plan.compiled.begin()
+    if not was_warmed_up():
+        await plan.compiled.ended()
+    stopping = asyncio.create_task(_pass_on(stop, live, ended))
+    following = asyncio.create_task(_following(plan, reload, ended))
+    try:
+        supervision = build_supervisor_settings(config)
+        supervision = replace(supervision, connected_before=plan.after_another)
+        await supervise_all(plan.source, live, clock, ended, supervision)
+    finally:
+        server.take_no_commands()
+        for task in (stopping, following):
+            task.cancel()
+        await asyncio.gather(stopping, following, return_exceptions=True)
+        goes_on = not (following.cancelled() or stop.is_set())
+        if not goes_on and not await live.keep(within_s=live.time_left_s):
+            log.warning("disk too slow to keep the last states, those before are kept")
+    if not goes_on:
+        return None, []
+    states = live.states()
+    try:
+        await live.keep()
+    except StorageError as error:
+        log.warning("checkpoint not kept", reason=str(error))
+    return following.result(), states
+
+
+async def _pass_on(stop: asyncio.Event, live: LiveService, ended: asyncio.Event) -> None:
+    await stop.wait()
+    live.end_soon()
+    ended.set()
+
+
+async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
+    """Wait for another configuration that holds, and end this one; the source is handed over."""
+    while True:
+        outcome = await reload.asked()
+        try:
+            following = await _checked(plan, reload)
+        except (ValvemapError, HardenedError) as error:
+            log.warning("configuration refused, the old one goes on", reason=in_one_line(error))
+            if not outcome.done():
+                outcome.set_exception(error)
+            continue
+        if not outcome.done():
+            outcome.set_result(None)
+        if following is None:
+            log.info("configuration unchanged")
+            continue
+        log.info("configuration taken over", valves=len(following.config.valves))
+        following.source.succeed(plan.source)
+        ended.set()
+        return following
+
+
+async def _checked(plan: Plan, reload: Reload) -> Plan | None:
+    """Read the configuration and try what can be tried; None if it is the one that runs."""
+    config = await asyncio.to_thread(reload.load)
+    if config == plan.config:
+        return None
+    check_what_stays(plan.config, config)
+    following = make_plan(config, plan.given_settings, after_another=True)
+    await following.compiled.ended()
+    await following.source.check()
+    return following

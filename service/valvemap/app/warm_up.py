@@ -1,0 +1,267 @@
+"""Compiling every kernel ahead, so that no sample waits for a compiler."""
+
+import gc
+import os
+import signal
+import threading
+from collections.abc import Callable
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.sharedctypes import Synchronized
+from typing import Any
+
+import numpy as np
+
+from valvemap.app.build import build_alignment, build_identification, build_plans
+from valvemap.config.models import Config, ValveConfig
+from valvemap.model import fit_budget, lag_search, map_search
+from valvemap.model.auto import Auto
+from valvemap.model.auto_state import CHAMPION, surface_of
+from valvemap.model.estimator import Estimator, key_of
+from valvemap.model.kernels import cells, grid, held, lag, reaction
+from valvemap.model.kernels.compiled import note_warm_up, was_warmed_up
+from valvemap.model.map_shapes import Shape, Variety
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.residual_spread import ResidualSpread
+from valvemap.model.samples import Samples, Segments, Trace
+from valvemap.model.support import Support
+from valvemap.opcua_source.decoding import decode_data_changes
+from valvemap.pipeline.alarms import RULES, Alarms
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.kernels import lanes
+from valvemap.pipeline.plausibility import Plausibility
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.score import Score
+from valvemap.pipeline.valve_timing import make_one_scan
+
+_NO_CHANGES = bytes(4) + b"\xff" * 4  # a DataChangeNotification: no items, no diagnostics
+_ONE_CHANGE = DataChanges(
+    item=np.zeros(1, np.int32),
+    value=np.zeros(1),
+    status=np.zeros(1, np.uint32),
+    source_time=np.zeros(1, np.int64),
+)
+
+
+Progress = Callable[[int, int], None]  # parts that are done, of how many
+_REPORT_EVERY_S = 5.0
+_OF_ONE = {"name", "nodes", "source", "identification"}  # a valve alone; nothing is compiled for it
+
+
+def warm_up(
+    config: Config,
+    progress: Progress = lambda _done, _of: None,
+    is_over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Have every kernel compiled that this configuration needs.
+
+    The first run on a machine compiles for 40 s and caches the result on disk; later runs
+    load it. A second process helps at that: each takes the next part that nobody has taken, and
+    ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
+    """
+    config = _one_of_each_kind(config)
+    if not was_warmed_up():
+        _compile_in_parts(config, progress, is_over)
+    if is_over():
+        return
+    compile_here(config)
+    note_warm_up()
+
+
+def _one_of_each_kind(config: Config) -> Config:
+    """The same, with the first of the valves that differ in their names and nodes alone."""
+    kinds: dict[str, ValveConfig] = {}
+    for valve in config.valves:
+        kinds.setdefault(valve.model_dump_json(exclude=_OF_ONE), valve)
+    return config.model_copy(update={"valves": tuple(kinds.values())})
+
+
+def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], bool]) -> None:
+    """Compile what takes long, each part in one of two processes."""
+    context = get_context("spawn")
+    taken, done = context.Value("i", 0), context.Value("i", 0)
+    helper = None
+    if (os.cpu_count() or 1) > 1:
+        given = config, taken, done, gc.get_threshold()
+        helper = context.Process(target=_help, args=given, daemon=True)
+        helper.start()
+    finished, of = threading.Event(), len(_parts(config))
+
+    def report() -> None:
+        while not finished.wait(_REPORT_EVERY_S):
+            progress(done.value, of)
+
+    threading.Thread(target=report, daemon=True).start()
+    try:
+        _take_parts(config, taken, done, is_over)
+    finally:
+        finished.set()
+    if helper is not None:
+        helper.join()
+
+
+def _help(
+    config: Config,
+    taken: "Synchronized[int]",
+    done: "Synchronized[int]",
+    collecting: tuple[int, int, int],
+) -> None:
+    """Take parts as well, and look for garbage as seldom; Ctrl-C is for the service to answer."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.set_threshold(*collecting)
+    _take_parts(config, taken, done, lambda: False)
+    os._exit(0)  # somebody waits: to take all apart that was compiled takes half a second
+
+
+def _take_parts(
+    config: Config,
+    taken: "Synchronized[int]",
+    done: "Synchronized[int]",
+    is_over: Callable[[], bool],
+) -> None:
+    parts = _parts(config)
+    while True:
+        with taken.get_lock():
+            if is_over():
+                taken.value = len(parts)  # the other process takes no more either
+            mine, taken.value = taken.value, taken.value + 1
+        if mine >= len(parts):
+            return
+        parts[mine]()
+        with done.get_lock():
+            done.value += 1
+
+
+def _parts(config: Config) -> list[Callable[[], None]]:
+    """What can be compiled apart, the longest first; nearly no kernel is in two of them."""
+    estimators = {
+        key_of(estimator): estimator
+        for plan in build_plans(config)
+        for estimator in plan.estimators.values()
+    }
+    finds_structure = any(isinstance(one, Auto) for one in estimators.values())
+    others = [one for one in estimators.values() if not isinstance(one, Auto)]
+    return [
+        *([_fit] if finds_structure else []),
+        *(partial(_learn, one) for one in others if isinstance(one, RecursiveLeastSquares)),
+        *(partial(_learn, one) for one in others if not isinstance(one, RecursiveLeastSquares)),
+        *([_fill_cells] if finds_structure else []),
+        partial(compile_alignment, config),
+        _look_around,
+        _watch,
+        partial(_first_maps, config),
+        *([_what_auto_seldom_needs] if finds_structure else []),
+    ]
+
+
+def _fit() -> None:
+    """The fits of `Auto` and its search for a shape."""
+    points, shape = np.ones((32, len(grid.COLUMNS))), Shape(cells=2)
+    points[:, grid.MEAN_U], points[:, grid.MEAN_S] = _samples().U, np.sqrt(_samples().dp)
+    map_search.climb(points, shape, 200.0, Variety(0.0, temperatures=True), 1, np.zeros(2, int))
+    map_search.fit(points, shape, 200.0)
+    map_search.is_better(points, shape, shape, 200.0)
+
+
+def _fill_cells() -> None:
+    """What `Auto` does with each sample: these are too few for a fit."""
+    auto = Auto()
+    state, _ = auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
+    auto.parameters(state)
+
+
+def _learn(estimator: Estimator[Any]) -> None:
+    state, _ = estimator.update(estimator.initial_state(), _samples())
+    estimator.predict(state, *(np.full(1, x) for x in (50.0, 100.0, 40.0)))
+    estimator.parameters(state)
+
+
+def compile_alignment(config: Config) -> None:
+    """What makes samples of changes: all that is needed by one who learns nothing."""
+    decode_data_changes(_NO_CHANGES)
+    alignment = build_alignment(config)
+    waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
+    alignment.waits(waiting)
+    make_one_scan()
+
+
+def _first_maps(config: Config) -> None:
+    """The inverse of a map, as it is published before the first sample."""
+    build_identification(config)
+
+
+def _look_around() -> None:
+    """What is done with samples beside learning from them."""
+    samples, one = _samples(), Segments.one(len(_samples()))
+    Plausibility(1).count(samples, one)
+    gate = QualityGate()
+    gate.judge(gate.initial_state(1), samples, one)
+    support = Support.none().of_many(1)
+    status = np.zeros(len(samples), np.uint8)
+    support.learn(samples, status, one)
+    rests, U, dp, T = support.one(0), *(np.full(1, x) for x in (50.0, 100.0, 40.0))
+    rests.distance(U, dp, T)
+    rests.misfit(U, dp, U)
+    rests.may_hide(U, dp)
+    spread = ResidualSpread.none().add(samples, Trace(samples.Q, samples.Q, samples.Q, status))
+    spread.half_width(U, dp, U)
+
+
+def _watch() -> None:
+    """What alarms and scores make of results."""
+    samples, one = _samples(), Segments.one(len(_samples()))
+    trace = Trace(samples.Q, samples.Q, samples.Q, np.zeros(len(samples), np.uint8))
+    alarms = Alarms(1, RULES, 200.0)
+    alarms.watch(samples, trace, one)
+    alarms.note_answers(np.zeros(1, np.int64), np.zeros(1))
+    Score.none().add(samples, trace)
+    lanes.note(samples.t, trace.predicted, trace.residual, trace.status, lanes.nothing(1), one)
+    lanes.last_T(samples.T, samples.quality, np.full(1, np.nan), one)
+
+
+def compile_here(config: Config) -> None:
+    """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
+    decode_data_changes(_NO_CHANGES)
+    identification = build_identification(config)
+    identification.take(_ONE_CHANGE)
+    make_one_scan()
+    identification.waits()
+    for valve in identification.one_of_each_kind():
+        plan = identification.plans[valve]
+        identification.take_samples(valve, _samples())
+        for estimator in plan.estimators:
+            identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
+            identification.predict_measurement(plan.name, estimator, 50.0, 100.0, 40.0)
+            support, one = identification.lane(plan.name, estimator).support, np.full(1, 50.0)
+            support.misfit(one, one, one)  # which kernels a map needs, its samples decide
+            support.may_hide(one, one)
+        identification.result(valve)
+    identification.refresh_maps()
+    plans = identification.plans
+    if any(isinstance(one, Auto) for plan in plans for one in plan.estimators.values()):
+        _what_auto_seldom_needs()
+
+
+def _what_auto_seldom_needs() -> None:
+    """... as only some samples lead to it: a look for lags, a rival, a drift, a state kept."""
+    state = Auto().initial_state()
+    scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
+    rows = state.recent[:1].astype(np.float64)
+    lag_search.look(rows, scalars[cells.LAGS + lag.KNOWN_LAGS :], (None, None))
+    lag.smoothing(0.01, 0.1)
+    map_search.is_better(np.ones((1, len(grid.COLUMNS))), shape, shape, 100.0)
+    cells.colour(scalars)
+    grid.is_coherent(state.slots, 0)
+    held.shared(state.slots, state.cells)
+    champion = surface_of(state, CHAMPION)
+    held.credit(state.slots, state.cells, champion, 0.0, 1.0, held.points(state.cells))
+    reaction.weighed(rows[:, lag.LEFT_U], rows[:, lag.LEFT_Q])
+
+
+def _samples() -> Samples:
+    n = 32
+    k = np.arange(n, dtype=np.float64)
+    U, dp = (37.0 * k) % 100.0, (1.0 + 61.0 * k) % 200.0
+    return Samples.of(
+        t=np.arange(n), U=U, p1=np.full(n, 200.0), p2=200.0 - dp, Q=U * np.sqrt(dp) / 10, T=0 * U
+    )

@@ -1,0 +1,261 @@
+"""``valvemap demo``: rig and service side by side, a valve being identified before your eyes."""
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+import typer
+from pydantic import SecretStr
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from guarded_opcua import Role, ServerSettings, UserStore
+from valvemap.app.build import build_identification
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT
+from valvemap.app.serve import serve
+from valvemap.app.signals import stop_on_signal
+from valvemap.app.warm_up import warm_up
+from valvemap.cli import feedforward
+from valvemap.cli.demo_view import Verdict, status_table, verdict_table
+from valvemap.cli.logs import set_up_logs
+from valvemap.cli.under_demo import page_process, rig_process
+from valvemap.clock import SystemClock
+from valvemap.config.loading import load_config
+from valvemap.config.logs import LogConfig
+from valvemap.config.models import Config, NodesConfig, StateConfig, ValveConfig
+from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.model_structures import FiveTerms
+from valvemap.model.samples import Samples
+from valvemap.pipeline.identification import Identification
+from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
+
+_REFRESH_S = 1.0
+_LINE_S = 5.0
+
+
+def demo(
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="End after S seconds.")
+    ] = None,
+    scenario: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Scenario of the rig, built in or a TOML file; feedforward compares maps.",
+        ),
+    ] = "demo",
+) -> None:
+    """Run rig and service, until Ctrl-C."""
+    loaded = load_scenario(scenario)
+    set_up_logs(LogConfig(level="error"))
+    with TemporaryDirectory(prefix="valvemap-demo-") as folder:
+        fed_forward = scenario == feedforward.NAME
+        config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
+        console = Console()
+        console.print("preparing (the very first start compiles for a minute) ...")
+        run = _feed_forward_demo if fed_forward else _demo
+        asyncio.run(run(config, scenario, loaded, duration, console))
+
+
+async def _demo(
+    config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
+) -> None:
+    identification = build_identification(config)
+    view = _View(identification, scenario)
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    stop = asyncio.Event()
+    with stop_on_signal(stop):
+        compiling = asyncio.ensure_future(_compile(config, stop, console))
+        async with rig_process(config.source.url, name, password) as rig_url:
+            await compiling
+            if stop.is_set():
+                return
+            serving = asyncio.ensure_future(
+                serve(config, stop, _settings(config, users), identification, view.count)
+            )
+            async with page_process(config.server.url, rig_url) as page:
+                _say_where(console, config, rig_url, password, page)
+                await _show(view, console, stop, serving, duration)
+    console.print(verdict_table(view.verdicts()))
+
+
+async def _feed_forward_demo(
+    config: Config, name: str, scenario: Scenario, duration: float | None, console: Console
+) -> None:
+    """Commission, then follow a flow with three maps until the scenario is through."""
+    identification = build_identification(config)
+    users, password = UserStore.one_time("operator", Role.OPERATOR)
+    writer = {"user": "operator", "password": SecretStr(password)}
+    config = config.model_copy(update={"source": config.source.model_copy(update=writer)})
+    stop = asyncio.Event()
+    with stop_on_signal(stop):
+        await _compile(config, stop, console)
+        if stop.is_set():
+            return
+        await asyncio.to_thread(feedforward.commission, identification, scenario)
+        async with rig_process(config.source.url, name, password) as rig_url:
+            course = feedforward.Course(identification, SystemClock().now())
+            armed = feedforward.arm(identification)
+            serving = asyncio.ensure_future(
+                serve(config, stop, _settings(config, users), identification, course.take)
+            )
+            end = feedforward.END_S if duration is None else min(duration, feedforward.END_S)
+            async with page_process(config.server.url, rig_url) as page:
+                _say_where(console, config, rig_url, password, page, armed)
+                await _show(course, console, stop, serving, end)
+    console.print(course.table())
+
+
+async def _compile(config: Config, stop: asyncio.Event, console: Console) -> None:
+    def say(done: int, of: int) -> None:
+        console.print(f"compiled {done} of {of} parts")
+
+    await asyncio.to_thread(warm_up, config, say, stop.is_set)
+
+
+def _settings(config: Config, users: UserStore) -> ServerSettings:
+    return ServerSettings(
+        url=config.server.url,
+        application_uri=APPLICATION_URI,
+        application_name=APPLICATION_NAME,
+        namespace_uri=APPLICATION_URI,
+        users=users,
+        none_on_loopback=True,
+        product=PRODUCT,
+    )
+
+
+def _say_where(
+    console: Console, config: Config, rig_url: str, password: str, page: str, *more: str
+) -> None:
+    console.print(f"page      {page}", soft_wrap=True)
+    console.print(f"rig       {rig_url}")
+    console.print(f"service   {config.server.url}")
+    console.print("security  None, on this machine only; anonymous may look")
+    console.print(f"operator  user operator, password {password}")
+    for line in more:
+        console.print(line, soft_wrap=True)
+    console.print("Ctrl-C ends it.\n")
+
+
+class _Watched(Protocol):
+    """What can be shown while the demo runs."""
+
+    def table(self) -> Table:
+        """For a terminal."""
+
+    def lines(self) -> list[str]:
+        """For a log."""
+
+
+async def _show(
+    view: _Watched,
+    console: Console,
+    stop: asyncio.Event,
+    serving: "asyncio.Future[None]",
+    duration: float | None,
+) -> None:
+    """Show the state of things every second, where nobody watches a line now and then; then end."""
+    try:
+        await _watch(view, console, stop, serving, duration)
+    finally:
+        stop.set()
+        await serving
+
+
+async def _watch(
+    view: _Watched,
+    console: Console,
+    stop: asyncio.Event,
+    serving: "asyncio.Future[None]",
+    duration: float | None,
+) -> None:
+    loop = asyncio.get_running_loop()
+    end = None if duration is None else loop.time() + duration
+    pause = _REFRESH_S if console.is_terminal else _LINE_S
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while not stop.is_set() and not serving.done():
+            left = pause if end is None else min(pause, end - loop.time())
+            if left <= 0:
+                return
+            stopped = asyncio.ensure_future(stop.wait())
+            ends: set[asyncio.Future[Any]] = {stopped, serving}
+            await asyncio.wait(ends, timeout=left, return_when=asyncio.FIRST_COMPLETED)
+            stopped.cancel()
+            if console.is_terminal:
+                live.update(view.table(), refresh=True)
+            else:
+                for line in view.lines():
+                    console.print(line, soft_wrap=True)
+
+
+class _View:
+    """What the demo shows: the service from inside, and the rig's truth that only a demo has."""
+
+    def __init__(self, identification: Identification, scenario: Scenario) -> None:
+        self.identification = identification
+        self._samples = dict.fromkeys((plan.name for plan in identification.plans), 0)
+        self._points = {
+            plan.name: verification_points(scenario, plan.name) for plan in identification.plans
+        }
+        self._best = {name: _best_fit(points) for name, points in self._points.items()}
+
+    def count(self, valve: str, samples: Samples) -> None:
+        """Count samples as they are identified from."""
+        self._samples[valve] += len(samples)
+
+    def table(self) -> Table:
+        """The state of things."""
+        return status_table(self.identification, self.verdicts())
+
+    def lines(self) -> list[str]:
+        """A line per valve."""
+        return [verdict.line() for verdict in self.verdicts()]
+
+    def verdicts(self) -> list[Verdict]:
+        """Compare every estimator's map with the truth."""
+        return [
+            Verdict(
+                valve=plan.name,
+                samples=self._samples[plan.name],
+                rmse=self._rmse(number),
+                best_fit_rmse=self._best[plan.name],
+                points=len(self._points[plan.name].Q),
+            )
+            for number, plan in enumerate(self.identification.plans)
+        ]
+
+    def _rmse(self, number: int) -> Mapping[str, float]:
+        plan, state = self.identification.plans[number], self.identification.state(number)
+        U, dp, T, Q = self._points[plan.name]
+        errors = {}
+        for name, lane in state.lanes.items():
+            Q_hat, _ = lane.estimator.predict(lane.state, U, dp, T)
+            errors[name] = float(np.sqrt(np.mean((Q - Q_hat) ** 2)))
+        return errors
+
+
+def _best_fit(points: VerificationPoints) -> float:
+    X = FiveTerms().regressors(points.U, points.dp, points.T)
+    return float(np.sqrt(np.mean((points.Q - X @ batch_least_squares(X, points.Q)) ** 2)))
+
+
+def _demo_config(scenario: Scenario, folder: Path, *, fed_forward: bool) -> Config:
+    """Fit the default configuration to the scenario's valves, open on loopback, state apart."""
+    config = load_config()
+    update = {"security": "None", "startup_timeout_s": 30.0}
+    if fed_forward:
+        update["publishing_interval_ms"] = 1000.0 * feedforward.INTERVAL_S
+    source = config.source.model_copy(update=update)
+    valves = tuple(
+        ValveConfig(name=bench.name, nodes=NodesConfig.of_rig(bench.name))
+        for bench in scenario.valves
+    )
+    if fed_forward:
+        valves = feedforward.valves()
+    state = StateConfig(file=folder / "state.sqlite")
+    return config.model_copy(update={"source": source, "valves": valves, "state": state})

@@ -1,0 +1,162 @@
+"""``valvemap invert`` and ``valvemap export``: the inverse map in use, outside the service."""
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from valvemap.cli.options import ConfigOption, check_folder
+from valvemap.cli.progress import bars, of_files, working
+from valvemap.config.loading import load_config
+from valvemap.errors import ConfigurationError
+from valvemap.model.inversion import InverseStatus, Inversion
+
+MOST_ROWS: Final = 50
+
+FileArgument = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Saved model (.json) or a recording to learn from.")
+]
+ValveOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Valve, if the recording holds several.")
+]
+EstimatorOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Whose map of a recording.  [default: Auto]")
+]
+
+
+def invert(
+    file: FileArgument,
+    flow: Annotated[
+        str | None, typer.Option("--Q", metavar="Q,…", help="Demanded flow, l/min; one or more.")
+    ] = None,
+    drop: Annotated[
+        str | None, typer.Option("--dp", metavar="DP,…", help="Pressure drop, bar; one or more.")
+    ] = None,
+    temperature: Annotated[
+        float | None,
+        typer.Option("--T", metavar="°C", help="Oil temperature.  [default: measured last]"),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="CSV", help="Read Q, dp[, T] from here, line by line."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--to", metavar="CSV", help="Write Q, dp, T, U, lower, upper, status."),
+    ] = None,
+    valve: ValveOption = None,
+    estimator: EstimatorOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Which control voltage passes a flow at a pressure drop, with its 95 % interval."""
+    from valvemap.app.models import open_model
+    from valvemap.model.inverse_map import invert as run
+    from valvemap.storage.points import read_points, write_answers
+
+    if (points is None) == (flow is None or drop is None):
+        raise typer.BadParameter("give --Q and --dp, or --from a CSV file")
+    check_folder("--to", out)
+    loaded = None if config is None else load_config(config)
+    if points is not None:
+        Q, dp, T = read_points(points)
+    else:
+        Q, dp = _grid(_numbers("--Q", str(flow)), _numbers("--dp", str(drop)))
+        T = np.full_like(Q, np.nan)
+    with bars() as progress:
+        model = open_model(file, valve, estimator, loaded, of_files(progress))
+    T = np.where(np.isnan(T), model.T if temperature is None else temperature, T)
+    answer = run(model.estimator, model.state, Q, dp, T, support=model.support)
+    if out is not None:
+        write_answers(out, (Q, dp, T), answer)
+        typer.echo(f"written: {out}")
+        return
+    title = f"{model.valve} by {model.name}: U for Q at dp, 95 % interval"
+    Console().print(_table(title, Q, dp, T, answer))
+
+
+def export(
+    file: FileArgument,
+    out: Annotated[
+        Path, typer.Option("--to", metavar="FILE", help="FILE.csv, .c (C99) or .st (IEC 61131-3)")
+    ],
+    temperature: Annotated[
+        float | None,
+        typer.Option("--T", metavar="°C", help="Oil temperature.  [default: measured last, or 40]"),
+    ] = None,
+    points_Q: Annotated[
+        int, typer.Option("--points-q", min=2, max=1000, help="Points along the flow.")
+    ] = 41,
+    points_dp: Annotated[
+        int, typer.Option("--points-dp", min=2, max=1000, help="Points along the pressure drop.")
+    ] = 31,
+    dp_min: Annotated[float, typer.Option(help="Lowest pressure drop, bar.")] = 5.0,
+    dp_max: Annotated[float, typer.Option(help="Highest pressure drop, bar.")] = 200.0,
+    valve: ValveOption = None,
+    estimator: EstimatorOption = None,
+    config: ConfigOption = None,
+) -> None:
+    """Export the inverse map as a lookup table with a stated error, for a PLC or a program."""
+    from valvemap.app.models import open_model
+    from valvemap.model.lookup_table import lookup_table
+    from valvemap.storage.lookup_tables import check_form, write_table
+
+    check_form(out)
+    check_folder("--to", out)
+    loaded = None if config is None else load_config(config)
+    with bars() as progress:
+        model = open_model(file, valve, estimator, loaded, of_files(progress))
+    T = temperature if temperature is not None else model.T
+    T = 40.0 if np.isnan(T) else T
+    size = points_Q, points_dp
+    try:
+        with working("measuring the table's error"):
+            table = lookup_table(
+                model.estimator,
+                model.state,
+                dp_max,
+                T,
+                points=size,
+                dp_min=dp_min,
+                support=model.support,
+            )
+    except ValueError as error:
+        raise ConfigurationError(f"{file}: {error}") from None
+    write_table(out, table, f"{model.valve} by {model.name}")
+    typer.echo(
+        f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {table.error_U:.2g} % "
+        f"of U and {table.error_Q:.2g} l/min of the map"
+    )
+    share = float(np.mean(table.guessed))
+    if share > 0.0:
+        typer.echo(f"{share:.0%} of the points are extrapolated, and marked so in the table")
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(
+            f"{option} {text}: numbers with commas between are wanted"
+        ) from None
+
+
+def _grid(Q: list[float], dp: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.meshgrid(np.array(Q), np.array(dp), indexing="ij")
+    return rows.ravel(), columns.ravel()
+
+
+def _table(title: str, Q: np.ndarray, dp: np.ndarray, T: np.ndarray, answer: Inversion) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("Q, l/min", "dp, bar", "T, °C", "U, %", "from", "to"):
+        table.add_column(heading, justify="right")
+    table.add_column("status")
+    rows = zip(Q, dp, T, answer.U, answer.lower, answer.upper, answer.status, strict=True)
+    for number, (*numbers, status) in enumerate(rows):
+        if number == MOST_ROWS:
+            table.add_row(*["…"] * 6, f"{len(Q) - MOST_ROWS} more; see --to")
+            break
+        table.add_row(*(f"{x:.2f}" for x in numbers), InverseStatus(status).name)
+    return table

@@ -1,0 +1,165 @@
+"""``valvemap replay``: recordings through the live pipeline, with a verdict."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from valvemap.cli.history import recordings_of
+from valvemap.cli.options import ConfigOption, check_folder
+from valvemap.cli.progress import bars, of_files, working
+from valvemap.config.loading import load_config
+from valvemap.errors import RecordingError, StorageError
+
+if TYPE_CHECKING:
+    from valvemap.app.replay import Report
+
+
+def replay(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            help="Recordings, in the order of their time; or the url of a server with a history.",
+        ),
+    ],
+    config: ConfigOption = None,
+    verify: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Recording to predict with the final parameters."),
+    ] = None,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", metavar="OUT", help="Write all figures as JSON.")
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL", help="Save the map (FILE.json), or every map in a folder, for later."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Draw what was identified: PNG files, and index.html with all."
+        ),
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--from", metavar="T", help="Of a history: first time, ISO 8601 or UTC ns."),
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option("--to", metavar="T", help="Of a history: last time; none = now.")
+    ] = None,
+    *,
+    insist: Annotated[
+        bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
+    ] = False,
+) -> None:
+    """Identify from recordings, as live."""
+    from valvemap.app.models import save_models
+    from valvemap.app.replay import as_json
+    from valvemap.app.replay import replay as run
+    from valvemap.report.verification import verification_table
+
+    check_folder("--json", json_out)
+    check_folder("--save", None if save is None or save.suffix != ".json" else save)
+    loaded = None if config is None else load_config(config)
+    plots = None
+    if plot is not None:  # matplotlib is an extra: without pictures nobody needs it
+        from valvemap.report.replay_plots import ReplayPlots
+
+        plots = ReplayPlots(plot)
+    with recordings_of(files, config, since, until) as recordings, bars() as progress:
+        taps = [] if plots is None else [plots.take]
+        report = run(recordings, loaded, verify, of_files(progress), *taps, insist=insist)
+    console = Console()
+    one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
+    tables = [verification_table("One step ahead, before each update", one_step)]
+    if verify is not None:
+        verified = {v: {n: r.verify for n, r in e.items() if r.verify} for v, e in report.items()}
+        tables.append(verification_table(f"Verified on {verify.name}, no adaptation", verified))
+    tables.append(_trust_table(report))
+    for table in tables:
+        console.print(table)
+    notes = [*_not_learnt_from(report), *_hints(report)]
+    for line in notes:
+        console.print(line, soft_wrap=True, highlight=False)
+    if json_out is not None:
+        write_json(json_out, as_json(report))
+    if save is not None:
+        for written in save_models(save, report):
+            console.print(f"written: {written}")
+    if plots is not None and plot is not None:
+        from valvemap.report.replay_page import write_page
+
+        lanes = {v: {n: r.lane for n, r in e.items()} for v, e in report.items()}
+        with working("drawing"):
+            pictures = list(plots.write(lanes))
+            title = f"Replay of {', '.join(Path(file).name for file in files)}"
+            page = write_page(plot, title, tables, notes, pictures)
+        for written in (*pictures, page):
+            console.print(f"written: {written}", soft_wrap=True)
+    _refuse_if_nothing_was_learnt(report)
+
+
+def _hints(report: "Report") -> Iterator[str]:
+    """A line for each thing that looks odd about a valve's signals."""
+    for valve, estimators in report.items():
+        for hint in dict.fromkeys(hint for r in estimators.values() for hint in r.hints):
+            yield f"{valve}: hint: {hint}"
+
+
+def _refuse_if_nothing_was_learnt(report: "Report") -> None:
+    """Say of which valves no sample could be used, and why."""
+    empty = []
+    for valve, estimators in report.items():
+        r = next(iter(estimators.values()))
+        if all(r.lane.count == 0 for r in estimators.values()):
+            why = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in r.rejected.items())
+            why = why or "they are too few"
+            empty.append(f"{valve}: nothing was learnt from {r.samples} samples: {why}")
+    if empty:
+        raise RecordingError("; ".join(empty))
+
+
+def _not_learnt_from(report: "Report") -> Iterator[str]:
+    """A line per valve whose U lay beyond what an estimator can describe."""
+    for valve, estimators in report.items():
+        beyond = max(r.beyond_range for r in estimators.values())
+        if beyond:
+            yield (
+                f"{valve}: not learnt from, because U lay beyond what an estimator can describe "
+                f"(0 … 100 %): {beyond} samples"
+            )
+
+
+def _trust_table(report: "Report") -> Table:
+    """How far each map can be trusted, and where a test would help it most."""
+    table = Table(title="Trust: noise, 95 % interval, where to measure next", title_justify="left")
+    for heading in ("valve", "estimator"):
+        table.add_column(heading)
+    for heading in ("noise, l/min", "covered, %", "regions seen, %", "next U, %", "next dp, bar"):
+        table.add_column(heading, justify="right")
+    for valve, estimators in report.items():
+        for name, r in estimators.items():
+            figures = r.noise_std, 100 * r.covered, 100 * r.survey.share
+            shown = [f"{x:.3g}" for x in (*figures, r.survey.suggested_U, r.survey.suggested_dp)]
+            table.add_row(valve, name, *shown)
+    return table
+
+
+def write_json(file: Path, content: object) -> None:
+    """Write ``content``.
+
+    Raises
+    ------
+    StorageError
+        naming the file.
+    """
+    try:
+        file.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

@@ -1,0 +1,117 @@
+"""Commands around the live service: ``serve``, ``record``, ``check-config``, ``warm-up``."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valvemap.cli.logs import set_up_logs
+from valvemap.cli.options import ConfigOption, SourceOption, check_folder, of_source
+from valvemap.cli.progress import working
+from valvemap.cli.without import without
+from valvemap.config.loading import load_config
+from valvemap.config.models import NamedSourceConfig
+from valvemap.errors import ConfigurationError, RecordingError
+
+
+def serve(config: ConfigOption = None) -> None:
+    """Subscribe to the source, identify, publish, until Ctrl-C; SIGHUP reads the configuration."""
+    with without("cffi"):  # numba calls its functions, our kernels call none
+        from numba.core.typing import cffi_utils as _  # noqa: F401
+
+    from valvemap.app.reload import Reload
+    from valvemap.app.serve import serve as run
+    from valvemap.app.signals import stop_on_signal
+
+    loaded = load_config(config)
+    set_up_logs(loaded.log)
+
+    async def until_stopped() -> None:
+        stop, reload = asyncio.Event(), Reload(lambda: load_config(config))
+        with stop_on_signal(stop, reload.ask_by_signal):
+            await run(loaded, stop, reload=reload)
+
+    asyncio.run(until_stopped())
+
+
+def record(
+    file: Annotated[Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet")],
+    config: ConfigOption = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds.")
+    ] = None,
+    source: SourceOption = None,
+    *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Write over a recording that is there.")
+    ] = False,
+) -> None:
+    """Record the source's samples to a file."""
+    from valvemap.app.record import record as run
+    from valvemap.app.signals import stop_on_signal
+
+    check_folder("FILE", file)
+    if file.exists() and not overwrite:
+        raise ConfigurationError(
+            f"{file}: is there already; another name, or --overwrite, is needed"
+        )
+
+    loaded = of_source(load_config(config), source)
+    set_up_logs(loaded.log)
+
+    async def until_stopped() -> int:
+        stop = asyncio.Event()
+        of = "" if duration is None else f", {duration:g} s"
+        with stop_on_signal(stop), working(f"waiting for the source{of}") as say:
+            recorded = lambda n: say(f"{file.name}: {n:,} samples{of}")  # noqa: E731
+            return await run(loaded, file, stop, duration, recorded)
+
+    n = asyncio.run(until_stopped())
+    if n == 0:
+        raise RecordingError(
+            f"{file}: no sample was made; `valvemap check-config --online` says how signals come"
+        )
+    typer.echo(f"{file}: {n:,} samples")
+
+
+def check_config(
+    config: Annotated[Path, typer.Argument(metavar="FILE", help="Configuration (TOML).")],
+    *,
+    online: Annotated[
+        bool, typer.Option("--online", help="Connect to the source and watch its signals, too.")
+    ] = False,
+    watch: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, metavar="S", help="With --online: so long.")
+    ] = 10.0,
+    source: SourceOption = None,
+) -> None:
+    """Check a configuration file and say what it would do."""
+    whole = load_config(config)
+    loaded = whole if source is None else of_source(whole, source)
+    names = [named.name for named in loaded.sources]
+    if online:
+        from valvemap.app.connect import check_online
+
+        for watched in [of_source(loaded, name) for name in names] or [loaded]:
+            with working(f"watching {watched.source.url} for {watch:g} s"):
+                lines = asyncio.run(check_online(watched, watch))
+            for line in lines:
+                typer.echo(line)
+    for of_valves in loaded.all_sources:
+        named = f"{of_valves.name}: " if isinstance(of_valves, NamedSourceConfig) else ""
+        typer.echo(f"source   {named}{of_valves.url} ({of_valves.security})")
+    typer.echo(f"results  {loaded.server.url}")
+    for valve in loaded.valves:
+        estimators = ", ".join(estimator.name for estimator in valve.estimators)
+        at = "" if valve.source is None else f" at {valve.source}"
+        typer.echo(f"valve    {valve.name}{at}: {estimators}")
+    typer.echo(f"{config}: good")
+
+
+def warm_up(config: ConfigOption = None) -> None:
+    """Compile the estimators ahead (for images)."""
+    from valvemap.app.warm_up import warm_up as run
+
+    with working("compiling: a minute at first") as say:
+        run(load_config(config), lambda done, of: say(f"compiling: {done} of {of} parts are done"))

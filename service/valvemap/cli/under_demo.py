@@ -1,0 +1,73 @@
+"""The processes of a demo: rig and page, each of its own, that end with it."""
+
+import asyncio
+import importlib.util
+import os
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from guarded_opcua import ServerError
+
+_RIG_START_S, _PAGE_START_S = 120.0, 60.0
+_FAREWELL_S = 10.0
+_NEEDED = ("starlette", "uvicorn", "websockets", "prometheus_client")
+
+
+@asynccontextmanager
+async def rig_process(url: str, scenario: str, password: str) -> AsyncIterator[str]:
+    """Run the rig; yields its URL.
+
+    Raises
+    ------
+    ServerError
+        if the rig does not start; it has said why.
+    """
+    arguments = ("rig", "--scenario", scenario, "--url", url)
+    async with _process(arguments, f"{password}\n", _RIG_START_S) as line:
+        if not line:
+            raise ServerError("the rig did not start")
+        yield line
+
+
+@asynccontextmanager
+async def page_process(service_url: str, rig_url: str) -> AsyncIterator[str]:
+    """Serve the page; yields its URL, or why there is none. A demo goes on without."""
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        yield f"none: {missing[0]} is missing, pip install 'valvemap[dashboard]'"
+        return
+    arguments = ("dashboard", "--security", "None", "--url", service_url, "--rig-url", rig_url)
+    async with _process(arguments, "", _PAGE_START_S) as line:
+        yield line or "none: it did not start"
+
+
+@asynccontextmanager
+async def _process(arguments: tuple[str, ...], said: str, start_s: float) -> AsyncIterator[str]:
+    """A command of ours that ends with us whatever becomes of us; yields its first line, or ""."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        *("-m", "valvemap", *arguments, "--under-demo"),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    assert process.stdin is not None  # noqa: S101 - both are pipes
+    assert process.stdout is not None  # noqa: S101
+    try:
+        process.stdin.write(said.encode())
+        yield await _first_line(process.stdout, start_s)
+    finally:
+        process.stdin.close()
+        try:
+            await asyncio.wait_for(process.wait(), _FAREWELL_S)
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+
+
+async def _first_line(output: asyncio.StreamReader, start_s: float) -> str:
+    try:
+        return (await asyncio.wait_for(output.readline(), start_s)).decode().strip()
+    except TimeoutError:
+        return ""

@@ -1,0 +1,81 @@
+"""When alarms come and go."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from valvemap.config.sections import Section
+from valvemap.pipeline.alarm_states import AlarmRule
+from valvemap.pipeline.alarms import RULES, SERVICE_RULES, Alarm, ServiceAlarm
+
+
+class AlarmConfig(Section):
+    """One alarm; what is left out is as by default."""
+
+    limit: float | None = Field(
+        None, ge=0.0, description="it comes when what is measured is above; in the alarm's own unit"
+    )
+    hysteresis: float | None = Field(
+        None, ge=0.0, description="it goes when that is below the limit less this"
+    )
+    delay_s: float | None = Field(
+        None, ge=0.0, le=2_592_000.0, description="for so long the limit must be exceeded"
+    )
+    severity: int | None = Field(None, ge=1, le=1_000, description="how urgent it is")
+
+    def rule(self, default: AlarmRule) -> AlarmRule:
+        """The rule, with its defaults; a hysteresis is at most the limit."""
+        limit = default.limit if self.limit is None else self.limit
+        hysteresis = default.hysteresis if self.hysteresis is None else self.hysteresis
+        return AlarmRule(
+            limit=limit,
+            hysteresis=min(hysteresis, limit),
+            delay_s=default.delay_s if self.delay_s is None else self.delay_s,
+            severity=default.severity if self.severity is None else self.severity,
+        )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.limit is not None and self.hysteresis is not None and self.hysteresis > self.limit:
+            raise ValueError(f"hysteresis = {self.hysteresis:g}: at most limit = {self.limit:g}")
+        return self
+
+
+class AlarmsConfig(Section):
+    """The alarms of one valve."""
+
+    Changed: AlarmConfig = Field(AlarmConfig(), description="% of the flow's range; default 0.25")
+    Residual: AlarmConfig = Field(AlarmConfig(), description="times the usual; default 2.5")
+    Misfit: AlarmConfig = Field(AlarmConfig(), description="% of the flow's range; default 1")
+    SensorLost: AlarmConfig = Field(AlarmConfig(), description="s; default 2")
+    SensorFrozen: AlarmConfig = Field(AlarmConfig(), description="s; default 10")
+    Unexcited: AlarmConfig = Field(AlarmConfig(), description="s; default 86,400")
+    Extrapolated: AlarmConfig = Field(AlarmConfig(), description="0 or 1; default 0.5")
+    SamplesLost: AlarmConfig = Field(AlarmConfig(), description="%; default 1")
+    LagFound: AlarmConfig = Field(AlarmConfig(), description="s; default 0.1")
+
+    def rules(self) -> dict[Alarm, AlarmRule]:
+        """When each of them comes and goes."""
+        return {alarm: getattr(self, alarm.title).rule(RULES[alarm]) for alarm in Alarm}
+
+
+class ServiceAlarmsConfig(Section):
+    """The alarms of the service itself."""
+
+    Checkpoint: AlarmConfig = Field(
+        AlarmConfig(), description="s since states were kept; default 60, or 3 intervals"
+    )
+    Certificate: AlarmConfig = Field(
+        AlarmConfig(), description="days that it is valid; it comes below; default 30"
+    )
+    Load: AlarmConfig = Field(AlarmConfig(), description="share of time at work; default 0.9")
+
+    def rules(self, checkpoint_interval_s: float) -> dict[ServiceAlarm, AlarmRule]:
+        """When each of them comes and goes."""
+        found = {a: getattr(self, a.title).rule(SERVICE_RULES[a]) for a in ServiceAlarm}
+        checkpoint = found[ServiceAlarm.CHECKPOINT]
+        if self.Checkpoint.limit is None and 3.0 * checkpoint_interval_s > checkpoint.limit:
+            found[ServiceAlarm.CHECKPOINT] = AlarmRule(
+                3.0 * checkpoint_interval_s, 0.0, checkpoint.delay_s, checkpoint.severity
+            )
+        return found

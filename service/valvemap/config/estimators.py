@@ -1,0 +1,132 @@
+"""Configuration of the estimators: a class per kind, and the one place where they are built."""
+
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal, assert_never
+
+from pydantic import Field
+
+from valvemap.config.sections import Section
+from valvemap.model.auto import Auto
+from valvemap.model.estimator import Estimator
+from valvemap.model.forgetting import (
+    Adaptive,
+    Directional,
+    Exponential,
+    Forgetting,
+    Resetting,
+    SlidingWindow,
+    Subspace,
+    Variable,
+)
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+
+Name = Annotated[
+    str,
+    Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$", description="its name in every node id"),
+]
+Lam = Annotated[float, Field(gt=0.0, le=1.0, description="forgetting factor")]
+Lag = Annotated[float | None, Field(ge=0.0, le=10.0)]
+Range = tuple[float, float]
+DEFAULT_LAM = 0.998
+
+
+ForgettingRule = Literal[
+    "adaptive", "exponential", "directional", "subspace", "resetting", "variable", "window"
+]
+
+
+class RlsConfig(Section):
+    """Recursive least squares on eq. (7)."""
+
+    kind: Literal["RLS"] = "RLS"
+    name: Name = "RLS"
+    forgetting: ForgettingRule = Field(
+        "adaptive", description="adaptive: what is seen to drift, and at once after a change"
+    )
+    lam: Lam | None = Field(
+        None, description="forgetting factor; by default 1 of adaptive, else 0.998"
+    )
+    window_samples: int = Field(500, ge=10, le=100_000, description="length of a window")
+
+
+class RmlConfig(Section):
+    """Recursive maximum likelihood on eq. (7), noise coloured by a moving average."""
+
+    kind: Literal["RML"] = "RML"
+    name: Name = "RML"
+    lam: Lam = 0.999
+    nd: int = Field(1, ge=1, le=8, description="order of the moving average of the noise")
+
+
+class RbfConfig(Section):
+    """The paper's radial basis function network, trained by gradient descent."""
+
+    kind: Literal["RBF"] = "RBF"
+    name: Name = "RBF"
+    neurons_U: int = Field(5, ge=2, le=30, description="neurons along U")
+    neurons_dp: int = Field(5, ge=2, le=30, description="neurons along the pressure drop")
+    eta: float = Field(0.3, gt=0.0, le=1.0, description="learning rate")
+    alpha: float = Field(0.1, ge=0.0, lt=1.0, description="momentum")
+
+
+class AutoConfig(Section):
+    """The structure of the map chosen online."""
+
+    kind: Literal["Auto"] = "Auto"
+    name: Name = "Auto"
+    lam: Lam = 0.998
+    lag_U_s: Lag = Field(None, description="lag of the effect of U; none: looked for")
+    lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: looked for")
+
+
+AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig
+EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
+
+
+def default_estimators() -> tuple[AnyEstimatorConfig, ...]:
+    """The paper's three methods, and the structure chosen online."""
+    return RlsConfig(), RmlConfig(), RbfConfig(), AutoConfig()
+
+
+def build_estimator(
+    config: AnyEstimatorConfig, U_range: Range, dp_range: Range, Q_range: Range
+) -> Estimator[Any]:
+    """The estimator that a section describes, for a valve of these ranges."""
+    match config:
+        case RlsConfig():
+            return RecursiveLeastSquares(forgetting=_forgetting(config))
+        case RmlConfig():
+            return MaximumLikelihood(nd=config.nd, lam=config.lam)
+        case RbfConfig():
+            return RbfNetwork(
+                grid=(config.neurons_U, config.neurons_dp),
+                eta=config.eta,
+                alpha=config.alpha,
+                U_range=U_range,
+                dp_range=dp_range,
+                Q_scale=max(abs(Q_range[0]), abs(Q_range[1])),
+            )
+        case AutoConfig():
+            return Auto(lam=config.lam, lag_U=config.lag_U_s, lag_Q=config.lag_Q_s)
+        case _:
+            assert_never(config)
+
+
+def _forgetting(config: RlsConfig) -> Forgetting:
+    if config.forgetting == "window":
+        return SlidingWindow(config.window_samples)
+    if config.forgetting == "adaptive" and config.lam is None:
+        return Adaptive()
+    return _RULES[config.forgetting](DEFAULT_LAM if config.lam is None else config.lam)
+
+
+_RULES: Mapping[str, Callable[[float], Forgetting]] = {
+    "adaptive": Adaptive,
+    "exponential": Exponential,
+    "directional": Directional,
+    "subspace": Subspace,
+    "resetting": Resetting,
+    "variable": Variable,
+}

@@ -1,0 +1,137 @@
+"""Reading a configuration file; every mistake is one line that names file, field and value."""
+
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+from pydantic_settings import BaseSettings, SettingsError
+
+from valvemap.config.models import Config
+from valvemap.errors import ConfigurationError
+
+S = TypeVar("S", bound=BaseSettings)
+
+
+def load_config(file: Path | None = None) -> Config:
+    """Read ``file`` (TOML); without one the defaults, which fit the virtual rig, hold.
+
+    Raises
+    ------
+    ConfigurationError
+        naming file (or environment variable), field, value and what is allowed.
+    """
+    return load_settings(Config, file)
+
+
+def load_settings(kind: type[S], file: Path | None) -> S:
+    """Read settings of another kind, as `load_config` does.
+
+    Raises
+    ------
+    ConfigurationError
+        naming file (or environment variable), field, value and what is allowed.
+    """
+    given = {} if file is None else _read(file)
+    try:
+        return kind(**given)
+    except SettingsError as error:
+        prefix = kind.model_config.get("env_prefix")
+        raise ConfigurationError(f"environment {prefix}*: {error}") from error
+    except ValidationError as error:
+        lines = [_line(kind, file, details) for details in error.errors()]
+        raise ConfigurationError("\n".join(dict.fromkeys(lines))) from None
+
+
+def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
+    """The field that was meant, if one is near."""
+    section: Any = kind
+    for key in path[:-1]:
+        if isinstance(key, int):
+            continue
+        field = section.model_fields.get(key) if hasattr(section, "model_fields") else None
+        section = next(iter(_models(field.annotation)), None) if field is not None else None
+    if section is None or not hasattr(section, "model_fields"):
+        return ""
+    near = get_close_matches(str(path[-1]), section.model_fields, n=1)
+    return f"; is {near[0]} meant?" if near else f"; there are {', '.join(section.model_fields)}"
+
+
+def _models(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
+    """The models within a type."""
+    if hasattr(annotation, "model_fields"):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _sentence(details: ErrorDetails) -> str:
+    """What is wrong, and what is allowed, in words."""
+    kind, context = details["type"], details.get("ctx", {})
+    last = next((str(key) for key in reversed(details["loc"]) if isinstance(key, str)), "")
+    if kind == "string_pattern_mismatch":
+        return _FORMS.get(last, _FORMS["name"])
+    if kind == "union_tag_invalid":
+        return f"kind {context['tag']!r}: allowed is one of {context['expected_tags']}"
+    if kind == "union_tag_not_found":
+        return "kind is missing: allowed is one of RLS, RML, RBF, Auto"
+    if kind in _SHAPES:
+        return _SHAPES[kind]
+    message = details["msg"].removeprefix("Value error, ")
+    return message[:1].lower() + message[1:]
+
+
+_LOG_IN = re.compile(r"//[^/@]*@")  # of an address: somebody's password
+_FORMS = {
+    "url": "allowed is opc.tcp://HOST:PORT/PATH",
+    "broker": "allowed is mqtt://HOST or mqtts://HOST, with :PORT where it is not 1883 or 8883",
+    "group": "allowed are words without / + #, a space between them, 64 characters at most",
+    "edge_node": "allowed are words without / + #, a space between them, 64 characters at most",
+    "primary_host": "allowed are words without / + #, a space between them, 64 characters at most",
+    "name": "allowed is a letter, then letters, digits, _ or -, 64 at most",
+}
+_SHAPES = {
+    "tuple_type": "a list is needed, [a, b], or a section [[…]] for each",
+    "model_type": "a section is needed, [name] with fields below it",
+    "model_attributes_type": "a section is needed, [name] with fields below it",
+    "dict_type": "a table is needed, { name = value }",
+}
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigurationError(
+            f"{file}: no such file or directory; `valvemap init` makes a first configuration"
+        ) from None
+    except OSError as error:
+        raise ConfigurationError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{file}: not a text file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{file}: not valid TOML: {error}; text goes in quotes") from None
+
+
+def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) -> str:
+    # A union's tag stands among the keys of the path, though nobody wrote it.
+    path = [key for key in details["loc"] if key not in {"RLS", "RML", "RBF", "Auto"}]
+    field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
+    prefix = kind.model_config.get("env_prefix", "")
+    variable = prefix + "__".join(str(key).upper() for key in path)
+    where = f"environment variable {variable}" if variable in os.environ else (file or "defaults")
+    message = _sentence(details)
+    if details["type"] == "extra_forbidden":
+        return f"{where}: {field}: there is no such field{_nearest(kind, path)}"
+    if details["type"] == "missing":
+        return f"{where}: {field}: this field is required"
+    value = details["input"]
+    if isinstance(value, str):
+        value = _LOG_IN.sub("//***@", value)
+    shown = f" = {value!r}" if isinstance(value, str | int | float | bool) else ""
+    return f"{where}: {field}{shown}: {message}"

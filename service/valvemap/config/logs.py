@@ -1,0 +1,18 @@
+"""Section ``[log]``: what is logged."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from valvemap.config.sections import Section
+
+
+class LogConfig(Section):
+    """What is logged while the service runs."""
+
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="least severe event that is logged"
+    )
+    format: Literal["console", "json"] = Field(
+        "console", description="console: for people; json: an object a line"
+    )

@@ -1,0 +1,530 @@
+"""The configuration: what may be written, with units in the names, bounds and defaults."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    Field,
+    SecretStr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_settings import SettingsConfigDict
+
+from valvemap.config.alarms import AlarmsConfig, ServiceAlarmsConfig
+from valvemap.config.estimators import EstimatorConfig, default_estimators
+from valvemap.config.logs import LogConfig
+from valvemap.config.mqtt import MqttConfig
+from valvemap.config.nameplate import IdentificationConfig
+from valvemap.config.sections import Section, SettingsFile
+from valvemap.config.signals import SignalsConfig
+from valvemap.model.extrapolation import ONE_EDGE
+from valvemap.pipeline.data_changes import Signal
+from valvemap.pipeline.quality_gate import PLAUSIBLE, SignalLimits
+
+RIG_NAMESPACE = "urn:valvemap:rig"
+RESERVED_VALVES = ("Identification", "Service")  # names of other nodes
+RESERVED_ESTIMATORS = (
+    "Signals",
+    "Alarms",
+    "Baseline",
+    "Diagnostics",
+    "Inverse",
+    "Frame",
+    "FrameNames",
+    "Identification",
+    "DeviceHealth",
+    "NodeVersion",
+)
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")]
+SecurityPolicy = Literal["None", "Basic256Sha256", "Aes256Sha256RsaPss"]
+Range = tuple[float, float]
+
+
+class SourceConfig(Section):
+    """The OPC UA server that publishes the signals."""
+
+    url: str = Field(
+        "opc.tcp://127.0.0.1:4840/valvemap/rig/",
+        pattern=r"^opc\.tcp://[^\s/]+(:\d+)?(/\S*)?$",
+        description="opc.tcp://HOST:PORT/PATH",
+    )
+    security: SecurityPolicy = Field(
+        "Basic256Sha256", description="policy of the connection, SignAndEncrypt unless None"
+    )
+    user: str | None = Field(None, description="user name; none = anonymous")
+    password: SecretStr | None = Field(None, description="better by the environment or a file")
+    password_file: Path | None = Field(None, description="file whose first line is the password")
+    check_host_name: bool = Field(
+        default=True, description="the source's certificate must name the host of the url"
+    )
+    publishing_interval_ms: float = Field(
+        100.0, ge=1.0, le=60_000.0, description="how often the source sends what has changed"
+    )
+    queue_size: int = Field(
+        1_000, ge=1, le=1_000_000, description="samples per signal that the source keeps for us"
+    )
+    history_s: float = Field(
+        3_600.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how far back its history is asked for what was not heard; 0 = never",
+    )
+    warm_start_s: float = Field(
+        0.0,
+        ge=0.0,
+        le=2_592_000.0,
+        description="how much of its history is learnt at the first start, before what comes",
+    )
+    timeout_s: float = Field(4.0, gt=0.0, le=600.0, description="longest wait for an answer")
+    startup_timeout_s: float = Field(
+        10.0, ge=0.0, description="wait this long for the source at start; 0 = for ever"
+    )
+
+
+class NamedSourceConfig(SourceConfig):
+    """One of several servers that publish signals; valves name theirs."""
+
+    name: Name = Field(description="by which valves name it")
+
+
+class ServerConfig(Section):
+    """Our own OPC UA server, which publishes the results."""
+
+    url: str = Field(
+        "opc.tcp://127.0.0.1:4841/valvemap/service/",
+        pattern=r"^opc\.tcp://[^\s/]+:\d+(/\S*)?$",
+        description="opc.tcp://ADDRESS:PORT/PATH to listen on",
+    )
+    host_names: tuple[str, ...] = Field(
+        (), description="names by which clients reach the server, for its certificate"
+    )
+    anonymous_observer: bool = Field(
+        default=False, description="let anonymous users read on the secured endpoints"
+    )
+    min_publishing_interval_ms: float = Field(
+        50.0, ge=1.0, le=60_000.0, description="shortest publishing interval that a client may have"
+    )
+    results_interval_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=60_000.0,
+        description="shortest time between two results of a valve in its single variables; Frame "
+        "has them all",
+    )
+
+
+class SecurityConfig(Section):
+    """Certificates and users."""
+
+    pki: Path = Field(Path("data/pki/service"), description="folder of certificates and keys")
+    users: Path = Field(Path("data/users.json"), description="users and hashed passwords")
+    require_crl: bool = Field(
+        default=True,
+        description="certificates of an authority need its revocation list; self-signed ones none",
+    )
+
+
+class StateConfig(Section):
+    """What survives a restart."""
+
+    file: Path = Field(Path("data/state.sqlite"), description="SQLite file of the states")
+    checkpoint_interval_s: float = Field(
+        10.0, ge=0.1, le=86_400.0, description="how often states are kept"
+    )
+
+
+class HistoryConfig(Section):
+    """What signals and results have been, for trends that reach back."""
+
+    file: Path | None = Field(
+        None, description="SQLite file of the history; none: there is no history"
+    )
+    keep_days: float = Field(
+        7.0, gt=0.0, le=3_650.0, description="what is older is forgotten, in days"
+    )
+    most_mb: int = Field(
+        2_000, ge=10, le=1_000_000, description="the oldest goes where the file is larger, in MB"
+    )
+
+
+class AlignmentConfig(Section):
+    """How the signals of one sample find together."""
+
+    tolerance_ms: float = Field(
+        0.0,
+        ge=0.0,
+        le=10_000.0,
+        description="largest difference of the times of one sample; 0 = found at the start",
+    )
+    max_wait_s: float = Field(
+        2.0, gt=0.0, le=3_600.0, description="longest wait for a signal that is missing"
+    )
+    reorder_ms: float = Field(
+        1_000.0,
+        ge=0.0,
+        le=60_000.0,
+        description="longest wait behind a hole in nodes.sequence; valves without one wait so long "
+        "with every sample, but only if this is given",
+    )
+    max_pending: int = Field(
+        4_096, ge=16, le=1_000_000, description="most samples of a valve that wait"
+    )
+    hold_s: dict[Literal["U", "p1", "p2", "Q", "T"], float] = Field(
+        default_factory=dict,
+        description="signals whose last value serves for this long; none = found at the start",
+    )
+    find_timing: bool = Field(
+        default=True,
+        description="find out at the start how signals come that carry no common time, unless "
+        "tolerance_ms or hold_s say so",
+    )
+    stale_after_s: float = Field(
+        2.0, gt=0.0, le=3_600.0, description="without a sample for so long results are Bad"
+    )
+
+    @property
+    def finds_timing(self) -> bool:
+        """Whether it has to be found how the signals come."""
+        return self.find_timing and self.tolerance_ms == 0.0 and not self.hold_s
+
+
+class LimitsConfig(Section):
+    """Limits of one signal in its own unit; what is left out is not checked."""
+
+    low: float | None = Field(None, description="lowest value that is believed")
+    high: float | None = Field(None, description="highest value that is believed")
+    frozen_s: float | None = Field(
+        None, gt=0.0, description="longest time that the value may stand still"
+    )
+    max_rate_per_s: float | None = Field(
+        None, gt=0.0, description="fastest change that is believed, per second"
+    )
+    spike: float | None = Field(
+        None, gt=0.0, description="largest distance from the median of the last five values"
+    )
+
+    @model_validator(mode="after")
+    def _low_below_high(self) -> Self:
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+        return self
+
+    def limits(self, signal: Signal) -> SignalLimits:
+        """The gate's limits; the range is at most what any sensor could say."""
+        low, high = PLAUSIBLE[signal]
+        return SignalLimits(
+            low=low if self.low is None else self.low,
+            high=high if self.high is None else self.high,
+            frozen_s=self.frozen_s or 0.0,
+            max_rate_per_s=self.max_rate_per_s or np.inf,
+            spike=self.spike or np.inf,
+        )
+
+
+class GateConfig(Section):
+    """Which samples may teach the estimators."""
+
+    use_uncertain: bool = Field(
+        default=False, description="learn from values whose status is Uncertain"
+    )
+    U: LimitsConfig = LimitsConfig()
+    p1: LimitsConfig = LimitsConfig()
+    p2: LimitsConfig = LimitsConfig()
+    Q: LimitsConfig = LimitsConfig()
+    T: LimitsConfig = LimitsConfig()
+
+
+class NodesConfig(Section):
+    """Node ids at the source, as ``nsu=URI;s=NAME``, ``ns=2;s=NAME`` or ``ns=2;i=85``."""
+
+    U: str = Field(description="control voltage")
+    p1: str = Field(description="pressure before the valve")
+    p2: str = Field(description="pressure behind the valve")
+    Q: str = Field(description="flow")
+    T: str | None = Field(None, description="oil temperature, where there is a sensor")
+    sequence: str | None = Field(None, description="running number of the sample")
+    required_U: str | None = Field(
+        None, description="where to write the feed-forward voltage, if at all"
+    )
+    heartbeat: str | None = Field(
+        None,
+        description="UInt32 that counts while the voltage is written; the source takes its own "
+        "command when it stands still, or is 0",
+    )
+
+    @model_validator(mode="after")
+    def _heartbeat_is_of_a_command(self) -> Self:
+        if self.heartbeat is not None and self.required_U is None:
+            raise ValueError("heartbeat: required_U is needed, too; nothing is written without it")
+        return self
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        names: dict[str, str] = {}
+        for name in type(self).model_fields:
+            node = self.of(name)
+            if node is not None and names.setdefault(node, name) != name:
+                raise ValueError(f"{names[node]} and {name} are the same node, '{node}'")
+        return self
+
+    @field_validator("*")
+    @classmethod
+    def _is_node_id(cls, text: str | None) -> str | None:
+        if text is not None and not any(
+            kind in f";{text}" for kind in (";s=", ";i=", ";g=", ";b=")
+        ):
+            raise ValueError("a node id looks like nsu=URI;s=NAME, ns=2;s=NAME or ns=2;i=85")
+        return text
+
+    def of(self, name: str) -> str | None:
+        """The node of a signal, if there is one."""
+        node: str | None = getattr(self, name)
+        return node
+
+    @classmethod
+    def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:
+        """The virtual rig's nodes; with those that are written, where it is ``commanded``."""
+        head = f"nsu={RIG_NAMESPACE};s={valve}."
+        return cls(
+            U=head + "U",
+            p1=head + "p1",
+            p2=head + "p2",
+            Q=head + "Q",
+            T=head + "Temperature",
+            sequence=head + "Sequence",
+            required_U=head + "UCommand" if commanded else None,
+            heartbeat=head + "Heartbeat" if commanded else None,
+        )
+
+
+Percent = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+class FeedForwardConfig(Section):
+    """How the answer to a demand is written to ``nodes.required_U``, once an operator has armed it.
+
+    It is written while the newest sample is fresh and good, the map is identified and the answer
+    within reach, range and certainty; otherwise the fallback acts.
+    """
+
+    range_percent: tuple[Percent, Percent] = Field(
+        (0.0, 100.0), description="lowest and highest U that is ever written"
+    )
+    slew_percent_per_s: float = Field(
+        100.0, gt=0.0, le=10_000.0, description="fastest change of U that is written"
+    )
+    fallback: Literal["hold", "ramp", "hand_back"] = Field(
+        "hold",
+        description="hold: keep the last U; ramp: go to fallback_percent; hand_back: let the "
+        "source take its own command",
+    )
+    fallback_percent: Percent = Field(0.0, description="U that the ramp goes to")
+    max_age_s: float = Field(
+        0.5, ge=0.01, le=60.0, description="oldest sample to go by, by arrival and by the clocks"
+    )
+    max_width_percent: float = Field(
+        10.0, gt=0.0, le=100.0, description="widest 95 % interval of U"
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        low, high = self.range_percent
+        if not low < high:
+            raise ValueError(f"range_percent = {[low, high]}: the first must be below the second")
+        if self.fallback == "ramp" and not low <= self.fallback_percent <= high:
+            raise ValueError(
+                f"fallback_percent = {self.fallback_percent:g}: must be within range_percent = "
+                f"{[low, high]}"
+            )
+        return self
+
+
+class ValveConfig(Section):
+    """One valve."""
+
+    name: Name = Field("Valvistor", description="its name in every node id")
+    source: Name | None = Field(
+        None, description="which of [[sources]] publishes its signals; none with [source]"
+    )
+    nodes: NodesConfig = Field(default_factory=lambda: NodesConfig.of_rig("Valvistor"))
+    signals: SignalsConfig = SignalsConfig()
+    feed_forward: FeedForwardConfig = FeedForwardConfig()
+    gate: GateConfig = GateConfig()
+    alarms: AlarmsConfig = AlarmsConfig()
+    identification: IdentificationConfig = IdentificationConfig()
+    insist: bool = Field(
+        default=False, description="learn from data that look wrong, such as p1 below p2"
+    )
+    estimators: tuple[EstimatorConfig, ...] = Field(default_factory=default_estimators)
+    U_range_percent: Range = Field((0.0, 100.0), description="range of U that the map covers")
+    dp_range_bar: Range = Field((0.0, 200.0), description="range of p1 - p2 that it covers")
+    Q_range_l_min: Range = Field((0.0, 200.0), description="range of the flow")
+    inverse: str | None = Field(
+        None, description="name of the estimator whose map is inverted; none = Auto or the first"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nodes_of_the_rig_by_default(cls, given: Any) -> Any:  # noqa: ANN401 - pydantic's raw input
+        if isinstance(given, dict) and "nodes" not in given and isinstance(given.get("name"), str):
+            return {**given, "nodes": NodesConfig.of_rig(given["name"])}
+        return given
+
+    @field_validator("U_range_percent", "dp_range_bar", "Q_range_l_min")
+    @classmethod
+    def _low_below_high(cls, bounds: Range) -> Range:
+        if not bounds[0] < bounds[1]:
+            raise ValueError(f"the first number must be below the second, not {list(bounds)}")
+        return bounds
+
+    @field_validator("U_range_percent")
+    @classmethod
+    def _estimators_can_describe_it(cls, bounds: Range, info: ValidationInfo) -> Range:
+        estimators: tuple[EstimatorConfig, ...] = info.data.get("estimators", ())
+        unable = [e.name for e in estimators if e.kind != "RBF"]
+        if unable and (bounds[0] < ONE_EDGE[0] or bounds[1] > ONE_EDGE[1]):
+            raise ValueError(
+                f"[{bounds[0]:g}, {bounds[1]:g}] is more than {', '.join(unable)} can describe; "
+                f"with them {ONE_EDGE[0]:g} … {ONE_EDGE[1]:g} is allowed, any range with "
+                'estimators of the kind "RBF" alone'
+            )
+        return bounds
+
+    @model_validator(mode="after")
+    def _feed_forward_fits(self) -> Self:
+        if "feed_forward" in self.model_fields_set and self.nodes.required_U is None:
+            raise ValueError("feed_forward: nodes.required_U is needed; nothing is written without")
+        if self.feed_forward.fallback == "hand_back" and self.nodes.heartbeat is None:
+            raise ValueError(
+                "feed_forward.fallback = 'hand_back': nodes.heartbeat is needed; the source would "
+                "not know"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _command_has_a_unit(self) -> Self:
+        is_own = self.signals.U.measure("U").scaling("U").is_identity
+        said = {"unit", "raw"} & self.signals.required_U.model_fields_set
+        if self.nodes.required_U is not None and not is_own and not said:
+            raise ValueError(
+                "signals.required_U: unit, or raw and range, must say in what the command is "
+                'written, because U does not come in %; unit = "%" where it does'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [estimator.name for estimator in self.estimators]
+        if not names:
+            raise ValueError("estimators: at least one is needed")
+        _unique("estimator", names)
+        _not_reserved("estimator", names, RESERVED_ESTIMATORS)
+        if self.inverse is not None and self.inverse not in names:
+            raise ValueError(f"inverse = {self.inverse!r}: allowed is one of {', '.join(names)}")
+        return self
+
+
+class RecordingConfig(Section):
+    """Columns of recordings that are no signal of a valve; left out, they are found by name."""
+
+    time: str | None = Field(None, min_length=1, description="column of the times")
+    valve: str | None = Field(None, min_length=1, description="column of the valves' names")
+    quality: str | None = Field(None, min_length=1, description="column of the qualities")
+
+
+class Config(SettingsFile):
+    """The whole configuration: a TOML file, overridden by ``VALVEMAP_<SECTION>__<FIELD>``."""
+
+    model_config = SettingsConfigDict(env_prefix="VALVEMAP_")
+
+    source: SourceConfig = SourceConfig()
+    sources: tuple[NamedSourceConfig, ...] = Field(
+        (), description="several servers in place of [source]; each valve names its own"
+    )
+    server: ServerConfig = ServerConfig()
+    security: SecurityConfig = SecurityConfig()
+    state: StateConfig = StateConfig()
+    history: HistoryConfig = HistoryConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
+    log: LogConfig = LogConfig()
+    recording: RecordingConfig = RecordingConfig()
+    alarms: ServiceAlarmsConfig = ServiceAlarmsConfig()
+    mqtt: MqttConfig = MqttConfig()
+    valves: tuple[ValveConfig, ...] = Field(default_factory=lambda: (ValveConfig(),))
+
+    @field_validator("valves")
+    @classmethod
+    def _valve_names_differ(cls, valves: tuple[ValveConfig, ...]) -> tuple[ValveConfig, ...]:
+        if not valves:
+            raise ValueError("at least one valve is needed")
+        _unique("valve", [valve.name for valve in valves])
+        _not_reserved("valve", [valve.name for valve in valves], RESERVED_VALVES)
+        return valves
+
+    @model_validator(mode="after")
+    def _sources_fit(self) -> Self:
+        names = [source.name for source in self.sources]
+        _unique("source", names)
+        if names and "source" in self.model_fields_set:
+            raise ValueError("[source] and [[sources]]: only one of both is allowed")
+        for number, valve in enumerate(self.valves):
+            where = f"valves[{number}].source"
+            if not names and valve.source is not None:
+                raise ValueError(f"{where} = {valve.source!r}: there are no [[sources]]")
+            if names and valve.source not in names:
+                given = "is missing" if valve.source is None else f"= {valve.source!r}"
+                raise ValueError(f"{where} {given}: allowed is one of {', '.join(names)}")
+        idle = sorted(set(names) - {valve.source for valve in self.valves})
+        if idle:
+            raise ValueError(f"source {idle[0]!r} is named by no valve")
+        return self
+
+    @property
+    def all_sources(self) -> tuple[SourceConfig, ...]:
+        """[source], or all [[sources]]."""
+        return self.sources or (self.source,)
+
+    def source_of(self, valve: ValveConfig) -> SourceConfig:
+        """The server that publishes a valve's signals."""
+        return next((s for s in self.sources if s.name == valve.source), self.source)
+
+    def only(self, source: str) -> Self:
+        """The same with one of [[sources]] as [source], and its valves alone."""
+        (own,) = (s for s in self.sources if s.name == source)
+        given = {name: getattr(own, name) for name in own.model_fields_set - {"name"}}
+        valves = tuple(
+            valve.model_copy(update={"source": None})
+            for valve in self.valves
+            if valve.source == source
+        )
+        return self.model_copy(
+            update={"source": SourceConfig(**given), "sources": (), "valves": valves}
+        )
+
+    @model_validator(mode="after")
+    def _samples_come_often_enough(self) -> Self:
+        for number, valve in enumerate(self.valves):
+            interval_s = self.source_of(valve).publishing_interval_ms * 1e-3
+            max_age_s = valve.feed_forward.max_age_s
+            if valve.nodes.required_U is not None and max_age_s <= interval_s:
+                raise ValueError(
+                    f"valves[{number}].feed_forward.max_age_s = {max_age_s:g}: must be longer than "
+                    f"source.publishing_interval_ms = {interval_s * 1e3:g}"
+                )
+        return self
+
+
+def _unique(what: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"{what} name {twice[0]!r} is taken twice")
+
+
+def _not_reserved(what: str, names: list[str], reserved: tuple[str, ...]) -> None:
+    for name in names:
+        if name in reserved:
+            raise ValueError(f"{what} name {name!r} is taken: reserved are {', '.join(reserved)}")

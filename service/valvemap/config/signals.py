@@ -1,0 +1,100 @@
+"""Configuration of a valve's signals: where they are in a recording, and in what unit they come."""
+
+from typing import Self
+
+from pydantic import Field, field_validator, model_validator
+
+from valvemap.config.sections import Section
+from valvemap.pipeline.units import (
+    QUANTITY_OF,
+    SYMBOLS,
+    Measure,
+    Quantity,
+    Unit,
+    inside,
+    unit_of,
+)
+
+Range = tuple[float, float]
+
+
+class SignalConfig(Section):
+    """One signal; what is left out is as in the table of recordings: %, bar, l/min, °C."""
+
+    column: str | None = Field(None, min_length=1, description="its column in recordings")
+    unit: str | None = Field(None, description=f"one of {', '.join(SYMBOLS)}")
+    raw: Range | None = Field(
+        None, description="two raw numbers as they come, e.g. [4, 20] for mA; range says what of"
+    )
+    range: Range | None = Field(None, description="what the two raw numbers mean, in unit")
+
+    accuracy: float = Field(
+        0.0, ge=0.0, description="limit ± of the sensor's own error, in unit; 0: none is stated"
+    )
+
+    @field_validator("unit")
+    @classmethod
+    def _is_known(cls, text: str | None) -> str | None:
+        if text is not None and unit_of(text) is None:
+            raise ValueError(f"allowed is one of {', '.join(SYMBOLS)}")
+        return text
+
+    @field_validator("raw", "range")
+    @classmethod
+    def _is_a_span(cls, bounds: Range | None) -> Range | None:
+        if bounds is not None and bounds[0] == bounds[1]:
+            raise ValueError(f"the two numbers must differ, not {list(bounds)}")
+        return bounds
+
+    @model_validator(mode="after")
+    def _raw_means_something(self) -> Self:
+        if (self.raw is None) != (self.range is None):
+            given, missing = ("raw", "range") if self.range is None else ("range", "raw")
+            raise ValueError(f"{given} is given without {missing}; raw = [4, 20], range = [0, 100]")
+        unit = self.known_unit
+        if unit is not None and unit.quantity is Quantity.ELECTRICAL and self.raw is None:
+            raise ValueError(
+                f"unit = {self.unit!r}: raw and range must say what it means, e.g. raw = [4, 20] "
+                "and range = [0, 100]"
+            )
+        return self
+
+    @property
+    def known_unit(self) -> Unit | None:
+        """The unit that is named, if one is."""
+        return None if self.unit is None else unit_of(self.unit)
+
+    def measure(self, signal: str) -> Measure:
+        """What is known of the signal beforehand."""
+        unit = self.known_unit
+        if unit is not None and unit.quantity is Quantity.ELECTRICAL:
+            unit = inside(QUANTITY_OF[signal])  # what is named is the unit of raw
+        return Measure(self.column, unit, self.raw, self.range)
+
+    def error_limit(self, signal: str) -> float:
+        """Limit ± of the sensor's error, in the unit that is used inside."""
+        unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])
+        return float(unit.factor) * self.accuracy
+
+
+class SignalsConfig(Section):
+    """The signals of a valve, and the command that is written."""
+
+    U: SignalConfig = SignalConfig()
+    p1: SignalConfig = SignalConfig()
+    p2: SignalConfig = SignalConfig()
+    Q: SignalConfig = SignalConfig()
+    T: SignalConfig = SignalConfig()
+    required_U: SignalConfig = SignalConfig()
+
+    @model_validator(mode="after")
+    def _quantities_fit(self) -> Self:
+        for name in QUANTITY_OF:
+            signal: SignalConfig = getattr(self, name)
+            unit, quantity = signal.measure(name).unit, QUANTITY_OF[name]
+            if unit is not None and unit.quantity is not quantity:
+                raise ValueError(
+                    f"{name}.unit = {signal.unit!r} is a unit of {unit.quantity.noun}; "
+                    f"a unit of {quantity.noun} is needed, such as {quantity.value}"
+                )
+        return self

@@ -1,0 +1,93 @@
+"""Everything that valvemap raises for a user to read, beside `guarded_opcua.errors`.
+
+::
+
+    ValvemapError                 one line for the user, exit code 1
+    ├── ConfigurationError        a file, field or argument is wrong, exit code 2
+    ├── RecordingError            a recording cannot be read or written
+    │   └── NoRecording           it is not there, or of no known kind, exit code 2
+    ├── StorageError              a store cannot be read or written (disk full, locked, not ours)
+    │   └── NoSuchFile            what was named is not there, exit code 2
+    ├── FleetError                broker, topics or memory of a fleet cannot be used
+    │   ├── BrokerAway            worth another try: no broker can be reached
+    │   └── BlockError            a message is no block that can be read
+    ├── CommandRejected           an operator's command cannot be carried out
+    ├── SinkError                 the MQTT broker cannot be used
+    │   ├── SinkLost              worth another try: connection refused, cut, silent
+    │   └── SinkRejected          it answered, and refuses us; or its certificate is not trusted
+    └── SourceError               the source server
+        ├── SourceLost            worth another try: connection refused, cut, silent
+        └── SourceRejected        another try will not help: certificate, user, node, type
+"""
+
+
+class ValvemapError(Exception):
+    """A sentence for the user: it names file, field, node or value and what is allowed."""
+
+    exit_code = 1
+
+
+class ConfigurationError(ValvemapError):
+    """A configuration file, an environment variable or an argument is wrong."""
+
+    exit_code = 2
+
+
+class RecordingError(ValvemapError):
+    """A recording cannot be read or written."""
+
+
+class NoRecording(RecordingError):  # noqa: N818 - it says what happened
+    """What was named is not there, or its name says that it is no recording."""
+
+    exit_code = 2
+
+
+class StorageError(ValvemapError):
+    """A store cannot be read or written."""
+
+
+class NoSuchFile(StorageError):  # noqa: N818
+    """What was named is not there."""
+
+    exit_code = 2
+
+
+class FleetError(ValvemapError):
+    """Broker, topics or memory of a fleet cannot be used."""
+
+
+class BrokerAway(FleetError):  # noqa: N818 - it says what happened
+    """No broker can be reached: what waits for it goes on waiting."""
+
+
+class BlockError(FleetError):
+    """A message is no block that can be read."""
+
+
+class CommandRejected(ValvemapError):  # noqa: N818 - it says what happened, not what broke
+    """An operator's command cannot be carried out; the state is as it was."""
+
+
+class SinkError(ValvemapError):
+    """The MQTT broker cannot be used."""
+
+
+class SinkLost(SinkError):  # noqa: N818 - it says what happened
+    """The connection failed or went silent: worth another try."""
+
+
+class SinkRejected(SinkError):  # noqa: N818
+    """The broker refuses us, or cannot be trusted."""
+
+
+class SourceError(ValvemapError):
+    """The source server cannot be used."""
+
+
+class SourceLost(SourceError):  # noqa: N818
+    """The connection failed or went silent: the supervisor tries again."""
+
+
+class SourceRejected(SourceError):  # noqa: N818
+    """The source answered, and another try will not change its answer."""

@@ -1,0 +1,241 @@
+"""Blocks: samples and results of many valves as Arrow IPC; `docs/fleet.md` has the schema.
+
+A block is one stream of one record batch, its buffers packed with LZ4. Its schema's metadata say
+what it is: kind, version, group, number and what else the kind needs. Any Arrow library reads it.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from valvemap.errors import BlockError
+from valvemap.model.samples import Samples, Segments
+from valvemap.pipeline.alignment import ByValve
+
+VERSION: Final = 1
+
+TIME: Final = pa.timestamp("ns", "UTC")
+_PREFIX: Final = "valvemap."
+_SAMPLES: Final = "samples"
+_VALVE: Final = pa.dictionary(pa.int32(), pa.string())
+_COLUMNS: Final[Mapping[str, pa.DataType]] = {
+    "t": TIME,
+    **dict.fromkeys(("U", "p1", "p2", "Q", "T"), pa.float64()),
+    "quality": pa.uint8(),
+}
+_WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # threads cost
+_READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # more than a small block gives them
+
+
+class Head(NamedTuple):
+    """What every block says of itself; ``number`` counts the blocks of its group from 1."""
+
+    kind: str
+    group: str
+    number: int
+    more: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class SamplesBlock:
+    """Samples of some valves of one group, in the order in which they are learnt from.
+
+    Attributes
+    ----------
+    group, number
+        Whose, and how many blocks of this group there were, this one included.
+    valves
+        Names; ``samples.segments.members`` are numbers in this list.
+    samples
+        One valve after another.
+    catalogue
+        Version of the catalogue that its sender knows; a worker with an older one lets it be.
+
+    Examples
+    --------
+    >>> samples = Samples.of(t=[0, 1], U=[10, 20], p1=[200, 200], p2=[100, 0], Q=[9, 30])
+    >>> one = ByValve(samples, Segments.one(2))
+    >>> read_samples(write_samples(SamplesBlock("north.0", 7, ("V1",), one))).samples[0].Q
+    array([ 9., 30.])
+    """
+
+    group: str
+    number: int
+    valves: tuple[str, ...]
+    samples: ByValve
+    catalogue: int = 0
+
+
+def write_samples(block: SamplesBlock) -> bytes:
+    """Pack samples."""
+    samples, (members, starts, stops) = block.samples.samples, block.samples.segments
+    index = pa.array(np.repeat(members, stops - starts).astype(np.int32))
+    columns = {
+        "valve": pa.DictionaryArray.from_arrays(index, pa.array(block.valves, pa.string())),
+        "t": times(samples.t),
+        **{name: pa.array(getattr(samples, name)) for name in _COLUMNS if name != "t"},
+    }
+    head = Head(_SAMPLES, block.group, block.number, {"catalogue": block.catalogue})
+    return write(head, columns)
+
+
+def read_samples(message: bytes) -> SamplesBlock:
+    """Unpack samples; rows of one valve need not stand together, their order is kept.
+
+    Raises
+    ------
+    BlockError
+        if it is no such block, damaged, or of another version.
+    """
+    head, batch = read(message, _SAMPLES)
+    column = batch_column(batch, "valve", _VALVE)
+    index = np.array(column.indices.to_numpy(zero_copy_only=False), np.int64)
+    valves = tuple(column.dictionary.to_pylist())
+    if None in valves or len(set(valves)) < len(valves):
+        raise BlockError("column valve: its names must differ")
+    columns = {
+        name: numpy_of(batch_column(batch, name, kind), kind) for name, kind in _COLUMNS.items()
+    }
+    if (np.diff(index) < 0).any():
+        order = np.argsort(index, kind="stable")
+        index, columns = index[order], {name: each[order] for name, each in columns.items()}
+    if len(columns["quality"]) and columns["quality"].max() > 2:
+        raise BlockError("column quality: 0, 1 and 2 are allowed")
+    starts = np.flatnonzero(np.diff(index, prepend=-1)).astype(np.int64)
+    stops = np.append(starts[1:], len(index)) if len(starts) else starts
+    segments = Segments(index[starts], starts, stops)
+    catalogue = head.more.get("catalogue", 0)
+    if type(catalogue) is not int:
+        raise BlockError("metadata valvemap.catalogue: a whole number is needed")
+    samples = ByValve(Samples(**columns), segments)
+    return SamplesBlock(head.group, head.number, valves, samples, catalogue)
+
+
+def renumbered(samples: ByValve, numbers: NDArray[np.int64]) -> ByValve:
+    """The same, each valve under another number, in their order; those below 0 are left out.
+
+    Examples
+    --------
+    >>> samples = Samples.of(t=[0, 1], U=[10, 20], p1=[200, 200], p2=[100, 0], Q=[9, 30])
+    >>> two = ByValve(samples, Segments(*(np.array(x) for x in ([0, 1], [0, 1], [1, 2]))))
+    >>> {valve: one.Q.tolist() for valve, one in renumbered(two, np.array([7, 3])).items()}
+    {3: [30.0], 7: [9.0]}
+    """
+    members, starts, stops = samples.segments
+    if (numbers >= 0).all() and (np.diff(numbers) > 0).all():
+        return ByValve(samples.samples, Segments(numbers, starts, stops))
+    order = np.argsort(numbers)
+    order = order[numbers[order] >= 0]
+    parts = [samples[int(members[k])] for k in order]
+    edges = np.cumsum([0, *map(len, parts)]).astype(np.int64)
+    whole = Samples.concatenate(parts)
+    return ByValve(whole, Segments(numbers[order], edges[:-1], edges[1:]))
+
+
+def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:
+    """Pack columns of equal length under a head."""
+    said = {"block": head.kind, "version": VERSION, "group": head.group, "number": head.number}
+    metadata = {_PREFIX + key: json.dumps(value) for key, value in {**said, **head.more}.items()}
+    schema = pa.schema(
+        [pa.field(name, column.type) for name, column in columns.items()], metadata=metadata
+    )
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema, options=_WRITING) as stream:
+        stream.write_batch(pa.RecordBatch.from_arrays(list(columns.values()), schema=schema))
+    packed: bytes = sink.getvalue().to_pybytes()
+    return packed
+
+
+def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
+    """Unpack a block of a kind: its head, and its columns as they came.
+
+    Raises
+    ------
+    BlockError
+    """
+    try:
+        with pa.ipc.open_stream(message, options=_READING) as stream:
+            head = _head(stream.schema.metadata or {}, kind)
+            batches = list(stream)
+        if len(batches) != 1:
+            raise BlockError(f"{len(batches)} record batches: a block has one")
+        batches[0].validate(full=True)
+    except (pa.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+        raise BlockError(f"not an Arrow IPC stream: {_one_line(error)}") from None
+    return head, batches[0]
+
+
+def batch_column(batch: pa.RecordBatch, name: str, kind: pa.DataType) -> pa.Array:
+    """One column, of the type that the schema wants, without nulls.
+
+    Raises
+    ------
+    BlockError
+    """
+    where = batch.schema.get_all_field_indices(name)
+    if len(where) != 1:
+        raise BlockError(f"column {name} is {'missing' if not where else 'there twice'}")
+    column = batch.column(where[0])
+    if column.type != kind:
+        raise BlockError(f"column {name} is of type {column.type}, not {kind}")
+    if column.null_count:
+        raise BlockError(f"column {name} has {column.null_count} nulls: NaN is no value")
+    return column
+
+
+def times(t: NDArray[np.int64]) -> pa.Array:
+    """UTC ns as a column."""
+    return pa.array(np.ascontiguousarray(t), pa.int64()).cast(TIME)
+
+
+def numpy_of(column: pa.Array, kind: pa.DataType) -> NDArray[Any]:
+    """A column's numbers in an array of their own: kernels are compiled for such alone."""
+    if kind == TIME:
+        column = column.cast(pa.int64())
+    return np.array(column.to_numpy(zero_copy_only=False))
+
+
+def _head(metadata: Mapping[bytes, bytes], kind: str) -> Head:
+    said: dict[str, Any] = {}
+    for key, value in metadata.items():
+        name = key.decode("utf-8", "replace")
+        if name.startswith(_PREFIX):
+            said[name.removeprefix(_PREFIX)] = _said(name, value)
+    if "block" not in said or "version" not in said:
+        raise BlockError("not a block of valvemap: the schema's metadata do not say so")
+    if said["version"] != VERSION:
+        raise BlockError(f"a block of version {said['version']}, this one knows {VERSION}")
+    if said["block"] != kind:
+        raise BlockError(f"a block of {said['block']}, not of {kind}")
+    group, number = said.pop("group", None), said.pop("number", None)
+    if not isinstance(group, str) or type(number) is not int or number < 1:
+        raise BlockError("a block says its group, and its number from 1")
+    return Head(kind, group, number, said)
+
+
+def _said(name: str, value: bytes) -> Any:  # noqa: ANN401 - JSON
+    try:
+        return json.loads(value)
+    except (ValueError, RecursionError):
+        raise BlockError(f"metadata {name}: not JSON") from None
+
+
+def _one_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def names_of(said: Any, what: str) -> Sequence[str]:  # noqa: ANN401 - JSON
+    """A list of names in a head.
+
+    Raises
+    ------
+    BlockError
+    """
+    if not isinstance(said, list) or not all(isinstance(name, str) for name in said):
+        raise BlockError(f"metadata {_PREFIX}{what}: a list of names is needed")
+    return said

@@ -1,0 +1,72 @@
+"""Which valves there are, in which groups: from the services' own configurations."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from valvemap.app.build import build_plans
+from valvemap.config.loading import load_config
+from valvemap.config.models import Config
+from valvemap.errors import ConfigurationError
+from valvemap.kafka.settings import CatalogueConfig
+from valvemap.pipeline.valve_state import ValvePlan
+
+NO_SITES: Final = "catalogue.sites: at least one is needed, e.g. { north = 'north.toml' }"
+
+
+@dataclass(frozen=True)
+class GroupPlan:
+    """Valves that travel together, and what is done with each."""
+
+    name: str
+    plans: tuple[ValvePlan, ...]
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All groups, by name, under one version; ``sites`` are the configurations behind them."""
+
+    version: int
+    groups: Mapping[str, GroupPlan]
+    sites: Mapping[str, Config]
+
+
+def load_catalogue(config: CatalogueConfig) -> Catalogue:
+    """Read the configuration of every site.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no site, or one of them is wrong.
+    """
+    if not config.sites:
+        raise ConfigurationError(NO_SITES)
+    return catalogue_of(
+        {site: load_config(file) for site, file in config.sites.items()},
+        config.version,
+        config.valves_per_group,
+    )
+
+
+def catalogue_of(
+    sites: Mapping[str, Config], version: int = 1, valves_per_group: int = 50
+) -> Catalogue:
+    """Deal the valves of each site out to groups ``<site>.0``, ``<site>.1`` …, in their order.
+
+    Examples
+    --------
+    >>> list(catalogue_of({"north": Config()}).groups)
+    ['north.0']
+    """
+    groups = {}
+    for site, config in sites.items():
+        plans = build_plans(config)
+        for number, first in enumerate(range(0, len(plans), valves_per_group)):
+            name = group_name(site, number)
+            groups[name] = GroupPlan(name, tuple(plans[first : first + valves_per_group]))
+    return Catalogue(version, groups, dict(sites))
+
+
+def group_name(site: str, number: int) -> str:
+    """The name of a site's n-th group."""
+    return f"{site}.{number}"

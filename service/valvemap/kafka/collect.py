@@ -1,0 +1,345 @@
+"""``valvemap fleet collect``: one site's sources, aligned, as blocks of samples."""
+
+import asyncio
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import structlog
+
+from valvemap.app.build import (
+    build_alignment,
+    build_sources,
+    build_supervisor_settings,
+    build_timing,
+)
+from valvemap.app.warm_up import compile_alignment
+from valvemap.clock import Clock, SystemClock
+from valvemap.errors import ConfigurationError, SourceError, StorageError
+from valvemap.kafka.blocks import SamplesBlock, write_samples
+from valvemap.kafka.catalogue import Catalogue, GroupPlan, load_catalogue
+from valvemap.kafka.sending import SAID_AGAIN_S, Sender
+from valvemap.kafka.settings import FleetConfig
+from valvemap.kafka.spool import Packed, Spool
+from valvemap.model.estimator import StateMismatchError
+from valvemap.model.samples import Samples, Segments, Times
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.sources import Sources, supervise_all
+
+_ROW_BYTES: Final = 8 * 6 + 1 + 4  # of a sample as it travels, unpacked
+_SHARE: Final = 0.5  # of the largest message that a block may fill, before it is packed
+_LONGEST_TICK_S: Final = 0.5  # of more, the rest was our own standstill
+_UNSAVED: Final = 64_000_000  # bytes that are held where the disk takes nothing; the oldest go
+
+log = structlog.get_logger(__name__)
+
+
+async def collect(config: FleetConfig, site: str | None, stop: asyncio.Event) -> None:
+    """Collect the samples of a site until ``stop`` is set; without a name, of the only one.
+
+    Raises
+    ------
+    ConfigurationError, FleetError, SourceError, StorageError
+        at the start; a broker that is away is waited for.
+    """
+    catalogue = load_catalogue(config.catalogue)
+    name = site_of(catalogue, site)
+    compile_alignment(catalogue.sites[name])
+    file = config.collect.spool / f"{name}.sqlite"
+    loop = asyncio.get_running_loop()
+    with Spool(file, round(config.collect.most_mb * 1e6)) as spool:
+        sender = Sender(config, spool, lambda: loop.call_soon_threadsafe(stop.set))
+        sources = build_sources(catalogue.sites[name])
+        collector = Collector(catalogue, name, config, sources, spool)
+        collector.resume()
+        sender.start()
+        log.info("collecting", site=name, valves=len(catalogue.sites[name].valves))
+        try:
+            supervision = build_supervisor_settings(catalogue.sites[name])
+            await supervise_all(sources, collector, SystemClock(), stop, supervision)
+        finally:
+            await collector.finish()
+            await asyncio.to_thread(sender.stop)
+        if sender.hopeless is not None:
+            raise sender.hopeless
+
+
+def site_of(catalogue: Catalogue, site: str | None) -> str:
+    """The site that is meant.
+
+    Raises
+    ------
+    ConfigurationError
+        if there is no such one, or there are several.
+    """
+    names = ", ".join(catalogue.sites)
+    if site is None and len(catalogue.sites) > 1:
+        raise ConfigurationError(f"there are several sites: SITE says which: {names}")
+    if site is not None and site not in catalogue.sites:
+        raise ConfigurationError(f"no site {site!r} in the catalogue; there are {names}")
+    return site or next(iter(catalogue.sites))
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """What belongs together: blocks, and how far the sources were read for them."""
+
+    blocks: list[SamplesBlock]
+    kept: Mapping[str, bytes]
+    mark: tuple[Any, ...] | None
+
+
+class Collector:
+    """Fulfils :class:`valvemap.runtime.supervisor.Consumer`.
+
+    How far the sources were read, what is on its way into samples, the blocks' numbers and the
+    blocks are saved together: whoever goes on from there loses no sample and sends none in two.
+
+    Parameters
+    ----------
+    catalogue, site
+        All groups, and whose sources these are.
+    config
+        How often, and how large, blocks are.
+    sources, spool
+        From where, and where to.
+    clock
+        The machine's, if None.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        site: str,
+        config: FleetConfig,
+        sources: Sources,
+        spool: Spool,
+        clock: Clock | None = None,
+    ) -> None:
+        valves = catalogue.sites[site].valves
+        self._sources, self._spool = sources, spool
+        self._clock = clock or SystemClock()
+        self._catalogue = catalogue.version
+        self._groups = groups_of(catalogue, site)
+        self._per_group = config.catalogue.valves_per_group
+        self._commit_s = config.collect.commit_s
+        self._rows = max(1, int(config.topics.message_mb * 1e6 * _SHARE / _ROW_BYTES))
+        site_config = catalogue.sites[site]
+        self._arrivals = Arrivals(
+            [valve.name for valve in valves],
+            build_alignment(site_config),
+            build_timing(site_config),
+        )
+        self._reorder_s = site_config.alignment.reorder_ms * 1e-3
+        self._numbers = {group.name: 0 for group in self._groups}
+        self._given_up = 0  # samples, since the first start
+        self._parts: list[ByValve] = []
+        self._has_new_data = False
+        self._unsaved: list[Packed] = []
+        self._saving: asyncio.Task[None] | None = None
+        now = self._clock.monotonic()
+        self._due = self._held_until = now
+        self._said = now - SAID_AGAIN_S
+        self._started = np.zeros(len(valves), np.int64)
+        self._connected = np.zeros(len(valves), np.bool_)
+        self._held_s = np.zeros(len(valves))
+
+    def resume(self) -> None:
+        """Go on from what was saved, as far as the configuration is the same."""
+        kept = self._spool.kept()
+        if kept:
+            said = json.loads(kept[_NUMBERS])
+            self._numbers.update((n, k) for n, k in said["groups"].items() if n in self._numbers)
+            self._given_up = said["given_up"]
+            try:
+                self._arrivals.resume(kept[_ARRIVALS])
+            except StateMismatchError as error:
+                log.warning("what was under way into samples is left aside", reason=str(error))
+            if _POSITION in kept and not self._sources.resume_at(kept[_POSITION]):
+                log.warning("not a position at this source: samples may be missing")
+            log.info("collecting goes on", blocks=sum(self._numbers.values()))
+        self._sources.hold_back()
+
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """A source is there; if it was restarted, its samples are counted anew."""
+        own = self._own(valves)
+        before = self._started[own]
+        self._started[own] = source_started
+        if source_started and ((before != 0) & (before != source_started)).any():
+            log.warning("source restarted")
+            self._use(self._arrivals.begin_source_anew(own))
+
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
+        """Make samples; save them when it is time."""
+        own = self._own(valves)
+        self._connected[own] = True
+        self._has_new_data = True
+        self._use(self._arrivals.take(changes))
+        self._save_in_time()
+
+    async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002 - all are looked at
+        """Look after what is due by the clock."""
+        self._wait_no_longer(self._clock.monotonic())
+        self._save_in_time()
+
+    async def lost(
+        self,
+        reason: SourceError,  # noqa: ARG002 - the supervisor logs it
+        valves: Times | None = None,
+    ) -> None:
+        """There is no connection to the source of these valves."""
+        self._connected[self._own(valves)] = False
+
+    async def finish(self) -> None:
+        """Save all that came.
+
+        Raises
+        ------
+        StorageError
+        """
+        if self._saving is not None:
+            await self._saving
+        await self._save(self._taken())
+        if self._unsaved:
+            raise StorageError(f"{self._spool.path}: {self._lost_samples()} samples are lost")
+
+    def _own(self, valves: Times | None) -> Times:
+        return np.arange(len(self._held_s)) if valves is None else valves
+
+    def _use(self, samples: ByValve) -> None:
+        self._held_s[samples.segments.members] = 0.0
+        if len(samples):
+            self._parts.append(samples)
+
+    def _wait_no_longer(self, now: float) -> None:
+        """Go on without what samples wait for, where nothing has left for too long.
+
+        Time counts only while there is a connection, and our own standstills do not.
+        """
+        passed, self._held_until = now - self._held_until, now
+        if not self._connected.any():
+            return
+        self._held_s[self._connected] += min(passed, _LONGEST_TICK_S)
+        self._held_s[~self._arrivals.waits()] = 0.0
+        due = self._connected & (self._held_s > self._reorder_s)
+        if due.any():
+            self._has_new_data = True
+            self._use(self._arrivals.wait_no_longer(np.flatnonzero(due)))
+
+    def _save_in_time(self) -> None:
+        under_way = self._saving is not None and not self._saving.done()
+        if under_way or not self._has_new_data or self._clock.monotonic() < self._due:
+            return
+        self._due = self._clock.monotonic() + self._commit_s
+        self._saving = asyncio.create_task(self._save(self._taken()))
+
+    def _taken(self) -> _Taken:
+        """What has come since the last time, as it stands now."""
+        blocks = list(self._cut())
+        self._parts, self._has_new_data = [], False
+        mark = self._sources.mark
+        kept = {
+            _NUMBERS: json.dumps({"groups": self._numbers, "given_up": self._given_up}).encode(),
+            _ARRIVALS: self._arrivals.to_bytes(),
+        }
+        if mark is not None:
+            kept[_POSITION] = self._sources.position(mark)
+        return _Taken(blocks, kept, mark)
+
+    def _cut(self) -> Sequence[SamplesBlock]:
+        """All that came, by group, none larger than a message may be."""
+        if not self._parts:
+            return []
+        whole = Samples.concatenate([part.samples for part in self._parts])
+        valve = np.concatenate([_valve_of(part.segments) for part in self._parts])
+        order = np.argsort(valve, kind="stable")
+        whole, valve = whole[order], valve[order]
+        found = []
+        for number in np.unique(valve // self._per_group).tolist():
+            first = number * self._per_group
+            low, high = np.searchsorted(valve, [first, first + self._per_group]).tolist()
+            for start in range(low, high, self._rows):
+                rows = slice(start, min(start + self._rows, high))
+                found.append(self._block(number, whole[rows], valve[rows] - first))
+        return found
+
+    def _block(self, number: int, samples: Samples, member: Times) -> SamplesBlock:
+        group = self._groups[number]
+        self._numbers[group.name] += 1
+        starts = np.flatnonzero(np.diff(member, prepend=-1)).astype(np.int64)
+        stops = np.append(starts[1:], len(member))
+        return SamplesBlock(
+            group.name,
+            self._numbers[group.name],
+            tuple(plan.name for plan in group.plans),
+            ByValve(samples, Segments(member[starts], starts, stops)),
+            self._catalogue,
+        )
+
+    async def _save(self, taken: _Taken) -> None:
+        """The disk may be slow, or full: what comes meanwhile is held."""
+        try:
+            given_up = await asyncio.to_thread(self._put_down, taken)
+        except StorageError as error:
+            self._has_new_data = True
+            self._hold_no_more_than_allowed()
+            self._say("samples not kept, they are held in memory", reason=str(error))
+            return
+        if taken.mark is not None:
+            self._sources.commit(taken.mark)
+        if given_up:
+            self._give_up(given_up, "spool is full, the oldest samples are given up")
+
+    def _put_down(self, taken: _Taken) -> int:
+        self._unsaved += [_packed(block) for block in taken.blocks]
+        given_up = self._spool.save(self._unsaved, taken.kept).samples
+        self._unsaved = []
+        return given_up
+
+    def _hold_no_more_than_allowed(self) -> None:
+        excess = sum(len(one.data) for one in self._unsaved) - _UNSAVED
+        lost = 0
+        while excess > 0:
+            oldest = self._unsaved.pop(0)
+            excess, lost = excess - len(oldest.data), lost + oldest.samples
+        if lost:
+            self._give_up(lost, "disk takes nothing, the oldest samples are given up")
+
+    def _give_up(self, samples: int, why: str) -> None:
+        self._given_up += samples
+        self._say(why, samples=self._given_up)
+
+    def _lost_samples(self) -> int:
+        return sum(one.samples for one in self._unsaved)
+
+    def _say(self, what: str, **more: object) -> None:
+        """Say it, once in a while."""
+        if self._clock.monotonic() - self._said >= SAID_AGAIN_S:
+            self._said = self._clock.monotonic()
+            log.warning(what, file=str(self._spool.path), **more)
+
+
+_NUMBERS: Final = "numbers"
+_ARRIVALS: Final = "arrivals"
+_POSITION: Final = "position"
+
+
+def groups_of(catalogue: Catalogue, site: str) -> list[GroupPlan]:
+    """The groups of a site, in the order of its valves."""
+    own = [g for name, g in catalogue.groups.items() if name.rpartition(".")[0] == site]
+    return sorted(own, key=lambda group: int(group.name.rpartition(".")[2]))
+
+
+def _valve_of(segments: Segments) -> Times:
+    """The valve of each row."""
+    members, starts, stops = segments
+    return np.repeat(members, stops - starts)
+
+
+def _packed(block: SamplesBlock) -> Packed:
+    samples = len(block.samples.samples)
+    return Packed(block.group, block.number, samples, write_samples(block))

@@ -1,0 +1,190 @@
+"""What operators ask for, and what became of it, as messages: JSON, for people may look at them."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from valvemap.errors import BlockError, CommandRejected
+from valvemap.pipeline.alarms import ALARM_NAMES
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import Remark
+
+VERSION: Final = 1
+_COMMAND: Final = "command"
+_REPLY: Final = "reply"
+
+
+@dataclass(frozen=True)
+class Command:
+    """One thing to be done with a valve.
+
+    Attributes
+    ----------
+    id
+        By which the reply is known.
+    group, valve
+        Whose.
+    action
+        One of ``ACTIONS``.
+    estimator
+        Where the action is on one of them; the alarm, where it is on an alarm; else empty.
+    values
+        What the action needs: a forgetting factor; a flow and a pressure drop; U, dp and T; the
+        time, UTC ns. None stands for NaN.
+    comment, by
+        What is said of an alarm, and who says it.
+    """
+
+    id: str
+    group: str
+    valve: str
+    action: str
+    estimator: str = ""
+    values: tuple[float | None, ...] = ()
+    comment: str = ""
+    by: str = ""
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What became of a command: done after block ``number`` of its group, or why not.
+
+    ``values`` are the answer to a question; None stands for NaN.
+    """
+
+    id: str
+    group: str
+    number: int
+    done: bool
+    reason: str = ""
+    values: tuple[float | None, ...] = ()
+
+
+NOTHING: Final = ""
+ESTIMATOR: Final = "estimator"
+ALARM: Final = "alarm"
+
+# Each action, what it is on beside the valve, and how many values it takes.
+ACTIONS: Final = {
+    "reset": (ESTIMATOR, 0),
+    "freeze": (ESTIMATOR, 0),
+    "resume": (ESTIMATOR, 0),
+    "set_forgetting_factor": (ESTIMATOR, 1),
+    "demand": (NOTHING, 2),
+    "approve": (NOTHING, 0),
+    "roll_back": (NOTHING, 0),
+    "replace_valve": (NOTHING, 0),
+    "acknowledge": (ALARM, 1),
+    "confirm": (ALARM, 1),
+    "remark": (ALARM, 1),
+    "predict": (ESTIMATOR, 3),
+    "predict_measurement": (ESTIMATOR, 3),
+    "invert": (NOTHING, 3),
+    "compare": (ESTIMATOR, 0),
+}
+TEXTS: Final = ("id", "group", "valve", "action", "estimator", "comment", "by")
+QUESTIONS: Final = ("predict", "predict_measurement", "invert", "compare")
+
+
+def carry_out(command: Command, operator: Identification) -> tuple[float | None, ...]:
+    """Do what is asked for, and return the answer, if it is a question.
+
+    Raises
+    ------
+    CommandRejected
+        saying why not; nothing is changed then.
+    """
+    on, n = ACTIONS.get(command.action, (NOTHING, -1))
+    if n != len(command.values):
+        raise CommandRejected(
+            f"{command.action} with {len(command.values)} values: there are "
+            + ", ".join(f"{name} ({count})" for name, (_, count) in ACTIONS.items())
+        )
+    if on == ALARM and command.estimator not in ALARM_NAMES:
+        raise CommandRejected(f"no alarm {command.estimator!r}: there are {', '.join(ALARM_NAMES)}")
+    who = (command.valve, command.estimator) if on else (command.valve,)
+    values = [float("nan") if value is None else value for value in command.values]
+    given: list[Any] = [*values]
+    if on == ALARM:
+        given = [Remark(command.comment, command.by, int(command.values[0] or 0))]
+    return _numbers(command.action, getattr(operator, command.action)(*who, *given))
+
+
+def _numbers(action: str, found: Any) -> tuple[float | None, ...]:  # noqa: ANN401 - of any action
+    match action:
+        case "invert":
+            found = (found.U[0], found.lower[0], found.upper[0], found.status[0])
+        case "compare":
+            found = (found.mean, found.largest, found.U, found.dp, found.points)
+        case "predict" | "predict_measurement":
+            pass
+        case _:
+            return ()
+    return tuple(float(value) if np.isfinite(value) else None for value in found)
+
+
+def write_message(message: Command | Reply) -> bytes:
+    """Pack a command or a reply.
+
+    >>> read_reply(write_message(Reply("7", "north.0", 12, done=True))).number
+    12
+    """
+    kind = _COMMAND if isinstance(message, Command) else _REPLY
+    return json.dumps({"valvemap": kind, "version": VERSION, **asdict(message)}).encode()
+
+
+def is_reply(message: bytes) -> bool:
+    """Whether a message of the results is a reply rather than a block."""
+    return message.startswith(b"{")
+
+
+def read_command(message: bytes) -> Command:
+    """Unpack a command.
+
+    Raises
+    ------
+    BlockError
+        if it is none, or of another version.
+    """
+    said = _read(message, _COMMAND)
+    texts = {name: said.pop(name, "") for name in TEXTS}
+    values = said.pop("values", [])
+    wrong = [name for name, text in texts.items() if not isinstance(text, str)]
+    if wrong or said:
+        raise BlockError(f"a command: {', '.join([*wrong, *said])} cannot be so")
+    if not isinstance(values, list) or not all(
+        value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+        for value in values
+    ):
+        raise BlockError("a command: values must be numbers, or null")
+    return Command(**texts, values=tuple(values))
+
+
+def read_reply(message: bytes) -> Reply:
+    """Unpack a reply.
+
+    Raises
+    ------
+    BlockError
+        if it is none, or of another version.
+    """
+    said = _read(message, _REPLY)
+    try:
+        return Reply(**{**said, "values": tuple(said.get("values", ()))})
+    except TypeError as error:
+        raise BlockError(f"a reply: {error}") from None
+
+
+def _read(message: bytes, kind: str) -> dict[str, Any]:
+    try:
+        said = json.loads(message)
+    except (ValueError, RecursionError):
+        raise BlockError(f"not a {kind}: not JSON") from None
+    if not isinstance(said, dict) or said.pop("valvemap", None) != kind:
+        raise BlockError(f"not a {kind}")
+    version = said.pop("version", None)
+    if version != VERSION:
+        raise BlockError(f"a {kind} of version {version}, this one knows {VERSION}")
+    return said

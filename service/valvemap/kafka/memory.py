@@ -1,0 +1,172 @@
+"""All that a group remembers, as bytes: what a worker takes over from another.
+
+A head in JSON says the format, the catalogue's version, the block and what columns follow; then the
+columns themselves, one after the other, and the baselines. Columns of counts without a sign are
+compressed to half and less, those alike as what they differ by: a valve's estimators learn from
+nearly the same samples. Columns of other numbers would hardly shrink, and take longer.
+"""
+
+import json
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from valvemap.errors import FleetError
+from valvemap.pipeline.valve_columns import Columns
+
+MAGIC: Final = b"valvemap memory\n"
+FORMAT: Final = 2
+READABLE: Final = (1, 2)  # 1 compressed nothing
+_SIZE: Final = struct.Struct("<Q")
+_CODEC: Final = pa.Codec("lz4_raw")
+_DENSEST: Final = 255  # bytes that one of LZ4's can stand for
+_COUNTS: Final = "u"
+
+_Alike = dict[tuple[str, tuple[int, ...]], NDArray[Any]]  # by type and shape the last column
+
+
+@dataclass(frozen=True)
+class Memory:
+    """A group as it stands after a block.
+
+    Attributes
+    ----------
+    catalogue
+        Version of the catalogue that it was learnt under.
+    number
+        The last block that was learnt from.
+    due
+        By name: the source time, UTC ns, at which something is to be done next.
+    counts
+        By name: what came of the group's blocks.
+    columns
+        What the valves remember.
+    baselines
+        By valve: its approved map, packed.
+    replies
+        To the last commands, packed, the oldest first: one that comes again is not done again.
+    """
+
+    catalogue: int
+    number: int
+    due: Mapping[str, int]
+    counts: Mapping[str, int]
+    columns: Sequence[Columns]
+    baselines: Mapping[str, bytes]
+    replies: Sequence[str] = ()
+
+
+def write_memory(memory: Memory) -> bytes:
+    """Pack it.
+
+    Examples
+    --------
+    >>> one = Columns("k", ("V1",), {"n": np.array([7.0])})
+    >>> packed = write_memory(Memory(1, 12, {}, {}, [one], {}))
+    >>> read_memory(packed).columns[0].arrays["n"]
+    array([7.])
+    """
+    alike: _Alike = {}
+    body, said_of = [], []
+    for columns in memory.columns:
+        packed = [_packed(array, alike) for array in columns.arrays.values()]
+        body += [array for array, _ in packed]
+        arrays = zip(columns.arrays.items(), packed, strict=True)
+        of_each = [[name, a.dtype.str, a.shape, *size] for (name, a), (_, size) in arrays]
+        said_of.append([columns.key, columns.valves, of_each])
+    head = {
+        "format": FORMAT,
+        "catalogue": memory.catalogue,
+        "number": memory.number,
+        "due": dict(memory.due),
+        "counts": dict(memory.counts),
+        "columns": said_of,
+        "replies": list(memory.replies),
+        "baselines": [[valve, len(packed)] for valve, packed in memory.baselines.items()],
+    }
+    said = json.dumps(head).encode()
+    return b"".join((MAGIC, _SIZE.pack(len(said)), said, *body, *memory.baselines.values()))
+
+
+def read_memory(packed: bytes) -> Memory:
+    """Unpack it; the columns are views that cannot be written to.
+
+    Raises
+    ------
+    FleetError
+        if it is none, damaged, or of another format.
+    """
+    start = len(MAGIC) + _SIZE.size
+    if not packed.startswith(MAGIC) or len(packed) < start:
+        raise FleetError("not a group's memory")
+    (size,) = _SIZE.unpack_from(packed, len(MAGIC))
+    try:
+        head = json.loads(packed[start : start + size])
+        if head["format"] not in READABLE:
+            raise FleetError(f"a memory of format {head['format']}, this one knows up to {FORMAT}")
+        return _memory(head, packed, start + size)
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:
+        raise FleetError(f"a group's memory is damaged: {error}") from None
+
+
+def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
+    found, alike = [], _Alike()
+    for key, valves, arrays in head["columns"]:
+        columns = {}
+        for name, kind, shape, *compressed in arrays:
+            dtype, n = np.dtype(kind), int(np.prod(shape, dtype=np.int64))
+            if dtype.hasobject or n < 0 or len(shape) < 1 or shape[0] != len(valves):
+                raise FleetError(f"a group's memory is damaged: {name} of shape {shape}")
+            if compressed:
+                (size,) = compressed
+                columns[name] = _unpacked(packed[at : at + size], dtype, tuple(shape), alike)
+                at += size
+            else:
+                columns[name] = np.frombuffer(packed, dtype, n, at).reshape(shape)
+                at += n * dtype.itemsize
+        found.append(Columns(str(key), tuple(map(str, valves)), columns))
+    baselines = {}
+    for valve, size in head["baselines"]:
+        baselines[str(valve)] = packed[at : at + size]
+        at += size
+    if at != len(packed):
+        raise FleetError(f"a group's memory is damaged: {len(packed)} bytes, {at} expected")
+    return Memory(
+        int(head["catalogue"]),
+        int(head["number"]),
+        {str(name): int(t) for name, t in head["due"].items()},
+        {str(name): int(n) for name, n in head["counts"].items()},
+        found,
+        baselines,
+        [str(reply) for reply in head.get("replies", ())],
+    )
+
+
+def _packed(array: NDArray[Any], alike: _Alike) -> tuple[bytes | memoryview, list[int]]:
+    """An array as bytes, and how many they are if they are compressed."""
+    whole = np.ascontiguousarray(array)
+    if array.dtype.kind != _COUNTS or not array.size:
+        return whole.reshape(-1).view(np.uint8).data, []
+    kind = array.dtype.str, array.shape
+    before = alike.get(kind)
+    alike[kind] = whole
+    packed = bytes(_CODEC.compress(whole if before is None else whole ^ before, asbytes=True))
+    return packed, [len(packed)]
+
+
+def _unpacked(
+    packed: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], alike: _Alike
+) -> NDArray[Any]:
+    n = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    if n > _DENSEST * len(packed):
+        raise FleetError(f"a group's memory is damaged: {n} bytes of {len(packed)} compressed")
+    differs = np.frombuffer(_CODEC.decompress(packed, n, asbytes=True), dtype).reshape(shape)
+    kind = dtype.str, shape
+    before = alike.get(kind)
+    alike[kind] = differs if before is None else differs ^ before
+    return alike[kind]

@@ -1,0 +1,233 @@
+"""What operators do and ask at the results server of a fleet: commands to the workers."""
+
+import asyncio
+import math
+import uuid
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from valvemap.errors import CommandRejected
+from valvemap.kafka.commands import Command, Reply
+from valvemap.kafka.mirror import Mirror
+from valvemap.model.inversion import Inversion
+from valvemap.model.samples import Status
+from valvemap.pipeline.alarms import SERVICE_ALARM_NAMES, SERVICE_RULES, ServiceAlarm, ServiceAlarms
+from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
+
+
+class Post(Protocol):
+    """By which commands go out."""
+
+    def send(self, command: Command, refused: Callable[[str], None]) -> None:
+        """Send it; ``refused`` hears, in any thread, why it could not be."""
+
+    def tend(self) -> None:
+        """Hear what became of what was sent; to be called now and then."""
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A map against the approved one; see `valvemap.pipeline.ports.Compared`."""
+
+    mean: float
+    largest: float
+    U: float
+    dp: float
+    points: int
+
+
+class FleetOperator:
+    """Fulfils :class:`valvemap.pipeline.ports.Operator`: each answer comes from a worker.
+
+    Parameters
+    ----------
+    groups
+        The group of each valve, by name.
+    numbers
+        The number of each valve.
+    mirror
+        What is known of the valves.
+    post
+        By which commands go out.
+    answer_s
+        Longest wait for an answer.
+    quiet
+        The alarms of each valve before any has come.
+    """
+
+    def __init__(
+        self,
+        groups: Mapping[str, str],
+        numbers: Mapping[str, int],
+        mirror: Mirror,
+        post: Post,
+        answer_s: float,
+        quiet: Mapping[str, Sequence[AlarmReport]],
+    ) -> None:
+        self._groups, self._numbers, self._mirror = groups, numbers, mirror
+        self._post, self._answer_s = post, answer_s
+        self._quiet = quiet
+        self._asked: dict[str, asyncio.Future[Reply]] = {}
+        self.service_alarms = ServiceAlarms(SERVICE_RULES)
+
+    def take(self, reply: Reply) -> None:
+        """An answer has come; to whom asked somebody else, perhaps."""
+        asked = self._asked.get(reply.id)
+        if asked is not None and not asked.done():
+            asked.set_result(reply)
+
+    async def reset(self, valve: str, estimator: str) -> None:
+        """Forget all samples."""
+        await self._ask(valve, "reset", estimator)
+
+    async def freeze(self, valve: str, estimator: str) -> None:
+        """Stop adaptation."""
+        await self._ask(valve, "freeze", estimator)
+
+    async def resume(self, valve: str, estimator: str) -> None:
+        """Adapt again."""
+        await self._ask(valve, "resume", estimator)
+
+    async def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
+        """Use another forgetting factor from the next sample on."""
+        await self._ask(valve, "set_forgetting_factor", estimator, lam)
+
+    async def demand(self, valve: str, Q: float, dp: float) -> None:
+        """Set the standing demand; NaN takes it back."""
+        await self._ask(valve, "demand", "", Q, dp)
+
+    async def approve(self, valve: str) -> None:
+        """Keep what is known of a valve as its map when new."""
+        await self._ask(valve, "approve")
+
+    async def roll_back(self, valve: str) -> None:
+        """Go back to the baseline."""
+        await self._ask(valve, "roll_back")
+
+    async def replace_valve(self, valve: str) -> None:
+        """Another valve is there."""
+        await self._ask(valve, "replace_valve")
+
+    async def predict(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Q (l/min), its standard deviation and the estimator's status."""
+        Q, std, status = await self._ask(valve, "predict", estimator, U, dp, T)
+        return Q, std, Status(int(status))
+
+    async def predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, float, Status]:
+        """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
+        answer = await self._ask(valve, "predict_measurement", estimator, U, dp, T)
+        Q, lower, upper, status = answer
+        return Q, lower, upper, Status(int(status))
+
+    async def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
+        """U for a demanded flow at a pressure drop."""
+        U, lower, upper, status = await self._ask(valve, "invert", "", Q, dp, T)
+        code = np.array([int(status)], np.uint8)
+        return Inversion(np.array([U]), np.array([lower]), np.array([upper]), code)
+
+    async def compare(self, valve: str, estimator: str) -> _Moved:
+        """By how much an estimator's map has moved away from the baseline."""
+        mean, largest, U, dp, points = await self._ask(valve, "compare", estimator)
+        return _Moved(mean, largest, U, dp, int(points))
+
+    def baseline(self, valve: int) -> Version | None:
+        """The baseline of a valve, by its number."""
+        return self._mirror.baseline(valve)
+
+    def arm(self, valve: str) -> None:
+        """Nothing of a fleet writes to valves."""
+        raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
+
+    def disarm(self, valve: str) -> None:
+        """Nothing of a fleet writes to valves."""
+        raise CommandRejected(f"{valve}: {NO_FEED_FORWARD}")
+
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
+        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        if valve is not None:
+            return self._say("acknowledge", valve, alarm, remark)
+        if not self.service_alarms.acknowledge(_of_service(alarm), remark):
+            raise CommandRejected(f"Service.{alarm}: there is nothing to acknowledge")
+        return None
+
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
+        """Note that an alarm that was acknowledged was dealt with."""
+        if valve is not None:
+            return self._say("confirm", valve, alarm, remark)
+        if not self.service_alarms.confirm(_of_service(alarm), remark):
+            raise CommandRejected(f"Service.{alarm}: there is nothing to confirm")
+        return None
+
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
+        """Note what somebody said of an alarm."""
+        if valve is not None:
+            return self._say("remark", valve, alarm, remark)
+        self.service_alarms.remark(_of_service(alarm), remark)
+        return None
+
+    def alarmed(self) -> Iterable[str]:
+        """The valves of which any alarm ever came."""
+        return [name for name, number in self._numbers.items() if self._mirror.reports(number)]
+
+    def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+        if valve is None:
+            return self.service_alarms.reports()
+        return self._mirror.reports(self._numbers[valve]) or self._quiet[valve]
+
+    async def _say(self, action: str, valve: str, alarm: str, remark: Remark) -> None:
+        await self._ask(valve, action, alarm, remark.t, remark=remark)
+
+    async def _ask(
+        self,
+        valve: str,
+        action: str,
+        estimator: str = "",
+        *values: float,
+        remark: Remark | None = None,
+    ) -> Any:  # noqa: ANN401
+        """Send a command and wait for what became of it; return the answer's numbers."""
+        loop, answer = asyncio.get_running_loop(), asyncio.Future[Reply]()
+        command = Command(
+            uuid.uuid4().hex,
+            self._groups[valve],
+            valve,
+            action,
+            estimator,
+            tuple(None if math.isnan(value) else value for value in values),
+            comment="" if remark is None else remark.text,
+            by="" if remark is None else remark.by,
+        )
+
+        def refused(why: str) -> None:
+            reply = Reply(command.id, command.group, 0, done=False, reason=why)
+            loop.call_soon_threadsafe(self.take, reply)
+
+        self._asked[command.id] = answer
+        try:
+            self._post.send(command, refused)
+            async with asyncio.timeout(self._answer_s):
+                reply = await answer
+        except TimeoutError:
+            raise CommandRejected(
+                f"{valve}: no worker has answered within {self._answer_s:g} s; it may still be done"
+            ) from None
+        finally:
+            del self._asked[command.id]
+        if not reply.done:
+            raise CommandRejected(reply.reason)
+        return tuple(math.nan if value is None else value for value in reply.values)
+
+
+def _of_service(alarm: str) -> ServiceAlarm:
+    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))
+
+
+NO_FEED_FORWARD: Final = "in a fleet nothing is written to valves: feed-forward needs `serve`"

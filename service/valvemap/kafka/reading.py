@@ -1,0 +1,205 @@
+"""Results off their topic, and commands onto theirs: what `serve` asks of Kafka's clients."""
+
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import structlog
+from confluent_kafka import Consumer, KafkaError, KafkaException, Producer, TopicPartition
+
+from valvemap.errors import BlockError, FleetError
+from valvemap.kafka.blocks import SamplesBlock, read_samples
+from valvemap.kafka.broker import client_settings, reason, silent, speaking_to
+from valvemap.kafka.commands import Command, Reply, is_reply, read_reply, write_message
+from valvemap.kafka.result_blocks import ResultsBlock, read_results
+from valvemap.kafka.settings import FleetConfig
+from valvemap.kafka.state_topic import memories
+from valvemap.kafka.topics import COMMANDS, RESULTS, SAMPLES, STATE, check_partitions, topic_name
+
+_AT_ONCE: Final = 200  # messages
+_WAIT_S: Final = 0.05
+_SAID_AGAIN_S: Final = 60.0
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass
+class Heard:
+    """What came: what is to be shown, what is older than what was shown first, and the rest."""
+
+    results: list[ResultsBlock] = field(default_factory=list)
+    earlier: list[ResultsBlock] = field(default_factory=list)
+    replies: list[Reply] = field(default_factory=list)
+    samples: list[SamplesBlock] = field(default_factory=list)
+
+
+class ResultsReader:
+    """Reads the results of some groups; its methods block, by one thread at a time.
+
+    Parameters
+    ----------
+    config
+        Broker and topics.
+    name
+        Under which the brokers keep how far was read.
+    groups
+        Whose results.
+    keeps_history
+        Whether all is to be heard that came since the last `commit`, and the samples, too.
+    """
+
+    def __init__(
+        self, config: FleetConfig, name: str, groups: Collection[str], *, keeps_history: bool
+    ) -> None:
+        self._config = config
+        self._groups = frozenset(name.encode() for name in groups)
+        kinds = (RESULTS, SAMPLES) if keeps_history else (RESULTS,)
+        self._topics = {topic_name(config.topics, kind): kind for kind in kinds}
+        self._keeps_history = keeps_history
+        largest = round(config.topics.message_mb * 1e6)
+        self._consumer = Consumer(
+            {
+                **client_settings(config.broker),
+                "group.id": f"{config.topics.prefix}.{name}",
+                "enable.auto.commit": False,
+                "auto.offset.reset": "earliest",
+                "fetch.max.bytes": 4 * largest,
+                "receive.message.max.bytes": 8 * largest,
+                "error_cb": self._noted,
+            },
+            logger=silent(),
+        )
+        self._ends: dict[tuple[str, int], int] = {}
+        self._away = False
+        self._said = -_SAID_AGAIN_S
+
+    def begin(self) -> Mapping[str, bytes]:
+        """Find where to go on; return the newest memory of each group.
+
+        Whatever is in a memory came before what `read` calls results.
+
+        Raises
+        ------
+        FleetError
+        """
+        config = self._config
+        check_partitions(config, RESULTS, COMMANDS, STATE, SAMPLES)
+        with speaking_to(config.broker):
+            starts = [self._start(place) for place in self._places()]
+            names = {name.decode() for name in self._groups}
+            kept = {n: one.packed for n, one in memories(self._consumer, config, names)}
+            self._consumer.assign(starts)
+        return kept
+
+    def read(self) -> Heard:
+        """What has come; waits a moment for it.
+
+        Raises
+        ------
+        FleetError
+        """
+        heard = Heard()
+        for message in self._consumer.consume(_AT_ONCE, _WAIT_S):
+            error = message.error()
+            if error is not None:
+                if error.retriable() or error.name() in _PASSING:
+                    continue
+                raise FleetError(f"{message.topic()}: {reason(KafkaException(error))}")
+            if self._away:
+                self._away = False
+                log.info("broker is back")
+            if message.key() in self._groups:
+                self._sort(message, heard)
+        return heard
+
+    def commit(self) -> None:
+        """All that was read is safe."""
+        places = [
+            place
+            for place in self._consumer.position(self._consumer.assignment())
+            if place.offset >= 0
+        ]
+        if places:
+            self._consumer.commit(offsets=places, asynchronous=True)
+
+    def close(self) -> None:
+        """Leave."""
+        self._consumer.close()
+
+    def _places(self) -> list[TopicPartition]:
+        partitions = range(self._config.topics.partitions)
+        return [TopicPartition(topic, p) for topic in self._topics for p in partitions]
+
+    def _start(self, place: TopicPartition) -> TopicPartition:
+        """Where to go on: at the end, or, for the history, where we stopped."""
+        timeout_s = self._config.broker.timeout_s
+        low, high = self._consumer.get_watermark_offsets(place, timeout=timeout_s)
+        self._ends[place.topic, place.partition] = high
+        if not self._keeps_history:
+            return TopicPartition(place.topic, place.partition, high)
+        (before,) = self._consumer.committed([place], timeout=timeout_s)
+        at = high if before.offset < 0 else max(before.offset, low)
+        return TopicPartition(place.topic, place.partition, at)
+
+    def _sort(self, message: Any, heard: Heard) -> None:  # noqa: ANN401 - Kafka's
+        packed, topic = message.value() or b"", message.topic()
+        new = message.offset() >= self._ends[topic, message.partition()]
+        try:
+            if self._topics[topic] == SAMPLES:
+                heard.samples.append(read_samples(packed))
+            elif is_reply(packed):
+                heard.replies.append(read_reply(packed))
+            else:
+                (heard.results if new else heard.earlier).append(read_results(packed))
+        except BlockError as error:
+            group = message.key().decode("utf-8", "replace")
+            log.warning("message left aside", group=group, reason=str(error))
+
+    def _noted(self, error: KafkaError) -> None:
+        if error.name() == "_ALL_BROKERS_DOWN":
+            self._away = True
+            if time.monotonic() - self._said >= _SAID_AGAIN_S:
+                self._said = time.monotonic()
+                addresses = ",".join(self._config.broker.addresses)
+                log.warning("broker cannot be reached, waiting for it", addresses=addresses)
+
+
+_PASSING: Final = {"_ALL_BROKERS_DOWN", "_TRANSPORT", "_TIMED_OUT", "_RESOLVE", "_PARTITION_EOF"}
+
+
+class CommandPost:
+    """Fulfils :class:`valvemap.kafka.operating.Post`."""
+
+    def __init__(self, config: FleetConfig) -> None:
+        self._topic = topic_name(config.topics, COMMANDS)
+        self._producer = Producer(
+            {
+                **client_settings(config.broker),
+                "enable.idempotence": True,
+                "partitioner": "murmur2_random",
+                "message.timeout.ms": max(1_000, round(config.serve.answer_s * 1e3)),
+                "linger.ms": 0,
+            },
+            logger=silent(),
+        )
+
+    def send(self, command: Command, refused: Callable[[str], None]) -> None:
+        """Send it."""
+
+        def delivered(error: KafkaError | None, _message: Any) -> None:  # noqa: ANN401
+            if error is not None:
+                refused(f"not sent: {reason(KafkaException(error))}")
+
+        self._producer.produce(
+            self._topic, write_message(command), command.group.encode(), on_delivery=delivered
+        )
+        self._producer.poll(0)
+
+    def tend(self) -> None:
+        """Hear what became of what was sent; to be called now and then."""
+        self._producer.poll(0)
+
+    def close(self) -> None:
+        """Wait a little for what is on its way."""
+        self._producer.flush(1.0)

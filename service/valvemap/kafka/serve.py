@@ -1,0 +1,281 @@
+"""``valvemap fleet serve``: one site's results, for any OPC UA client, from their topic."""
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, nullcontext
+from typing import Final, Protocol
+
+import numpy as np
+import structlog
+
+from guarded_opcua import ServerSettings
+from valvemap.app.build import (
+    build_history,
+    build_live_settings,
+    build_server_settings,
+    own_certificate,
+)
+from valvemap.app.warm_up import warm_up
+from valvemap.clock import Clock, SystemClock
+from valvemap.errors import BrokerAway, FleetError
+from valvemap.kafka.blocks import SamplesBlock, renumbered
+from valvemap.kafka.catalogue import Catalogue, load_catalogue
+from valvemap.kafka.collect import groups_of, site_of
+from valvemap.kafka.group import Group
+from valvemap.kafka.mirror import Mirror
+from valvemap.kafka.operating import FleetOperator, Post
+from valvemap.kafka.reading import CommandPost, Heard, ResultsReader
+from valvemap.kafka.result_blocks import ResultsBlock
+from valvemap.kafka.settings import FleetConfig
+from valvemap.model.samples import Quality, Times
+from valvemap.opcua_results.results_server import ResultsServer
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
+from valvemap.runtime.backoff import backoff
+from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
+from valvemap.runtime.past import PastKeeper
+
+_VALVES_AT_ONCE: Final = 32  # published before others have their turn
+_COMMIT_EVERY_S: Final = 5.0  # how far was read, once the history has it
+
+log = structlog.get_logger(__name__)
+
+
+async def serve(
+    config: FleetConfig,
+    site: str | None,
+    stop: asyncio.Event,
+    server_settings: ServerSettings | None = None,
+) -> None:
+    """Show the results of a site until ``stop`` is set; without a name, of the only one.
+
+    ``server_settings`` are in place of what the site's configuration says.
+
+    Raises
+    ------
+    ValvemapError
+        at the start: of configuration, topics, the server's address.
+    """
+    catalogue = load_catalogue(config.catalogue)
+    name = site_of(catalogue, site)
+    given = catalogue.sites[name]
+    await asyncio.to_thread(warm_up, given)
+    settings = server_settings or build_server_settings(given)
+    with ExitStack() as opened:
+        past = opened.enter_context(build_history(given) or nullcontext())
+        groups = {
+            group.name: Group(group, catalogue.version) for group in groups_of(catalogue, name)
+        }
+        descriptions = [
+            one for group in groups.values() for one in group.identification.descriptions()
+        ]
+        reader = ResultsReader(config, f"serve.{name}", groups, keeps_history=past is not None)
+        opened.callback(reader.close)
+        post = CommandPost(config)
+        opened.callback(post.close)
+        show = Show(catalogue, name, config, groups, post, past)
+        server = ResultsServer(
+            settings,
+            descriptions,
+            show.operator,
+            scalars_interval_s=given.server.results_interval_ms * 1e-3,
+            past=past,
+            on_alarm=show.keep,
+        )
+        certificate = own_certificate(given) if settings.pki else None
+        show.certificate_until_ns = build_live_settings(given, certificate).certificate_until_ns
+        kept = await _begun(reader, stop)
+        if kept is None:
+            return
+        blocks = await asyncio.to_thread(_everything, groups, kept)
+        async with server:
+            await show.first(server, blocks)
+            log.info("results served", url=server.url, site=name)
+            await show.run(server, reader, stop)
+
+
+async def _begun(reader: ResultsReader, stop: asyncio.Event) -> dict[str, bytes] | None:
+    """The newest memories, once there is a broker; None: ``stop`` came first."""
+    for pause in backoff():
+        try:
+            return dict(await asyncio.to_thread(reader.begin))
+        except BrokerAway as error:
+            log.warning("waiting for the broker", reason=str(error), next_try_in_s=pause)
+        try:
+            async with asyncio.timeout(pause):
+                await stop.wait()
+        except TimeoutError:
+            continue
+        break
+    return None
+
+
+def _everything(groups: dict[str, Group], kept: dict[str, bytes]) -> list[ResultsBlock]:
+    """What follows from the memories of all groups; they are let go of."""
+    blocks: list[ResultsBlock] = []
+    for name, group in groups.items():
+        if name not in kept:
+            log.info("nothing is known yet", group=name)
+            continue
+        try:
+            group.remember(kept[name])
+        except FleetError as error:
+            log.warning("not what is known of it, its next results are waited for", reason=error)
+            continue
+        blocks += group.everything()
+    groups.clear()
+    return blocks
+
+
+class Reader(Protocol):
+    """What `ResultsReader` offers to who goes on with it."""
+
+    def read(self) -> Heard:
+        """What has come; waits a moment for it."""
+
+    def commit(self) -> None:
+        """All that was read is safe."""
+
+
+class Show:
+    """What is between the results' topic and the results server."""
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        site: str,
+        config: FleetConfig,
+        groups: dict[str, Group],
+        post: Post,
+        past: PastStore | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        names = [valve.name for valve in catalogue.sites[site].valves]
+        self._numbers = {name: number for number, name in enumerate(names)}
+        self._clock = clock or SystemClock()
+        self._post = post
+        self._stale_s = config.serve.stale_after_s
+        self.mirror, self._earlier = Mirror(names), Mirror(names)
+        self.operator = FleetOperator(
+            {plan.name: group.plan.name for group in groups.values() for plan in group.plan.plans},
+            self._numbers,
+            self.mirror,
+            post,
+            config.serve.answer_s,
+            {
+                plan.name: group.identification.alarms(plan.name)
+                for group in groups.values()
+                for plan in group.plan.plans
+            },
+        )
+        self._past = None if past is None else PastKeeper(past, names)
+        self.certificate_until_ns = 0
+        now = self._clock.monotonic()
+        self._heard_at = np.full(len(names), now)
+        self._standing = np.full(len(names), int(Quality.BAD))  # nothing is known of the present
+        self._health_due = self._commit_due = now
+
+    def keep(self, change: AlarmChange) -> None:
+        """Have the history keep a change of an alarm."""
+        if self._past is not None:
+            self._past.note_alarm(change)
+
+    async def first(self, server: ResultsServer, blocks: Sequence[ResultsBlock]) -> None:
+        """Show what was known before: nothing is known of the present yet."""
+        for block in blocks:
+            self.mirror.take(block)
+        await self._again(server, range(len(self._numbers)), Quality.BAD)
+
+    async def run(self, server: ResultsServer, reader: Reader, stop: asyncio.Event) -> None:
+        """Show what comes until ``stop`` is set."""
+        try:
+            while not stop.is_set():
+                await self._take(server, await asyncio.to_thread(reader.read))
+                self._post.tend()
+                await self._doubt(server)
+                await self._look_after(server, reader)
+        finally:
+            if self._past is not None:
+                await self._past.settle()
+                reader.commit()
+
+    async def _take(self, server: ResultsServer, heard: Heard) -> None:
+        now = self._clock.monotonic()
+        if self._past is not None:
+            for block in heard.earlier:
+                self._past.note(self._earlier.take(block))
+            for samples in heard.samples:
+                self._past.take(self._own(samples))
+        for block in heard.results:
+            before = self.mirror.newest.copy()
+            found = self.mirror.take(block)
+            if not len(found.valves):
+                continue
+            newer = found.valves[self.mirror.newest[found.valves] > before[found.valves]]
+            self._heard_at[newer], self._standing[newer] = now, int(Quality.GOOD)
+            for results in self._as_they_stand(found.valves):
+                await server.publish(results)
+                if self._past is not None:
+                    self._past.note(results)
+            await asyncio.sleep(0)
+        for reply in heard.replies:
+            self.operator.take(reply)
+
+    def _as_they_stand(self, valves: Times) -> Iterator[Results]:
+        for quality in np.unique(self._standing[valves]).tolist():
+            some = valves[self._standing[valves] == quality].tolist()
+            yield from self.mirror.again(some, quality)
+
+    async def _doubt(self, server: ResultsServer) -> None:
+        """Call old what nothing newer came of."""
+        silent = self._clock.monotonic() - self._heard_at
+        now_at = np.where(silent > 2.0 * self._stale_s, int(Quality.BAD), int(Quality.GOOD))
+        now_at[(silent > self._stale_s) & (silent <= 2.0 * self._stale_s)] = int(Quality.UNCERTAIN)
+        worse = np.flatnonzero(now_at > self._standing)
+        if not len(worse):
+            return
+        self._standing[worse] = now_at[worse]
+        for quality in np.unique(now_at[worse]).tolist():
+            some = worse[now_at[worse] == quality]
+            log.warning("no newer results", valves=len(some), quality=Quality(quality).name)
+            await self._again(server, some.tolist(), Quality(quality))
+
+    async def _again(self, server: ResultsServer, valves: Sequence[int], quality: Quality) -> None:
+        for start in range(0, len(valves), _VALVES_AT_ONCE):
+            for results in self.mirror.again(valves[start : start + _VALVES_AT_ONCE], quality):
+                await server.publish(results)
+                if self._past is not None:
+                    self._past.note(results)
+            await asyncio.sleep(0)
+
+    async def _look_after(self, server: ResultsServer, reader: Reader) -> None:
+        now, utc = self._clock.monotonic(), self._clock.now()
+        if self._past is not None:
+            self._past.tick(now, utc)
+            if now >= self._commit_due:
+                self._commit_due = now + _COMMIT_EVERY_S
+                await self._past.settle()
+                reader.commit()
+        if now < self._health_due:
+            return
+        self._health_due = now + HEALTH_EVERY_S
+        days_left = (self.certificate_until_ns - utc) / DAY_NS
+        self.operator.service_alarms.note(
+            utc, np.nan, days_left if self.certificate_until_ns else np.nan, np.nan
+        )
+        newest = self.mirror.newest
+        age = np.where(newest > 0, np.maximum((utc - newest) * 1e-9, 0.0), np.nan)
+        await server.show_health(
+            Health(
+                age_s=age,
+                waiting=np.zeros(len(newest), np.int64),
+                history=PastCounters() if self._past is None else self._past.counters,
+                alarms=self.operator.alarms(None),
+            )
+        )
+
+    def _own(self, block: SamplesBlock) -> ByValve:
+        """The samples, under the site's numbers of the valves."""
+        members = block.samples.segments.members
+        own = [self._numbers.get(block.valves[member], -1) for member in members]
+        return renumbered(block.samples, np.array(own, np.int64))

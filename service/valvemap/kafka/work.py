@@ -1,0 +1,235 @@
+"""``valvemap fleet work``: a worker on Quix Streams, exactly once."""
+
+import logging
+import time
+import warnings
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, Final, Literal
+
+import structlog
+from confluent_kafka import KafkaException
+
+from valvemap.app.warm_up import warm_up
+from valvemap.errors import FleetError
+from valvemap.kafka.broker import client_settings, reason
+from valvemap.kafka.catalogue import Catalogue, load_catalogue
+from valvemap.kafka.group import Rhythm
+from valvemap.kafka.settings import FleetConfig
+from valvemap.kafka.topics import (
+    COMMANDS,
+    RESULTS,
+    SAMPLES,
+    STATE,
+    WORKERS,
+    check_partitions,
+    topic_name,
+)
+from valvemap.kafka.worker import Worker
+from valvemap.runtime.backoff import backoff
+
+with warnings.catch_warnings(record=True):  # of what Quix brings along, which insists on them
+    from quixstreams import Application
+    from quixstreams.exceptions import QuixException
+    from quixstreams.kafka import ConnectionConfig
+    from quixstreams.models import TopicAdmin, TopicManager
+    from quixstreams.models.topics.exceptions import (
+        TopicConfigurationMismatch,
+        TopicNotFoundError,
+        TopicPartitionsMismatch,
+    )
+    from quixstreams.sinks import BaseSink
+    from quixstreams.state.exceptions import StateError, StateRecoveryOffsetOutOfRange
+
+_BUFFERED: Final = 100  # messages of a partition: what is waited with to keep their order
+_POLL_S: Final = 0.01  # what has come is taken then, be it less than _BUFFERED
+_FETCH_WAIT_MS: Final = 50  # all else that is asked of the broker waits so long behind a fetch
+_HEARTBEATS: Final = 4  # in the time after which a worker counts as lost
+_ANOTHER_TRY_HELPS_NOT: Final = (
+    TopicConfigurationMismatch,
+    TopicNotFoundError,
+    TopicPartitionsMismatch,
+    StateError,
+    StateRecoveryOffsetOutOfRange,
+)
+
+log = structlog.get_logger(__name__)
+
+
+def work(config: FleetConfig) -> None:
+    """Learn until SIGINT or SIGTERM; where the broker goes away, wait and go on.
+
+    Raises
+    ------
+    ConfigurationError, FleetError
+        if another try would not help: topics, catalogue, state.
+    """
+    catalogue = load_catalogue(config.catalogue)
+    check_partitions(config, SAMPLES, COMMANDS, RESULTS, STATE)
+    for site in catalogue.sites.values():
+        warm_up(site)
+    _say_little(config)
+    pauses = backoff()
+    while True:
+        began = time.monotonic()
+        try:
+            _run(config, catalogue)
+        except _ANOTHER_TRY_HELPS_NOT as error:
+            raise FleetError(f"{_first_line(error)}") from None
+        except (KafkaException, QuixException) as error:
+            said = reason(error) if isinstance(error, KafkaException) else _first_line(error)
+            if time.monotonic() - began > _LONG_ENOUGH_S:
+                pauses = backoff()
+            pause = next(pauses)
+            log.warning("broker lost, what was not committed is done again", reason=said)
+            time.sleep(pause)
+        else:
+            return
+
+
+_LONG_ENOUGH_S: Final = 60.0  # a run that lasted so long was a good one
+
+
+def _run(config: FleetConfig, catalogue: Catalogue) -> None:
+    work, topics = config.work, config.topics
+    rhythm = Rhythm(round(work.results_s * 1e9), round(work.maps_s * 1e9))
+    worker = Worker(catalogue, rhythm)
+    app = _application(config)
+    raw = {"key_deserializer": "bytes", "value_deserializer": "bytes"}
+    samples = app.dataframe(app.topic(topic_name(topics, SAMPLES), **raw))
+    commands = app.dataframe(app.topic(topic_name(topics, COMMANDS), **raw))
+    results = app.topic(
+        topic_name(topics, RESULTS), key_serializer="bytes", value_serializer="bytes"
+    )
+    tagged = samples.apply(partial(_tagged, SAMPLES)), commands.apply(partial(_tagged, COMMANDS))
+    together = tagged[0].concat(tagged[1])
+    learnt = together.apply(partial(_handle, worker), stateful=True, metadata=True, expand=True)
+    learnt.to_topic(results)
+    learnt.sink(_Keeper(worker))
+    app.run()
+
+
+class _Keeper(BaseSink):
+    """Has what is remembered written before each commit, in its transaction."""
+
+    def __init__(self, worker: Worker) -> None:
+        super().__init__()
+        self._worker = worker
+
+    def add(self, *_row: Any, **_place: Any) -> None:  # noqa: ANN401
+        """Results go to their topic."""
+
+    def flush(self) -> None:
+        """Called by the engine before it commits."""
+        self._worker.keep()
+
+
+class _AwayInOneLine(logging.Handler):
+    """Of all that Kafka's clients say, that no broker can be reached, now and then."""
+
+    def __init__(self, addresses: str) -> None:
+        super().__init__()
+        self._addresses = addresses
+        self._due = 0.0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it, once in a while."""
+        now = time.monotonic()
+        if _ALL_DOWN in record.getMessage() and now >= self._due:
+            self._due = now + _AGAIN_S
+            log.warning("broker cannot be reached, waiting for it", addresses=self._addresses)
+
+
+_ALL_DOWN: Final = "brokers are down"
+_AGAIN_S: Final = 60.0
+
+
+def _say_little(config: FleetConfig) -> None:
+    """Raised errors tell what ended a run; librdkafka's own lines would be a dozen for each."""
+    quix = logging.getLogger("quixstreams")
+    quix.handlers = [_AwayInOneLine(",".join(config.broker.addresses))]
+    quix.setLevel(logging.ERROR)
+    quix.propagate = False
+
+
+def _tagged(kind: str, value: bytes | None) -> tuple[str, bytes]:
+    return kind, value or b""
+
+
+def _handle(
+    worker: Worker,
+    value: tuple[str, bytes],
+    key: bytes | None,
+    _timestamp: int,
+    _headers: Any,  # noqa: ANN401 - Quix's
+    state: Any,  # noqa: ANN401
+) -> Iterator[bytes]:
+    kind, message = value
+    take = worker.samples if kind == SAMPLES else worker.command
+    return iter(take(key, message, state))
+
+
+class _OwnNames(TopicManager):
+    """Quix Streams' topics; the changelog is called as the configuration says."""
+
+    def __init__(self, changelog: str, **more: Any) -> None:  # noqa: ANN401
+        super().__init__(**more)
+        self._changelog = changelog
+
+    def _internal_name(
+        self, topic_type: Literal["changelog", "repartition"], topic_name: str | None, suffix: str
+    ) -> str:
+        if topic_type == "changelog":
+            return self._changelog
+        return super()._internal_name(topic_type, topic_name, suffix)
+
+
+def _application(config: FleetConfig) -> Any:  # noqa: ANN401
+    broker, topics, work = config.broker, config.topics, config.work
+    connection = ConnectionConfig.from_librdkafka_dict(client_settings(broker))
+    group, largest = f"{topics.prefix}.{WORKERS}", round(topics.message_mb * 1e6)
+    commit_ms, takeover_ms = round(work.commit_s * 1e3), round(work.takeover_s * 1e3)
+    manager = _OwnNames(
+        topic_name(topics, STATE),
+        topic_admin=TopicAdmin(broker_address=connection),
+        consumer_group=group,
+        timeout=broker.timeout_s,
+        auto_create_topics=False,
+    )
+    work.state.mkdir(parents=True, exist_ok=True)
+    return Application(
+        broker_address=connection,
+        consumer_group=group,
+        topic_manager=manager,
+        auto_create_topics=False,
+        auto_offset_reset="earliest",
+        auto_recover_from_source_offset_out_of_range=False,
+        processing_guarantee="exactly-once",
+        commit_interval=work.commit_s,
+        state_dir=work.state,
+        consumer_poll_timeout=_POLL_S,
+        max_partition_buffer_size=_BUFFERED,
+        broker_availability_timeout=0,
+        on_processing_error=lambda _error, _row, _logger: False,
+        loglevel=None,
+        consumer_extra_config={
+            "session.timeout.ms": takeover_ms,
+            "heartbeat.interval.ms": takeover_ms // _HEARTBEATS,
+            "fetch.wait.max.ms": _FETCH_WAIT_MS,
+            "fetch.max.bytes": 4 * largest,
+            "receive.message.max.bytes": 8 * largest,
+        },
+        producer_extra_config={
+            "compression.type": "none",  # results are packed; of memories it saves no half
+            "message.max.bytes": largest,
+            # It begins with what is sent first after a commit: a broker must not end it before.
+            "transaction.timeout.ms": commit_ms + takeover_ms,
+            # A commit sends what waits, and nobody sees it before. Sent in dribs and drabs to a
+            # broker that answers slowly, librdkafka would wait in a loop that takes half a core.
+            "linger.ms": min(commit_ms, takeover_ms // 2),
+        },
+    )
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

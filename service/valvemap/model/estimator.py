@@ -1,0 +1,155 @@
+"""What every estimator offers, and how its state becomes bytes and back."""
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from tokenize import TokenError
+from typing import Any, ClassVar, Protocol, Self, TypeVar
+
+import numpy as np
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.contents import Contents
+from valvemap.model.samples import Floats, Samples, Trace
+
+
+class StateMismatchError(ValueError):
+    """The bytes belong to another estimator, other hyper-parameters or another version."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Base of all estimator states: a frozen dataclass whose fields are arrays.
+
+    Scalars are arrays of shape (): the bytes are one record in a ``.npy``, readable for ever by
+    numpy alone. Where what its arrays mean changes, its ``state_version`` goes up: those of before
+    are a fresh start.
+    """
+
+    state_version: ClassVar[int] = 2
+
+    def to_bytes(self, key: str) -> bytes:
+        """Pack the state; ``key`` names the hyper-parameters it belongs to."""
+        arrays: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+        arrays["header_"] = np.array([str(self.state_version), type(self).__name__, key])
+        layout = tuple((name, array.dtype.str, array.shape) for name, array in arrays.items())
+        return b"".join((_npy_head(layout), *(array.tobytes() for array in arrays.values())))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, key: str) -> Self:
+        """Unpack a state.
+
+        Raises
+        ------
+        StateMismatchError
+            if version, state type or ``key`` differ, or the bytes are damaged.
+        """
+        expected = (str(cls.state_version), cls.__name__, key)
+        try:
+            record = np.load(io.BytesIO(data), allow_pickle=False)
+            header = tuple(record["header_"].tolist())
+            names = [f.name for f in fields(cls)] if header == expected else []
+            arrays = {name: record[name].copy() for name in names}
+        except _UNREADABLE as error:
+            raise StateMismatchError(f"not a state of {cls.__name__}: {error}") from error
+        if header != expected:
+            raise StateMismatchError(f"state of {header}, not of {expected}")
+        return cls(**arrays)
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What arrays like these may hold, by name; of those not named see `Contents`."""
+        return {}
+
+    def check(self, like: Self) -> None:
+        """Refuse what cannot have been learnt: a valid digest only says that it was written.
+
+        Raises
+        ------
+        StateMismatchError
+            naming the first array that is not of the shape and type of the one in ``like``, a state
+            of the same estimator, or holds what it may not.
+        """
+        Template(like).check(self)
+
+    def is_coherent(self) -> bool:
+        """Whether arrays fit together that may each hold what they do."""
+        return True
+
+
+@lru_cache(maxsize=256)
+def _npy_head(layout: tuple[tuple[str, str, tuple[int, ...]], ...]) -> bytes:
+    """What numpy writes in front of a record of such arrays: it takes longer than the arrays."""
+    record, buffer = np.zeros((), list(layout)), io.BytesIO()
+    np.save(buffer, record, allow_pickle=False)
+    return buffer.getvalue()[: -record.nbytes]
+
+
+class Template:
+    """By which many states of one estimator are judged; ``like`` is one of them."""
+
+    def __init__(self, like: State) -> None:
+        said = like.contents()
+        self._contents = {
+            f.name: said.get(f.name) or Contents(np.asarray(getattr(like, f.name)))
+            for f in fields(like)
+        }
+
+    def check(self, state: State) -> None:
+        """As `State.check`."""
+        for name, contents in self._contents.items():
+            wrong = contents.wrong_in(np.asarray(getattr(state, name)))
+            if wrong is not None:
+                raise StateMismatchError(f"{name} {wrong}")
+        if not state.is_coherent():
+            raise StateMismatchError("its parts do not belong together")
+
+
+_UNREADABLE = (  # what numpy makes of bytes that are no record of arrays
+    *(ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError),
+    *(OSError, EOFError, SyntaxError, TokenError),
+)
+
+S = TypeVar("S", bound=State)
+
+
+class Estimator(Protocol[S]):
+    """A frozen dataclass of hyper-parameters with pure methods; the state goes in and comes out.
+
+    Every estimator obeys: no method changes its arguments; a stream cut into other batches gives
+    the same bits; whatever the samples hold (NaN, inf, 1e308, zeros), nothing is raised, no
+    warning is printed, the state stays finite and of constant size; samples whose quality is BAD
+    or that are not finite leave the state untouched.
+    """
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta's elements, as published."""
+
+    def initial_state(self) -> S:
+        """State before the first sample."""
+
+    def update(self, state: S, samples: Samples) -> tuple[S, Trace]:
+        """Take N samples in, one after another."""
+
+    def predict(self, state: S, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min, at N points; NaN if unknown."""
+
+    def parameters(self, state: S) -> tuple[Floats, Floats]:
+        """Theta (n,) in physical units and its standard deviations (n,); NaN if unknown."""
+
+    def adaptation(self, state: S) -> Adaptation:
+        """What the estimator makes of its residuals by now."""
+
+
+def key_of(estimator: object) -> str:
+    """Hash of an estimator's hyper-parameters: states and checkpoints are bound to it."""
+    assert hasattr(estimator, "__dataclass_fields__")  # noqa: S101 - a programmer's mistake
+    text = json.dumps(
+        {"type": type(estimator).__name__, **asdict(estimator)},  # type: ignore[call-overload]
+        sort_keys=True,
+        default=repr,
+    )
+    return hashlib.sha256(text.encode()).hexdigest()

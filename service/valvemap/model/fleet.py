@@ -1,0 +1,160 @@
+"""Many models at once: the states of a fleet as one structure of arrays."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from valvemap.model.estimator import State
+from valvemap.model.forgetting import Forgetting
+from valvemap.model.least_squares_state import RlsState, batch_of, learn_segments
+from valvemap.model.place_grid import Grid
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+
+UNREAD = frozenset(  # arrays of a state that results are not made of
+    {"flows", "places", "visits", "window", "cells", "slots", "recent"}
+)
+
+S = TypeVar("S", bound=State)
+In_contra = TypeVar("In_contra", bound=State, contravariant=True)
+
+
+@runtime_checkable
+class ManyModels(Protocol[In_contra]):
+    """An estimator that takes in the samples of many models of its kind in one call."""
+
+    def initial_state(self) -> Any:  # noqa: ANN401 - of its own kind
+        """State of one model before the first sample."""
+
+    def update_many(self, states: In_contra, samples: Samples, segments: Segments) -> Trace:
+        """Take N samples in; ``states`` have a leading axis M and are written in place.
+
+        Bit for bit what ``update`` gives model by model. What the trace says of rows outside of
+        the segments means nothing.
+        """
+
+    def parameters_many(self, states: In_contra) -> tuple[Floats, Floats]:
+        """What ``parameters`` gives model by model, both (M, n)."""
+
+    def adaptation_many(self, states: In_contra) -> Codes:
+        """What ``adaptation`` gives model by model (M,)."""
+
+
+def stack(states: Sequence[S]) -> S:
+    """One state whose arrays have a leading axis M from the states of M models of equal n."""
+    kind = type(states[0])
+    return kind(
+        **{f.name: np.stack([getattr(state, f.name) for state in states]) for f in fields(kind)}
+    )
+
+
+def repeated(state: S, M: int) -> S:
+    """One state whose arrays have a leading axis M, every model in the same state."""
+    kind = type(state)
+    arrays = {f.name: np.asarray(getattr(state, f.name)) for f in fields(kind)}
+    return kind(**{name: np.tile(a, (M,) + (1,) * a.ndim) for name, a in arrays.items()})
+
+
+def alone(state: S) -> S:
+    """A fleet of this one model: views, not copies."""
+    kind = type(state)
+    return kind(**{f.name: np.asarray(getattr(state, f.name))[None] for f in fields(kind)})
+
+
+def member(fleet: S, m: int) -> S:
+    """State of model m: views, not copies."""
+    kind = type(fleet)
+    return kind(**{f.name: getattr(fleet, f.name)[m] for f in fields(kind)})
+
+
+def copied(state: S) -> S:
+    """The same state in arrays of its own."""
+    kind = type(state)
+    return kind(**{f.name: np.array(getattr(state, f.name)) for f in fields(kind)})
+
+
+def members(fleet: S, chosen: Times) -> S:
+    """States of some models, with a leading axis of their own: copies.
+
+    But for what no result is read from: of memories of places, windows and cells there is none.
+    """
+    kind, nothing = type(fleet), np.empty((len(chosen), 0))
+    arrays = {f.name: getattr(fleet, f.name) for f in fields(kind)}
+    return kind(**{k: nothing if k in UNREAD else a[chosen] for k, a in arrays.items()})
+
+
+def update_one(estimator: ManyModels[S], state: S, samples: Samples) -> tuple[S, Trace]:
+    """Many models, of which there is one; ``state`` stays as it is."""
+    fleet = repeated(state, 1)
+    trace = estimator.update_many(fleet, samples, Segments.one(len(samples)))
+    return member(fleet, 0), trace
+
+
+def learn_many(
+    fleet: RlsState,
+    forgetting: Forgetting,
+    X: Floats,
+    y: Floats,
+    t: Times,
+    usable: Codes,
+    segments: Segments,
+    grid: Grid | None = None,
+) -> Trace:
+    """Take samples in as `learn_fleet` does, writing into the arrays of ``fleet``."""
+    batch = batch_of(X, y, t, usable, grid=grid)
+    learn_segments(fleet, forgetting, batch, segments)
+    return Trace(batch.predicted, batch.residual, batch.early, batch.status)
+
+
+def learn_fleet(
+    fleet: RlsState,
+    forgetting: Forgetting,
+    X: Floats,
+    y: Floats,
+    t: Times,
+    usable: Codes,
+    offsets: ArrayLike,
+) -> tuple[RlsState, Trace]:
+    """Take samples in: model m those from ``offsets[m]`` to ``offsets[m + 1] - 1``.
+
+    Bit for bit what :func:`~valvemap.model.least_squares_state.learn` gives model by model.
+
+    Parameters
+    ----------
+    fleet
+        M states, see `stack`.
+    forgetting
+        One rule for all.
+    X, y, t, usable : (N, n), (N,), (N,), (N,)
+        The samples of all models, one model after another.
+    offsets : (M + 1,)
+        Ascending from 0 to N.
+
+    Raises
+    ------
+    ValueError
+        if the offsets do not fit.
+
+    Examples
+    --------
+    >>> from valvemap.model.forgetting import Exponential
+    >>> from valvemap.model.least_squares_state import initial_state
+    >>> fleet = stack([initial_state(1, Exponential(0.99))] * 2)
+    >>> ones = np.ones(4)
+    >>> y, t, usable = np.array([3.0, 3.0, 5.0, 5.0]), np.arange(4), np.ones(4, np.uint8)
+    >>> learn_fleet(fleet, Exponential(0.99), ones[:, None], y, t, usable, [0, 2, 4])[0].theta
+    array([[3.],
+           [5.]])
+    """
+    edges = np.ascontiguousarray(offsets, np.int64)
+    ascending = edges.shape == (len(fleet.theta) + 1,) and (np.diff(edges) >= 0).all()
+    if not (ascending and edges[0] == 0 and edges[-1] == len(y)):
+        raise ValueError(
+            f"offsets of shape {edges.shape}: {len(fleet.theta) + 1} ascending ones are wanted, "
+            f"from 0 to {len(y)}"
+        )
+    after = copied(fleet)
+    segments = Segments(np.arange(len(edges) - 1), edges[:-1].copy(), edges[1:].copy())
+    return after, learn_many(after, forgetting, X, y, t, usable, segments)

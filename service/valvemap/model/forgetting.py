@@ -1,0 +1,166 @@
+"""How recursive least squares lets go of the past: one frozen dataclass per rule.
+
+All rules share eq. (23), theta(t) = theta(t-1) + P(t)·X(t)·(Q(t) - Xᵀ(t)·theta(t-1)). They differ
+in what becomes of the information P⁻¹; r means XᵀPX, `lam` the forgetting factor λ, 0 < λ ≤ 1.
+"""
+
+from dataclasses import dataclass, replace
+from typing import assert_never
+
+
+@dataclass(frozen=True)
+class Exponential:
+    """P⁻¹ ← λP⁻¹ + X·Xᵀ, eqs. (26)-(28): weights λ^(N-i); λ = 1 is eq. (25).
+
+    Where nothing excites a direction, P would grow there for ever: far beyond any use it is held,
+    and λ forgets along X alone (status UNEXCITED).
+    """
+
+    lam: float = 1.0
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """Exponential; large innovations lower λ(t) = 1 - (1 - λ)·e²/((1 + r)·σ²) ≥ `least`.
+
+    Fortescue, Kershenbaum, Ydstie: Implementation of self-tuning regulators with variable
+    forgetting factors, Automatica 17 (1981).
+    """
+
+    lam: float = 0.999
+    least: float = 0.9
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+        _check_factor("least", self.least)
+
+
+@dataclass(frozen=True)
+class Resetting:
+    """Exponential, and a little information about one parameter after the other is put back.
+
+    P⁻¹ is drawn to `information` of one sample (in the columns' scales) about each parameter
+    instead of to 0, so that P is bounded by itself. Salgado, Goodwin, Middleton: Modified least
+    squares algorithm incorporating exponential resetting and forgetting, Int. J. Control 47 (1988);
+    cyclic as in Lai, Bernstein: Exponential resetting and cyclic resetting RLS, L-CSS 7 (2023).
+    """
+
+    lam: float = 0.99
+    information: float = 0.01
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+        if not 0.0 < self.information < float("inf"):
+            raise ValueError(f"information = {self.information!r} is not positive and finite")
+
+
+@dataclass(frozen=True)
+class Directional:
+    """P⁻¹ ← P⁻¹ + (1 - (1 - λ)/r)·X·Xᵀ: forgets along X alone; what is not excited is kept.
+
+    Kulhavý: Restricted exponential forgetting in real-time identification, Automatica 23 (1987).
+    For one parameter it is exponential forgetting.
+    """
+
+    lam: float = 0.99
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """P⁻¹ ← P⁻¹ - (1 - λ)·P⁻¹XXᵀP⁻¹/(XᵀP⁻¹X) + X·Xᵀ, X in the columns' scales.
+
+    Cao, Schwartz: A directional forgetting algorithm based on the decomposition of the information
+    matrix, Automatica 36 (2000); for several outputs SIFt-RLS, arXiv 2404.10844.
+    """
+
+    lam: float = 0.99
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+
+
+@dataclass(frozen=True)
+class SlidingWindow:
+    """The last `length` samples with weight 1, all earlier ones with weight 0."""
+
+    length: int = 500
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.length <= 1_000_000:
+            raise ValueError(f"length = {self.length!r} is not in 1 … 1 000 000 samples")
+
+    @property
+    def lam(self) -> float:
+        """λ of about the same memory."""
+        return 1.0 - 1.0 / self.length
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Nothing, until places seen again show another flow than before: the default.
+
+    A memory of places (:mod:`valvemap.model.kernels.places`) tells misfit, which comes back
+    at the same place, from drift, which moves with time. Misfit is let be. Where places drift,
+    theta is fitted anew to what each of them showed last, the older the less; no place is lost.
+    An abrupt change shows in what is new of the residuals
+    (:mod:`valvemap.model.kernels.change_detection`); then what was learnt weighs a tenth of
+    a sample, and is soon replaced where there are new ones.
+
+    With `lam` < 1 the plant is known to drift: `Subspace`, on one sample of eight with λ⁸, and
+    faster as long as innovations stay coloured; misfit would be taken for drift.
+
+    Attributes
+    ----------
+    lam : float
+        1, or λ of a plant that is known to drift.
+    least : float
+        Smallest λ.
+    threshold : float
+        Standard deviations of the scores that mean a change.
+    """
+
+    lam: float = 1.0
+    least: float = 0.96
+    threshold: float = 6.3
+
+    def __post_init__(self) -> None:
+        _check_factor("lam", self.lam)
+        _check_factor("least", self.least)
+        if not self.threshold > 0.0:
+            raise ValueError(f"threshold = {self.threshold!r} is not positive")
+
+
+Forgetting = Exponential | Variable | Resetting | Directional | Subspace | SlidingWindow | Adaptive
+
+
+def with_lam(forgetting: Forgetting, lam: float) -> Forgetting:
+    """Use the same rule with another λ.
+
+    Raises
+    ------
+    ValueError
+        if λ is not in (0, 1], or the rule has none.
+
+    Examples
+    --------
+    >>> with_lam(Exponential(0.99), 0.995)
+    Exponential(lam=0.995)
+    """
+    match forgetting:
+        case SlidingWindow():
+            raise ValueError("a sliding window has a length and no forgetting factor")
+        case Exponential() | Variable() | Resetting() | Directional() | Subspace() | Adaptive():
+            return replace(forgetting, lam=lam)
+        case _:
+            assert_never(forgetting)
+
+
+def _check_factor(name: str, value: float) -> None:
+    if not 0.0 < value <= 1.0:
+        raise ValueError(f"forgetting factor {name} = {value!r} is not in (0, 1]")

@@ -1,0 +1,306 @@
+"""The inverse map U = f(Q, dp[, T]): closed form for eq. (7), a safeguarded search otherwise.
+
+The printed inverse of eq. (7), U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), is singular at s = -a2/a4
+and turns round behind it; here a status says so, and U never leaves [0, 100] %.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valvemap.model.estimator import Estimator, State
+from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
+from valvemap.model.inversion import InverseStatus, Inversion
+from valvemap.model.kernels import inverse as kernel
+from valvemap.model.kernels.surface import T_REFERENCE, Surface
+from valvemap.model.linear_map import LinearMap
+from valvemap.model.model_structures import Polynomial, Structure, TensorSpline
+from valvemap.model.monotone_search import search
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Codes, Floats
+from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
+from valvemap.model.support import Support
+
+U_MAX: Final = 100.0
+TWO_SIDED_95: Final = 1.959963984540054
+ROUNDING: Final = 1e-12
+LEVELS, CHUNK = 41, 256  # of U, where an answer is in doubt; answers at once
+
+S = TypeVar("S", bound=State)
+
+
+@runtime_checkable
+class HasSurface(Protocol):
+    """An estimator whose map is a cubic tensor spline."""
+
+    def surface(self, state: Any) -> Surface:  # noqa: ANN401 - the estimator's own state
+        """Knots, nodes and coefficients."""
+
+
+def invert(
+    estimator: Estimator[S],
+    state: S,
+    Q: ArrayLike,
+    dp: ArrayLike,
+    T: ArrayLike,
+    direction: ArrayLike = 0.0,
+    support: Support | None = None,
+    accuracy: SensorAccuracy = EXACT,
+) -> Inversion:
+    """Control voltage that delivers the demanded flow, at N points at once.
+
+    Parameters
+    ----------
+    estimator, state
+        Whose map is inverted. Eq. (7), and any polynomial of first order in U, has a closed form;
+        a spline is solved cubic by cubic; any other map is searched through ``predict``.
+    Q, dp, T : (N,) or scalar
+        Demanded flow in l/min, pressure drop in bar, oil temperature in °C (NaN where unknown:
+        harmless to a map that does not depend on it).
+    direction : (N,) or scalar
+        Where U comes from, if the map has a hysteresis: 1 from below, -1 from above, 0 in the
+        middle of the loop. Other maps do not mind.
+    support
+        What the map rests on: where it is a guess, the interval grows with the distance from the
+        samples, and the status is EXTRAPOLATING. None: the map is taken at its word.
+    accuracy
+        Of the sensors that the map was learnt from: what they may be off by is in the interval.
+
+    Returns
+    -------
+    Inversion
+        U, its 95 % interval by the delta method (std of Q̂ over dQ/dU) and the status. On a
+        plateau U is the smallest that delivers Q; where the map rises, falls and rises again it is
+        the smallest on a rising branch.
+    """
+    given = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in (Q, dp, T)))
+    finite = np.isfinite(given[0]) & np.isfinite(given[1])
+    demand, drop = (np.where(finite, x, 0.0) for x in given[:2])
+    temperature = np.ascontiguousarray(given[2])
+    with np.errstate(all="ignore"):
+        structure = getattr(estimator, "structure", None)
+        match structure:
+            case Polynomial() if set(structure.powers_of_U) <= {0, 1}:
+                theta = _theta_of(estimator, state, structure)
+                found = _invert_affine(structure, theta, demand, drop, temperature)
+            case TensorSpline() if (structure.U[0], structure.U[-1]) == (0.0, U_MAX):
+                theta = structure.coefficients(_theta_of(estimator, state, structure))
+                nodes = np.array(structure.T, np.float64)
+                found = _invert_spline(*structure.knots, nodes, theta, demand, drop, temperature)
+            case _ if isinstance(estimator, HasSurface):
+                knots_U, knots_s, nodes, theta, play = estimator.surface(state)
+                warm = np.where(np.isfinite(temperature), temperature, T_REFERENCE)
+                found = _invert_spline(knots_U, knots_s, nodes, theta, demand, drop, warm)
+                lag = play * np.broadcast_to(np.asarray(direction, np.float64), demand.shape)
+                found = _on_branch(found, lag)
+            case _:
+                found = _search(estimator, state, demand, drop, temperature)
+        points = np.nan_to_num(found.U), drop, temperature
+        std, lacking = _spread(estimator, state, *points)
+        off = _systematic(estimator, state, accuracy, points)
+        if support is None:
+            std = np.hypot(std, off)
+            return _answer(found, std, finite & ~lacking, U_range_of(estimator))
+        std, guessed = trusted(estimator, state, support, points, demand, std)
+        unknown = guessed & np.isinf(std)
+        if unknown.any() and np.isfinite(estimator.parameters(state)[0]).any():
+            std = np.where(unknown, support.Q_max, std)  # nothing is known here, elsewhere it is
+        std = np.hypot(std, off)
+        answer = _answer(found, std, finite & ~lacking, U_range_of(estimator))
+        has_U = answer.status <= InverseStatus.BELOW_REACH
+        status = np.where(guessed & has_U, np.uint8(InverseStatus.EXTRAPOLATING), answer.status)
+        answer = replace(answer, status=status)
+        bent = is_eq7(estimator, state) and support.is_eq7_refuted
+        doubtful = np.flatnonzero(has_U & (guessed | bent))
+        given = demand, drop, temperature
+        return _widened(estimator, state, (support, accuracy), given, answer, doubtful)
+
+
+def inverse_table(
+    estimator: Estimator[S], state: S, Q_axis: ArrayLike, dp_axis: ArrayLike, T: float
+) -> Floats:
+    """U in % over two axes, shape (len(Q_axis), len(dp_axis)); NaN where Q is not deliverable."""
+    Q, dp = np.meshgrid(
+        np.asarray(Q_axis, np.float64), np.asarray(dp_axis, np.float64), indexing="ij"
+    )
+    answer = invert(estimator, state, Q.ravel(), dp.ravel(), T)
+    return np.where(answer.status == InverseStatus.OK, answer.U, np.nan).reshape(Q.shape)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """U in [0, 100] or NaN, U unclipped, dQ/dU there, status; all (N,)."""
+
+    U: Floats
+    unclipped: Floats
+    slope: Floats
+    status: Codes
+
+
+def _theta_of(estimator: Estimator[S], state: S, structure: Structure) -> Floats:
+    """Pick the structure's own parameters: an estimator may have more (a noise model)."""
+    theta = np.asarray(estimator.parameters(state)[0], np.float64)
+    names = {name: place for place, name in enumerate(estimator.parameter_names)}
+    return theta[[names[name] for name in structure.parameter_names]]
+
+
+def _invert_affine(
+    structure: Polynomial, theta: Floats, Q: Floats, dp: Floats, T: Floats
+) -> _Found:
+    """Invert Q = closed + slope·U, which holds where slope = dQ/dU > 0 alone."""
+    with_U = structure.powers_of_U == 1
+    one = np.ones_like(dp)
+    terms = theta * structure.regressors(one, dp, T)
+    closed, slope = terms[:, ~with_U].sum(axis=1), terms[:, with_U].sum(axis=1)
+    unclipped = (Q - closed) / slope
+    # Sizes of the terms at the point or at 100 bar: what is smaller than their rounding is zero.
+    sizes = np.abs(theta * structure.regressors(one, np.maximum(np.abs(dp), 100.0), T))
+    size = sizes[:, ~with_U].sum(axis=1) + U_MAX * sizes[:, with_U].sum(axis=1)
+    tolerance = ROUNDING * (size + np.abs(Q))
+    plateau = U_MAX * np.abs(terms[:, with_U]).sum(axis=1) <= ROUNDING * size
+    unclipped = np.where(plateau, np.sign(Q - closed) * np.inf, unclipped)
+    delivers = plateau & (np.abs(Q - closed) <= tolerance)
+    unclipped[delivers] = 0.0
+    status = _select(
+        (~np.isfinite(closed) | ~np.isfinite(slope), InverseStatus.UNIDENTIFIED),
+        (delivers, InverseStatus.OK),
+        (~plateau & (slope * U_MAX <= ROUNDING * size), InverseStatus.NOT_MONOTONE),
+        (Q - closed > slope * U_MAX + tolerance, InverseStatus.ABOVE_REACH),
+        (Q - closed < -tolerance, InverseStatus.BELOW_REACH),
+    )
+    return _Found(np.clip(unclipped, 0.0, U_MAX), unclipped, slope, status)
+
+
+def _invert_spline(
+    knots_U: Floats, knots_s: Floats, nodes: Floats, theta: Floats, Q: Floats, dp: Floats, T: Floats
+) -> _Found:
+    U, unclipped, slope = np.empty_like(Q), np.empty_like(Q), np.empty_like(Q)
+    status = np.empty(len(Q), np.uint8)
+    theta = np.ascontiguousarray(theta)
+    kernel.invert(knots_U, knots_s, nodes, theta, Q, dp, T, U, unclipped, slope, status)
+    return _Found(U, unclipped, slope, status)
+
+
+def _on_branch(found: _Found, lag: Floats) -> _Found:
+    """The map lags by ``lag`` (%) behind U: U leads by as much, as far as its range reaches."""
+    led = found.unclipped + lag
+    moved = (lag != 0.0) & (found.status <= InverseStatus.BELOW_REACH) & np.isfinite(led)
+    reach = _select((led > U_MAX, InverseStatus.ABOVE_REACH), (led < 0, InverseStatus.BELOW_REACH))
+    return _Found(
+        U=np.where(moved, np.clip(led, 0.0, U_MAX), found.U),
+        unclipped=np.where(moved, led, found.unclipped),
+        slope=found.slope,
+        status=np.where(moved, reach, found.status).astype(np.uint8),
+    )
+
+
+def _search(estimator: Estimator[S], state: S, Q: Floats, dp: Floats, T: Floats) -> _Found:
+    def flow(U: Floats, points: NDArray[np.intp]) -> Floats:
+        return estimator.predict(state, U, dp[points], T[points])[0]
+
+    U, slope, status = search(flow, Q, U_range_of(estimator))
+    # Out of reach, the tangent at the end tells how far the demand lies behind it.
+    beyond = (Q - flow(np.nan_to_num(U), np.arange(len(Q)))) / slope
+    outside = (status == InverseStatus.ABOVE_REACH) | (status == InverseStatus.BELOW_REACH)
+    return _Found(U, np.where(outside, U + beyond, U), slope, status)
+
+
+def _spread(
+    estimator: Estimator[S], state: S, U: Floats, dp: Floats, T: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Standard deviation of Q̂, infinite where unknown, and whether T is what is missing."""
+    match estimator, getattr(estimator, "structure", None):
+        case RecursiveLeastSquares() | LinearMap(), TensorSpline() as structure if (
+            not structure.T or np.isfinite(T).all()
+        ):
+            covariance = np.ascontiguousarray(estimator.covariance(state))
+            nodes, variance = np.array(structure.T, np.float64), np.empty_like(U)
+            kernel.variances(
+                *structure.knots, nodes, covariance, structure.held, U, dp, T, variance
+            )
+            return np.sqrt(variance), np.zeros(len(U), np.bool_)
+        case _:
+            predicted, std = estimator.predict(state, U, dp, T)
+            unknown = np.isnan(predicted)
+            lacking = unknown & ~np.isfinite(T)
+            if lacking.any():  # is it the missing temperature, or is the map not identified?
+                at, warm = dp[lacking], np.full(int(lacking.sum()), T_REFERENCE)
+                lacking[lacking] = np.isfinite(estimator.predict(state, 0.0 * at, at, warm)[0])
+            return np.where(unknown, np.inf, std), lacking
+
+
+def _systematic(
+    estimator: Estimator[S],
+    state: S,
+    accuracy: SensorAccuracy,
+    points: tuple[Floats, Floats, Floats],
+) -> Floats:
+    """What the sensors' errors make of the flow (N,), l/min."""
+    if not accuracy.is_stated:
+        return np.zeros(len(points[0]))
+
+    def flow(U: Floats, dp: Floats, T: Floats) -> Floats:
+        return estimator.predict(state, U, dp, T)[0]
+
+    return systematic_std(accuracy, flow, points, U_range_of(estimator))
+
+
+def _widened(
+    estimator: Estimator[S],
+    state: S,
+    grounds: tuple[Support, SensorAccuracy],
+    points: tuple[Floats, Floats, Floats],
+    answer: Inversion,
+    doubtful: NDArray[np.intp],
+) -> Inversion:
+    """Have the intervals of doubtful answers hold every level of U whose flow may be the demanded.
+
+    Where a map is a guess, or bends less than the valve, its slope says nothing of the valve's.
+    """
+    support, accuracy = grounds
+    lower, upper = answer.lower.copy(), answer.upper.copy()
+    levels = np.linspace(*U_range_of(estimator), LEVELS)
+    for start in range(0, len(doubtful), CHUNK):
+        rows = doubtful[start : start + CHUNK]
+        Q, dp, T = (np.repeat(x[rows], LEVELS) for x in points)
+        where = np.tile(levels, len(rows)), dp, T
+        flow, std = estimator.predict(state, *where)
+        std, _ = trusted(estimator, state, support, where, flow, std)
+        std = np.hypot(std, _systematic(estimator, state, accuracy, where))
+        possible = ~(np.abs(flow - Q) > TWO_SIDED_95 * std).reshape(-1, LEVELS)
+        above = levels >= answer.U[rows, None]
+        up = np.logical_and.accumulate(possible | ~above, axis=1) & above
+        down = np.logical_and.accumulate((possible | above)[:, ::-1], axis=1)[:, ::-1] & ~above
+        lowest = np.where(down, levels, np.inf).min(axis=1)
+        highest = np.where(up, levels, -np.inf).max(axis=1)
+        lower[rows], upper[rows] = np.fmin(lower[rows], lowest), np.fmax(upper[rows], highest)
+    return replace(answer, lower=lower, upper=upper)
+
+
+def _select(*cases: tuple[NDArray[np.bool_], InverseStatus]) -> Codes:
+    """Status of the first case that holds, OK where none does."""
+    conditions, codes = zip(*cases, strict=True)
+    return np.asarray(np.select(conditions, codes, InverseStatus.OK), np.uint8)
+
+
+def _answer(
+    found: _Found, std: Floats, finite: NDArray[np.bool_], reach: tuple[float, float]
+) -> Inversion:
+    unknown = (found.status == InverseStatus.UNIDENTIFIED) | np.isinf(std)
+    status = np.where(unknown, InverseStatus.UNIDENTIFIED, found.status)
+    status = np.where(~finite, InverseStatus.NOT_FINITE, status).astype(np.uint8)
+    given = status <= InverseStatus.BELOW_REACH
+    U = np.where(given, found.U + 0.0, np.nan)
+    half = TWO_SIDED_95 * std / found.slope
+    known = given & np.isfinite(std)
+    flat = known & ~(np.isfinite(found.unclipped) & np.isfinite(half) & (found.slope > 0.0))
+    lower = np.where(flat, reach[0], np.clip(found.unclipped - half, *reach))
+    upper = np.where(flat, reach[1], np.clip(found.unclipped + half, *reach))
+    return Inversion(
+        U=U,
+        lower=np.where(known, lower, np.nan),
+        upper=np.where(known, upper, np.nan),
+        status=status,
+    )

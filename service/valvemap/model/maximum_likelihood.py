@@ -1,0 +1,373 @@
+"""Recursive maximum likelihood, eq. (29): parameters beside a model of coloured noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.fleet import alone, member, repeated, update_one
+from valvemap.model.kernels import maximum_likelihood as kernel
+from valvemap.model.kernels import reaction
+from valvemap.model.kernels.factors import covariance
+from valvemap.model.kernels.filtered_scores import REACTING
+from valvemap.model.kernels.stability import is_stable, root_margins
+from valvemap.model.maximum_likelihood_lags import lags_of
+from valvemap.model.maximum_likelihood_state import (
+    MaximumLikelihoodState,
+    diagonals,
+    initial_state_of,
+    learn,
+    memory_of,
+    noise_variance,
+    noise_variances,
+    parameter_covariance,
+)
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
+
+
+@dataclass(frozen=True)
+class MaximumLikelihood:
+    """Recursive maximum likelihood for a static map whose noise is a moving average.
+
+    Q(t) = Xᵀ(t)·a + v(t) + d1·v(t-1) + … + d_nd·v(t-nd), v white. With
+    h = [X(t), v̂(t-1) … v̂(t-nd)] and h_f = h/D̂(q), the constant column included, eq. (29) reads
+
+        L = P·h_f / (λ + h_fᵀ·P·h_f),  ε = Q - hᵀθ̂(t-1),  θ̂ += L·ε,  P = (P - L·h_fᵀ·P)/λ
+
+    and the noise fed back is the residual *after* the update, v̂ = Q - hᵀθ̂(t) (the printed
+    equation feeds back ε and fails). A step that would make D̂(q) unstable is halved until it does
+    not; λ rises from 0.95; the prior variance of d is small. ``lam`` < 1 forgets along h_f alone
+    (Kulhavý 1987), so a level of U that is not visited is not forgotten. Plain RLS runs beside it,
+    and where RML is worse for long, it starts again from there.
+
+    Attributes
+    ----------
+    structure : Structure
+        The map, linear in its parameters.
+    nd : int
+        Order of the noise model, 0 to 8.
+    lam : float
+        Directional forgetting factor in (0, 1].
+    p0 : float
+        Prior variance of a parameter in units of the noise variance, for regressors scaled to
+        magnitude 1 over U = 0 … 100 %, dp = 0 … 200 bar.
+    radius : float
+        The roots of D̂(q) stay inside it, in (0, 1).
+
+    References
+    ----------
+    Ljung, Söderström: Theory and Practice of Recursive Identification, 1983. Bierman:
+    Factorization Methods for Discrete Sequential Estimation, 1977.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> U, dp, e = rng.uniform(0, 100, 3000), rng.uniform(0, 200, 3000), rng.normal(size=3001)
+    >>> Q = 0.2 * U * np.sqrt(dp) + e[1:] + 0.8 * e[:-1]
+    >>> samples = Samples.of(t=np.arange(3000), U=U, p1=dp, p2=0 * dp, Q=Q)
+    >>> rml = MaximumLikelihood()
+    >>> state, trace = rml.update(rml.initial_state(), samples)
+    >>> theta, std = rml.parameters(state)
+    >>> dict(zip(rml.parameter_names, theta.round(1).tolist()))["d1"]
+    0.8
+    """
+
+    structure: Structure = field(default_factory=FiveTerms)
+    nd: int = 1
+    lam: float = 1.0
+    p0: float = 1e6
+    radius: float = 0.995
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        _check_settings(self.nd, self.lam, self.p0, self.radius)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The structure's names, then d1 … d_nd."""
+        return self.structure.parameter_names + tuple(f"d{i + 1}" for i in range(self.nd))
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Return the same estimator with another λ; a state fits both."""
+        return replace(self, lam=lam)
+
+    def initial_state(self) -> MaximumLikelihoodState:
+        """Nothing known but the structure's prior: theta = 0, P = p0·I for scaled regressors."""
+        state = initial_state_of(self._orders(), self.p0)
+        if isinstance(self.structure, StructureWithPrior):
+            rows, values = self.structure.prior()
+            kernel.learn(memory_of(state), rows / self._scale, values)
+        return state
+
+    def update(
+        self, state: MaximumLikelihoodState, samples: Samples
+    ) -> tuple[MaximumLikelihoodState, Trace]:
+        """Take N samples in; bad and non-finite ones leave the state untouched."""
+        return update_one(self, state, samples)
+
+    def update_many(
+        self, states: MaximumLikelihoodState, samples: Samples, segments: Segments
+    ) -> Trace:
+        """Take the samples of many models in; their states are written in place."""
+        X, good = self._scaled_regressors(samples.U, samples.dp, samples.T)
+        good &= (samples.quality != Quality.BAD) & np.isfinite(samples.Q)
+        rule = kernel.Rule(kernel.DIRECTIONAL, float(self.lam), float(self.radius))
+        where = samples.U[good], samples.Q[good], segments.among(good)
+        run = learn(states, rule, self._orders(), X[good], *where)
+        # Where the samples so far tell nothing, nothing can be said.
+        with np.errstate(invalid="ignore"):
+            known = np.where(run.share <= kernel.UNDETERMINED, run.predicted, np.nan)
+        predicted, behind = np.full((2, len(samples)), np.nan)
+        predicted[good], behind[good] = known, run.early
+        status = np.full(len(samples), Status.REJECTED, np.uint8)
+        status[good] = run.status
+        return Trace(predicted, samples.Q - predicted, behind, status)
+
+    def predict(
+        self, state: MaximumLikelihoodState, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow and its standard deviation, l/min; NaN where the samples do not determine it."""
+        points = (np.ascontiguousarray(a, np.float64) for a in (U, dp, T))
+        X, finite = self._scaled_regressors(*points)
+        values, variances, share = np.empty((3, len(X)))
+        lags = lags_of(alone(state))
+        memory = memory_of(member(lags.without(alone(state)), 0))
+        kernel.evaluate(memory, np.where(finite[:, None], X, 0.0), values, variances, share)
+        known = finite & (share <= kernel.UNDETERMINED) & (state.monitor[kernel.COUNT] > 0)
+        with np.errstate(all="ignore"):
+            own = np.sqrt(variances * noise_variance(state))
+        (std,) = lags.beyond(X, own[None])
+        return np.where(known, values, np.nan), np.where(known, std, np.nan)
+
+    def parameters(self, state: MaximumLikelihoodState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations: the structure's in its units, d without unit."""
+        theta, std = self.parameters_many(alone(state))
+        return theta[0], std[0]
+
+    def parameters_many(self, states: MaximumLikelihoodState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+        n, scale = len(self._scale), np.append(self._scale, np.ones(self.nd))
+        lags = lags_of(states)
+        P, inflations = diagonals(lags.without(states))
+        determined = states.monitor[:, kernel.DETERMINED, None] > 0
+        over = np.where(determined, np.diagonal(states.spread, axis1=1, axis2=2), P)
+        with np.errstate(all="ignore"):
+            variance = np.maximum(noise_variances(states)[:, None] * over, 0.0)
+        variance[:, :n] *= inflations
+        std = np.sqrt(variance)
+        std[:, :n] = lags.beyond(np.eye(n), std[:, :n])
+        known = (P > 0) & (kernel.UNDETERMINED * states.prior >= P)
+        known[:, len(scale) - self.nd :] = determined
+        return states.theta / scale, np.where(known, std, np.nan) / scale
+
+    def adaptation(self, state: MaximumLikelihoodState) -> Adaptation:
+        """Undecided, as it does not tell misfit from drift, or reacting."""
+        return Adaptation.REACTING if _reacts(state.colour) else Adaptation.UNDECIDED
+
+    def adaptation_many(self, states: MaximumLikelihoodState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        reacting = _reacts(states.colour)
+        return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)
+
+    def covariance(self, state: MaximumLikelihoodState) -> Floats:
+        """Covariance (n, n) of the structure's parameters."""
+        n = len(self._scale)
+        wider = np.sqrt(diagonals(alone(state))[1][0]) / self._scale
+        return parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
+
+    def information(self, state: MaximumLikelihoodState) -> Floats:
+        """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
+        n = len(self._scale)
+        P = covariance(state.factor)[:n, :n] / np.outer(self._scale, self._scale)
+        return np.asarray(np.linalg.inv(P))
+
+    def root_margin(self, state: MaximumLikelihoodState) -> float:
+        """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""
+        n = len(state.theta)
+        return float(root_margins(state.theta[None, n - self.nd :])[0])
+
+    def _orders(self) -> kernel.Orders:
+        return np.array([0] + [1] * len(self.structure.parameter_names) + [self.nd], np.int64)
+
+    @cached_property
+    def _scale(self) -> Floats:
+        """Magnitude of each regressor over the nominal range: powers of two, exact to divide by."""
+        grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
+        rows = self.structure.regressors(*(axis.ravel() for axis in grid))
+        rms = np.sqrt(np.mean(rows**2, axis=0))
+        scale: Floats = np.exp2(np.round(np.log2(np.where(rms > 0, rms, 1.0))))
+        return scale
+
+    def _scaled_regressors(
+        self, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Rows over their scale, and which of them are finite."""
+        with np.errstate(all="ignore"):
+            X = self.structure.regressors(U, dp, T) / self._scale
+        return X, np.isfinite(U) & np.isfinite(dp) & np.isfinite(X).all(axis=1)
+
+
+@dataclass(frozen=True)
+class MaximumLikelihoodResult:
+    """What `recursive_maximum_likelihood` found from N samples.
+
+    Attributes
+    ----------
+    theta : (n,)
+        Final parameters a1 … , b1 … of each input, d1 …
+    theta_history : (N, n)
+        Parameters after each sample.
+    innovations, residuals : (N,)
+        ε = y - hᵀθ̂ before, v̂ = y - hᵀθ̂ after the update; NaN where y is missing.
+    covariance : (n, n)
+        Covariance of theta: the noise variance times P.
+    root_margin : (N,)
+        1 - max|root of D̂(q)| after each sample.
+    status : (N,)
+        :class:`~valvemap.model.samples.Status`.
+    restarts : int
+        How often the estimate was judged lost, and begun again from plain RLS.
+    """
+
+    theta: Floats
+    theta_history: Floats
+    innovations: Floats
+    residuals: Floats
+    covariance: Floats
+    root_margin: Floats
+    status: Codes
+    restarts: int
+
+
+def recursive_maximum_likelihood(
+    y: ArrayLike,
+    u: ArrayLike,
+    na: int,
+    nb: int | Sequence[int],
+    nd: int,
+    forgetting: float = 1.0,
+    p0: float = 1e4,
+    *,
+    theta0: ArrayLike | None = None,
+    radius: float = 0.995,
+) -> MaximumLikelihoodResult:
+    """Identify A(q)·y = Σ B_k(q)·u_k + D(q)·v recursively by maximum likelihood, eq. (29).
+
+    A = 1 + a1·q⁻¹ + …, B_k = b1·q⁻¹ + … + b_nb·q⁻ⁿᵇ, D = 1 + d1·q⁻¹ + …; the algorithm is that of
+    :class:`MaximumLikelihood`.
+
+    Parameters
+    ----------
+    y : (N,)
+        Output; a NaN is a missing sample: its prediction takes its place among the lags.
+    u : (N,) or (N, m)
+        Inputs; where one is missing theta is held until it has left the lags.
+    na, nb, nd : int
+        Orders; ``nb`` may be a sequence, one order per input.
+    forgetting : float
+        λ of exponential forgetting, in (0, 1].
+    p0 : float
+        P(0) = p0·I for a and b, > 0, beyond 1e20 as 1e20; for d it is 0.1 over the noise variance.
+    theta0 : (n,), optional
+        Initial parameters; an unstable D is contracted.
+    radius : float
+        The roots of D̂(q) stay inside it, in (0, 1).
+
+    Raises
+    ------
+    ValueError
+        if shapes or orders do not fit.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> u, v, y = rng.choice([-1.0, 1.0], 2000), rng.normal(size=2000), np.zeros(2000)
+    >>> for t in range(1, 2000):
+    ...     y[t] = 0.8 * y[t - 1] + u[t - 1] + v[t] + 0.5 * v[t - 1]
+    >>> recursive_maximum_likelihood(y, u, na=1, nb=1, nd=1).theta.round(1)
+    array([-0.8,  1. ,  0.5])
+    """
+    output = np.ascontiguousarray(y, np.float64)
+    inputs = np.ascontiguousarray(u, np.float64)
+    if inputs.ndim == 1:
+        inputs = inputs[:, None]
+    if output.ndim != 1 or inputs.ndim != 2 or len(inputs) != len(output):
+        raise ValueError(f"y must be (N,) and u (N,) or (N, m), not {output.shape}, {np.shape(u)}")
+    m = inputs.shape[1]
+    lags = [nb] * m if isinstance(nb, int) else list(nb)
+    if len(lags) != m:
+        raise ValueError(f"nb has {len(lags)} orders for {m} inputs")
+    orders = np.array([na, *lags, nd], np.int64)
+    if (orders < 0).any() or orders.sum() == 0:
+        raise ValueError(f"orders must be >= 0, and one > 0, not na={na}, nb={nb}, nd={nd}")
+    _check_settings(nd, forgetting, p0, radius)
+
+    state = initial_state_of(orders, p0)
+    n = len(state.theta)
+    if theta0 is not None:
+        start = np.array(theta0, np.float64)
+        if start.shape != (n,) or not (np.abs(start) < kernel.LARGEST).all():
+            raise ValueError(f"theta0 must be {n} finite numbers, not {theta0!r}")
+        start[n - nd :] = _contracted(start[n - nd :], radius)
+        state = replace(state, theta=start)
+
+    X, use = _delayed(inputs, max(lags, default=0))
+    use &= np.isfinite(output)
+    history = np.empty((len(output), n))
+    rule = kernel.Rule(kernel.EXPONENTIAL, float(forgetting), float(radius))
+    fleet, whole = repeated(state, 1), Segments.one(len(output))
+    no_U = np.zeros(len(output))
+    run = learn(fleet, rule, orders, X, no_U, output, whole, use.astype(np.uint8), history)
+    state = member(fleet, 0)
+    return MaximumLikelihoodResult(
+        theta=state.theta,
+        theta_history=history,
+        innovations=output - run.predicted,
+        residuals=run.posterior,
+        covariance=parameter_covariance(state),
+        root_margin=root_margins(np.ascontiguousarray(history[:, n - nd :])),
+        status=run.status,
+        restarts=int(state.monitor[kernel.RESTARTS]),
+    )
+
+
+def _delayed(inputs: Floats, lags: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Rows u(t-1), gaps filled with the value before; and where no gap is among the lags."""
+    finite = np.isfinite(inputs)
+    rows = np.where(finite, np.arange(len(inputs))[:, None], -1)
+    rows = np.maximum.accumulate(rows, axis=0) if len(rows) else rows
+    filled = np.where(rows >= 0, np.take_along_axis(inputs, np.maximum(rows, 0), axis=0), 0.0)
+    delayed = np.zeros_like(inputs)
+    delayed[1:] = filled[:-1]
+    gaps = np.concatenate([np.zeros(1), np.cumsum(~finite.all(axis=1))])
+    t = np.arange(len(inputs))
+    return delayed, gaps[t] == gaps[np.maximum(t - lags, 0)]
+
+
+def _contracted(d: Floats, radius: float) -> Floats:
+    """D with its roots drawn towards 0 until the largest lies well inside ``radius``."""
+    if is_stable(d, radius):
+        return d
+    largest = 1.0 - root_margins(d[None, :])[0]
+    result: Floats = d * (0.9 * radius / largest) ** np.arange(1, len(d) + 1)
+    return result
+
+
+def _reacts(colours: Floats) -> NDArray[np.bool_]:
+    return np.asarray(reaction.reacts(colours, REACTING))
+
+
+def _check_settings(nd: int, lam: float, p0: float, radius: float) -> None:
+    if not 0 <= nd <= 8:
+        raise ValueError(f"nd is {nd}; 0 to 8 is allowed")
+    if not 0 < lam <= 1:
+        raise ValueError(f"forgetting factor is {lam}; 0 < lam <= 1 is allowed")
+    if not p0 > 0:
+        raise ValueError(f"p0 is {p0}; a positive number is allowed")
+    if not 0 < radius < 1:
+        raise ValueError(f"radius is {radius}; 0 < radius < 1 is allowed")

@@ -1,0 +1,339 @@
+"""How the flow map depends on its parameters: Q = X(U, dp, T)ᵀ·theta."""
+
+import math
+import re
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Final, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.errors import ConfigurationError
+from valvemap.model.kernels import polynomial, spline
+from valvemap.model.samples import Floats
+
+WALTHER_SHIFT: Final = 0.7
+KELVIN: Final = 273.15
+
+
+class Structure(Protocol):
+    """A structure that is linear in its parameters; frozen, hashable by its fields."""
+
+    def __hash__(self) -> int:
+        """By the fields."""
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta's n elements, as published."""
+
+    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Rows Xᵀ (N, n) at N points; a row depends on its own point alone, bit for bit."""
+
+
+@runtime_checkable
+class StructureWithPrior(Structure, Protocol):
+    """A structure that knows something of its parameters before the first sample.
+
+    An estimator feeds the prior into its initial information as pseudo-samples: row·theta = value,
+    each with the weight (noise variance) of one measured sample. They are no samples: neither the
+    sample count nor the noise variance may know of them.
+    """
+
+    def prior(self) -> tuple[Floats, Floats]:
+        """Rows (R, n) and values (R,), l/min."""
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Any sum of products of powers: Q = Σ theta_j · term_j (eqs. (7), (9)).
+
+    Attributes
+    ----------
+    terms
+        Each a product like ``"1"``, ``"U"``, ``"U^2*s"``, ``"dp*nu^-1"`` of the factors U (%),
+        s = sign(dp)·√|dp| (√bar), ``|s|``, dp (bar), ``|dp|``, T (°C) and nu, the oil's kinematic
+        viscosity at T (mm²/s, Walther's equation, ASTM D341).
+    names
+        Names of the parameters; the terms themselves where none are given.
+    viscosity_40, viscosity_100
+        The oil's viscosity at 40 °C and 100 °C, mm²/s; VG 46 by default.
+
+    Raises
+    ------
+    ConfigurationError
+        if a term cannot be read or stands there twice.
+
+    Examples
+    --------
+    >>> laminar_too = Polynomial(terms=("s", "U*s", "dp*nu^-1"))
+    >>> laminar_too.regressors(np.array([50.0]), np.array([100.0]), np.array([40.0])).round(3)
+    array([[ 10.   , 500.   ,   2.174]])
+    """
+
+    terms: tuple[str, ...]
+    names: tuple[str, ...] = ()
+    viscosity_40: float = 46.0
+    viscosity_100: float = 6.8
+
+    def __post_init__(self) -> None:
+        if not self.terms:
+            raise ConfigurationError("polynomial: no terms; give one at least, e.g. U*s")
+        twice = [key for key, count in Counter(map(_exponents, self.terms)).items() if count > 1]
+        if twice:
+            same = ", ".join(term for term in self.terms if _exponents(term) == twice[0])
+            raise ConfigurationError(f"polynomial: terms {same} are the same")
+        if self.names and len(self.names) != len(self.terms):
+            raise ConfigurationError(
+                f"polynomial: {len(self.names)} names for {len(self.terms)} terms"
+            )
+        if not self.viscosity_40 > self.viscosity_100 > WALTHER_SHIFT:
+            raise ConfigurationError(
+                f"polynomial: viscosity_40 = {self.viscosity_40} and viscosity_100 = "
+                f"{self.viscosity_100}; viscosity_40 > viscosity_100 > 0.7 mm²/s is allowed"
+            )
+
+    @classmethod
+    def of_order(cls, order: int) -> Self:
+        """All products U^i·s^j with i + j <= order.
+
+        >>> Polynomial.of_order(2).terms
+        ('1', 's', 's^2', 'U', 'U*s', 'U^2')
+        """
+        powers = [(i, j) for i, j in product(range(order + 1), repeat=2) if i + j <= order]
+        return cls(terms=tuple(_spell({"U": i, "s": j}) for i, j in powers))
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names, or else the terms."""
+        return self.names or self.terms
+
+    @property
+    def powers_of_U(self) -> NDArray[np.int64]:
+        """Exponent of U in each term."""
+        return self._table[:, 0]
+
+    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Rows (N, n): the terms at N points."""
+        return np.asarray(polynomial.products(U, dp, T, self._table, self._walther))
+
+    @cached_property
+    def _table(self) -> NDArray[np.int64]:
+        return np.array([_exponents(term) for term in self.terms], np.int64)
+
+    @cached_property
+    def _walther(self) -> tuple[float, float]:
+        """Make a and b of lg lg(nu + 0.7) = a - b·lg(T in K) from the two viscosities."""
+        at_40, at_100 = (
+            math.log10(math.log10(nu + WALTHER_SHIFT))
+            for nu in (self.viscosity_40, self.viscosity_100)
+        )
+        lg_40, lg_100 = math.log10(40.0 + KELVIN), math.log10(100.0 + KELVIN)
+        b = (at_40 - at_100) / (lg_100 - lg_40)
+        return at_40 + b * lg_40, b
+
+
+@dataclass(frozen=True)
+class FiveTerms(Polynomial):
+    """The paper's structure, eq. (7): Q = a1 + a2·U + a3·s + a4·U·s + a5·s·|s|, s = √dp.
+
+    With s = sign(dp)·√|dp| (√bar) the flow may change its direction; a5·s·|s| is a5·dp.
+
+    Examples
+    --------
+    >>> FiveTerms().regressors(np.array([50.0]), np.array([100.0]), np.array([40.0]))
+    array([[  1.,  50.,  10., 500., 100.]])
+    """
+
+    terms: tuple[str, ...] = ("1", "U", "s", "U*s", "dp")
+    names: tuple[str, ...] = ("a1", "a2", "a3", "a4", "a5")
+
+
+@dataclass(frozen=True)
+class TensorSpline:
+    """Tensor product of cubic B-splines over (U, s[, T]): the paper's "partition for local area".
+
+    Q = Σ theta_ij · B_i(U) · B_j(s), s = sign(dp)·√|dp|; at most 16 of the products are not zero
+    at a point, so a sample teaches its own neighbourhood alone. With nodes in T every theta_ij is
+    interpolated linearly between them. Outside the breaks the map runs on along its tangent.
+
+    theta_ij is close to Q at its own site (the Greville point), which gives it its name. The
+    prior draws it to the straight line between its neighbours, with the weight of ``smoothness²``
+    samples: nothing where there are data, a sane continuation where there are none.
+
+    Attributes
+    ----------
+    U, s
+        Breaks between the cells, in % and √bar, ascending.
+    T
+        Nodes in °C; none: the map does not depend on T.
+    dead_band, saturation
+        U in % where the valve begins to open and where it is fully open, if the map has a kink
+        there; below the one and above the other the prior draws it to a plateau.
+    smoothness
+        Root of the prior's weight, in samples.
+    at_rest
+        ``"zero"`` holds Q at the first break of s at nought (Q(dp = 0) = 0): these theta are left
+        out.
+
+    Raises
+    ------
+    ConfigurationError
+        if breaks or nodes do not ascend or are too few, or a kink lies outside them.
+
+    References
+    ----------
+    C. de Boor, A Practical Guide to Splines, 2001. P. Eilers, B. Marx, Flexible smoothing with
+    B-splines and penalties, Statistical Science 11 (1996) 89-121.
+
+    Examples
+    --------
+    >>> structure = TensorSpline.uniform(6, 4)
+    >>> len(structure.parameter_names), structure.parameter_names[0]
+    (63, 'Q(0%,0bar)')
+    >>> rows = structure.regressors(np.array([50.0]), np.array([100.0]), np.array([40.0]))
+    >>> rows.shape, int(np.count_nonzero(rows)), round(float(rows.sum()), 12)
+    ((1, 63), 12, 1.0)
+    """
+
+    U: tuple[float, ...]
+    s: tuple[float, ...]
+    T: tuple[float, ...] = ()
+    dead_band: float | None = None
+    saturation: float | None = None
+    smoothness: float = 0.3
+    at_rest: Literal["free", "zero"] = "free"
+
+    def __post_init__(self) -> None:
+        _check_breaks("U", self.U)
+        _check_breaks("s", self.s)
+        if list(self.T) != sorted(set(self.T)) or len(self.T) == 1:
+            raise ConfigurationError(f"spline: T = {self.T}; two or more ascending nodes, or none")
+        if self._kinks != sorted({*self._kinks}.difference(self.U)):
+            raise ConfigurationError(
+                f"spline: dead_band = {self.dead_band}, saturation = {self.saturation}; "
+                f"{self.U[0]} < dead_band < saturation < {self.U[-1]} is allowed, off the breaks"
+            )
+
+    @classmethod
+    def uniform(
+        cls, cells_U: int = 6, cells_s: int = 4, dp_max: float = 200.0, T: tuple[float, ...] = ()
+    ) -> Self:
+        """Equal cells over U in [0, 100] % and s in [0, √dp_max]: (cells + 3) functions each."""
+        U, s = np.linspace(0, 100, cells_U + 1), np.linspace(0, math.sqrt(dp_max), cells_s + 1)
+        return cls(tuple(U.tolist()), tuple(s.tolist()), T)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Each parameter's own site."""
+        at_T = [f",{node:.4g}°C" for node in self.T] or [""]
+        return tuple(
+            f"Q({U:.4g}%,{s * abs(s):.4g}bar{T})" for U, s, T in product(*self.sites, at_T)
+        )
+
+    @cached_property
+    def knots(self) -> tuple[Floats, Floats]:
+        """Clamped knots in U and s: the ends four times."""
+        with_kinks = sorted([*self.U, *self._kinks * 3])
+        U, s = (np.array([*[x[0]] * 3, *x, *[x[-1]] * 3], np.float64) for x in (with_kinks, self.s))
+        return U, s
+
+    @cached_property
+    def sites(self) -> tuple[Floats, Floats]:
+        """Greville points of the functions in U and s: the means of three inner knots."""
+        U, s = ((k[1:-3] + k[2:-2] + k[3:-1]) / 3.0 for k in self.knots)
+        return U, s[self.held :]
+
+    def regressors(self, U: Floats, dp: Floats, T: Floats) -> Floats:
+        """Rows (N, n) with at most 16 (with T: 32) elements that are not zero."""
+        knots_U, knots_s = self.knots
+        nodes = np.array(self.T, np.float64)
+        return np.asarray(spline.tensor_rows(U, dp, T, knots_U, knots_s, nodes, self.held))
+
+    def coefficients(self, theta: Floats) -> Floats:
+        """Theta (n,) as the kernels take it: (n_U, n_s, n_T), held parameters included."""
+        sites_U, sites_s = self.sites
+        table = theta.reshape(len(sites_U), len(sites_s), -1)
+        return np.pad(table, ((0, 0), (self.held, 0), (0, 0)))
+
+    def prior(self) -> tuple[Floats, Floats]:
+        """Rows that ask each theta to lie on the line between its neighbours; values 0."""
+        n_T = max(1, len(self.T))
+        along_U, along_s = self.roughness
+        one_U, one_s, one_T = np.eye(along_U.shape[1]), np.eye(along_s.shape[1]), np.eye(n_T)
+        rows = np.concatenate(
+            [
+                np.kron(np.kron(along_U, one_s), one_T),
+                np.kron(np.kron(one_U, along_s), one_T),
+                np.kron(np.kron(one_U, one_s), self.smoothness * np.diff(one_T, axis=0)),
+            ]
+        )
+        return rows, np.zeros(len(rows))
+
+    @cached_property
+    def roughness(self) -> tuple[Floats, Floats]:
+        """The prior's rows along U (R, n_U) and along s (R, n_s)."""
+        sites_s = self.sites[1]
+        anchored = sites_s if self.at_rest == "free" else np.concatenate([self.s[:1], sites_s])
+        along_s = _bends(anchored)[:, self.held :]
+        return self.smoothness * self._bends_and_plateaus(), self.smoothness * along_s
+
+    @property
+    def _kinks(self) -> list[float]:
+        return [U for U in (self.dead_band, self.saturation) if U is not None]
+
+    def _bends_and_plateaus(self) -> Floats:
+        """Bends in U between the kinks, steps beyond them; none across a kink."""
+        sites = self.sites[0]
+        low = -math.inf if self.dead_band is None else self.dead_band
+        high = math.inf if self.saturation is None else self.saturation
+        inside = (sites[1:-1] > low) & (sites[1:-1] < high)
+        beyond = (sites[1:] <= low) | (sites[:-1] >= high)
+        return np.concatenate([_bends(sites)[inside], np.diff(np.eye(len(sites)), axis=0)[beyond]])
+
+    @property
+    def held(self) -> int:
+        """Functions of s that are left out."""
+        return int(self.at_rest == "zero")
+
+
+_FACTOR = re.compile(r"(U|s|\|s\||dp|\|dp\||T|nu)(?:\^(-?\d{1,2}))?")
+
+
+def _exponents(term: str) -> tuple[int, ...]:
+    """Read a term: the exponents of U, s, |s|, dp, |dp|, T, nu."""
+    exponents = dict.fromkeys(polynomial.FACTORS, 0)
+    for factor in [] if term == "1" else term.replace(" ", "").split("*"):
+        match = _FACTOR.fullmatch(factor)
+        if match is None:
+            allowed = ", ".join(polynomial.FACTORS)
+            raise ConfigurationError(
+                f"polynomial: term {term!r}: {factor!r} is none of 1, {allowed} or a power like U^2"
+            )
+        exponents[match[1]] += int(match[2] or 1)
+    return tuple(exponents.values())
+
+
+def _spell(powers: dict[str, int]) -> str:
+    spelt = [name if k == 1 else f"{name}^{k}" for name, k in powers.items() if k]
+    return "*".join(spelt) or "1"
+
+
+def _check_breaks(name: str, breaks: tuple[float, ...]) -> None:
+    if len(breaks) < 2 or list(breaks) != sorted({*breaks}) or not all(map(math.isfinite, breaks)):
+        raise ConfigurationError(
+            f"spline: {name} = {breaks}; two or more ascending breaks are allowed"
+        )
+
+
+def _bends(sites: Floats) -> Floats:
+    """Rows (n - 2, n): how far each value lies off the line between its neighbours."""
+    left, right = np.diff(sites)[:-1], np.diff(sites)[1:]
+    rows = np.zeros((len(sites) - 2, len(sites)))
+    every = np.arange(len(sites) - 2)
+    rows[every, every] = -right / (left + right)
+    rows[every, every + 1] = 1.0
+    rows[every, every + 2] = -left / (left + right)
+    return rows

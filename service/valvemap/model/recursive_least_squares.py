@@ -1,0 +1,262 @@
+"""Recursive least squares with forgetting, eqs. (17)-(28), in exact and bounded arithmetic."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.change import Change
+from valvemap.model.fleet import learn_many, member, update_one
+from valvemap.model.forgetting import Adaptive, Exponential, Forgetting, with_lam
+from valvemap.model.kernels.change_detection import FEWEST_BETWEEN
+from valvemap.model.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
+from valvemap.model.kernels.rules import LARGEST
+from valvemap.model.least_squares_state import (
+    RlsState,
+    adaptations,
+    information,
+    initial_state,
+    is_determined,
+    known_theta,
+    learn,
+    parameter_covariance,
+    parameter_variance,
+    predict,
+    variances,
+)
+from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
+from valvemap.model.place_grid import grid_of, grid_of_rows
+from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
+
+__all__ = [
+    "Change",
+    "RecursiveLeastSquares",
+    "RlsResult",
+    "RlsState",
+    "parameter_covariance",
+    "recursive_least_squares",
+]
+
+
+@dataclass(frozen=True)
+class RecursiveLeastSquares:
+    """Recursive least squares for any structure that is linear in its parameters.
+
+    ::
+
+        e(t)     = Q(t) - Xᵀ(t)·theta(t-1)                  innovation, l/min
+        L(t)     = P(t-1)·X(t) / (λ + Xᵀ(t)·P(t-1)·X(t))    eq. (28)
+        theta(t) = theta(t-1) + L(t)·e(t)
+        P(t)     = as `forgetting` says; exponential: (P(t-1) - L(t)·Xᵀ(t)·P(t-1))/λ
+
+    With ``p0`` = ∞ the start is exact: at λ = 1 theta equals batch least squares, eq. (16), as soon
+    as the samples determine it. Until then the status is WARMING_UP, and a sample is predicted if
+    the earlier ones fix Xᵀ·theta (NaN if not). P is kept as a triangular factor, so it is never
+    asymmetric or indefinite.
+
+    Parameters
+    ----------
+    structure
+        Which regressors X(U, dp, T) the flow is linear in.
+    forgetting
+        A rule of :mod:`valvemap.model.forgetting`.
+    p0
+        P(0) = p0·I in physical units, > 0; a finite one is ridge regression, not eq. (16).
+
+    Examples
+    --------
+    >>> from valvemap.model.samples import Samples
+    >>> U, dp = np.meshgrid([10.0, 50.0, 90.0], [25.0, 100.0, 196.0])
+    >>> theta = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
+    >>> X = FiveTerms().regressors(U.ravel(), dp.ravel(), dp.ravel())
+    >>> samples = Samples.of(range(9), U.ravel(), dp.ravel(), np.zeros(9), X @ theta)
+    >>> rls = RecursiveLeastSquares()
+    >>> state, trace = rls.update(rls.initial_state(), samples)
+    >>> rls.parameters(state)[0].round(6)
+    array([ 1.  ,  0.02,  0.3 ,  0.12, -0.01])
+    """
+
+    structure: Structure = FiveTerms()  # noqa: RUF009 - frozen
+    forgetting: Forgetting = Exponential(lam=1.0)  # noqa: RUF009 - frozen
+    p0: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.p0 > 0.0:
+            raise ValueError(f"p0 = {self.p0!r} is not positive")
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of theta's elements."""
+        return self.structure.parameter_names
+
+    @property
+    def lam(self) -> float:
+        """Forgetting factor λ."""
+        return self.forgetting.lam
+
+    def with_forgetting(self, lam: float) -> Self:
+        """Use another λ in the same rule; states may be carried over.
+
+        Raises
+        ------
+        ValueError
+            if λ is not in (0, 1].
+        """
+        return replace(self, forgetting=with_lam(self.forgetting, lam))
+
+    def initial_state(self) -> RlsState:
+        """State before the first sample."""
+        prior = self.structure.prior() if isinstance(self.structure, StructureWithPrior) else None
+        return initial_state(len(self.parameter_names), self.forgetting, self.p0, prior)
+
+    def update(self, state: RlsState, samples: Samples) -> tuple[RlsState, Trace]:
+        """Take N samples in, one after another."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: RlsState, samples: Samples, segments: Segments) -> Trace:
+        """Take the samples of many models in; their states are written in place."""
+        X = self.structure.regressors(samples.U, samples.dp, samples.T)
+        usable = samples.quality != Quality.BAD
+        for signal in (samples.U, samples.dp):  # a structure may clip what it is given
+            usable &= np.abs(signal) <= LARGEST
+        codes = usable.astype(np.uint8)
+        grid = None
+        if isinstance(self.forgetting, Adaptive):
+            grid = grid_of(self.structure, samples.U, samples.dp)
+        return learn_many(states, self.forgetting, X, samples.Q, samples.t, codes, segments, grid)
+
+    def predict(self, state: RlsState, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min; NaN if unknown."""
+        return predict(state, self.structure.regressors(U, dp, T), self.forgetting)
+
+    def parameters(self, state: RlsState) -> tuple[Floats, Floats]:
+        """Theta (n,) and its standard deviations (n,), NaN while not determined."""
+        theta = known_theta(state)
+        if not is_determined(state):
+            return theta, np.full_like(theta, np.nan)
+        return theta, np.sqrt(np.maximum(parameter_variance(state, self.forgetting), 0.0))
+
+    def parameters_many(self, states: RlsState) -> tuple[Floats, Floats]:
+        """Theta and its standard deviations of M ≥ 1 models, both (M, n)."""
+        variance, is_known = variances(states, self.forgetting)
+        theta, std = states.theta.copy(), np.sqrt(np.maximum(variance, 0.0))
+        for m in np.flatnonzero(~is_known).tolist():
+            theta[m], std[m] = self.parameters(member(states, m))
+        return theta, std
+
+    def adaptation(self, state: RlsState) -> Adaptation:
+        """What it makes of its residuals; undecided but with `Adaptive` that keeps its memory."""
+        return Adaptation(int(adaptations(state.detector[None], self.forgetting)[0]))
+
+    def adaptation_many(self, states: RlsState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return adaptations(states.detector, self.forgetting)
+
+    def covariance(self, state: RlsState) -> Floats:
+        """Covariance of theta (n, n); NaN while not determined."""
+        return parameter_covariance(state, self.forgetting)
+
+    def information(self, state: RlsState) -> Floats:
+        """P⁻¹ (n, n); singular while theta is not determined."""
+        return information(state)
+
+    def change_counts(self, states: RlsState) -> Times:
+        """How many changes of the plant were found of each of M models (M,)."""
+        return np.asarray(states.counters[..., CHANGES])
+
+    def last_change(self, state: RlsState) -> Change | None:
+        """Return the last change of the plant that was found, None if there was none."""
+        counters = state.counters.tolist()
+        if not counters[CHANGES]:
+            return None
+        return Change(
+            count=counters[CHANGES],
+            sample=counters[SAMPLE] - 1,
+            t=counters[TIME],
+            size=float(state.detector[SIZE]),
+        )
+
+
+@dataclass(frozen=True)
+class RlsResult:
+    """Result of :func:`recursive_least_squares` over N samples with n regressors.
+
+    Attributes
+    ----------
+    theta : (n,)
+        Parameters after the last sample.
+    theta_history : (N, n)
+        Parameters after each sample; open directions are 0.
+    innovations : (N,)
+        y - Xᵀtheta before each sample; NaN where the samples before do not fix Xᵀtheta.
+    covariance : (n, n)
+        Covariance of theta (σ² estimated from the innovations); NaN while not determined.
+    status : (N,)
+        :class:`~valvemap.model.samples.Status`.
+    changes : (C, 3)
+        A row per detected change of the plant (`Adaptive` only): sample of the alarm, first sample
+        after the change as estimated, mean innovation from there to the alarm.
+    """
+
+    theta: Floats
+    theta_history: Floats
+    innovations: Floats
+    covariance: Floats
+    status: Codes
+    changes: Floats
+
+
+def recursive_least_squares(
+    X: ArrayLike, y: ArrayLike, forgetting: float | Forgetting = 1.0, p0: float = np.inf
+) -> RlsResult:
+    """Recursive least squares over arrays, one sample after another.
+
+    Parameters
+    ----------
+    X : (N, n)
+        Regressors.
+    y : (N,)
+        Output.
+    forgetting
+        λ of exponential forgetting, or a rule of :mod:`valvemap.model.forgetting`.
+    p0
+        P(0) = p0·I; infinite: exact least squares from the first samples on.
+
+    Raises
+    ------
+    ValueError
+        if shapes do not fit, or λ or p0 is out of range.
+
+    Examples
+    --------
+    >>> recursive_least_squares([[1, 0], [1, 1], [1, 2], [1, 3]], [1, 3, 5, 7]).theta.round(9)
+    array([1., 2.])
+    """
+    regressors = np.ascontiguousarray(X, dtype=np.float64)
+    output = np.ascontiguousarray(y, dtype=np.float64)
+    if regressors.ndim != 2 or output.shape != regressors.shape[:1]:
+        raise ValueError(
+            f"X {regressors.shape} and y {output.shape} do not fit: (N, n) and (N,) are wanted"
+        )
+    rule = forgetting if isinstance(forgetting, Forgetting) else Exponential(float(forgetting))
+    if not p0 > 0.0:
+        raise ValueError(f"p0 = {p0!r} is not positive")
+    N, n = regressors.shape
+    state = initial_state(n, rule, p0)
+    thetas, changes = np.empty((N, n)), np.empty((N // FEWEST_BETWEEN + 1, 3))
+    usable, grid = np.ones(N, np.uint8), None
+    if isinstance(rule, Adaptive):
+        grid = grid_of_rows(regressors)
+    state, trace = learn(
+        state, rule, regressors, output, np.arange(N), usable, thetas, changes, grid
+    )
+    return RlsResult(
+        theta=state.theta,
+        theta_history=thetas,
+        innovations=trace.residual,
+        covariance=parameter_covariance(state, rule),
+        status=trace.status,
+        changes=changes[: state.counters[CHANGES]],
+    )

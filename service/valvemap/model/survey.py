@@ -1,0 +1,167 @@
+"""Where the map is well known, where it is stale, and which test point would help most."""
+
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from valvemap.model.estimator import Estimator, State
+from valvemap.model.model_structures import Structure
+from valvemap.model.residual_spread import EDGES_DP, EDGES_U, ResidualSpread
+from valvemap.model.samples import Floats
+
+S = TypeVar("S", bound=State)
+POINTS_U, POINTS_DP = 11, 10
+T_DEFAULT: Final = 40.0
+OPEN: Final = 1e-6
+
+
+@runtime_checkable
+class Informed(Protocol):
+    """An estimator whose map is linear in its parameters, and that knows what it learnt of them."""
+
+    @property
+    def structure(self) -> Structure:
+        """The map's structure, n parameters."""
+
+    def information(self, state: Any) -> Floats:  # noqa: ANN401 - the estimator's own
+        """P⁻¹ (n, n): as of that many samples' X·Xᵀ; singular while a direction is open."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of a map, on a grid, and what is not.
+
+    Attributes
+    ----------
+    U, dp : (10,), (n,)
+        Middles of the regions, % and bar.
+    std : (10, n)
+        Standard deviation of Q̂ there, l/min; NaN where nothing is known.
+    age_s : (10, n)
+        Time since the region's last sample, s, too long by less than one; NaN where there was none.
+    share : float
+        Part of the regions with recent samples.
+    condition : float
+        How much better the best known combination of parameters is known than the worst, each in
+        units of its effect on the map; inf while one is open, NaN where there is no such thing.
+    suggested_U, suggested_dp : float
+        The test point (%, bar) that would lower the mean variance of the map most.
+    """
+
+    U: Floats
+    dp: Floats
+    std: Floats
+    age_s: Floats
+    share: float
+    condition: float
+    suggested_U: float
+    suggested_dp: float
+
+
+def survey(
+    estimator: Estimator[S],
+    state: S,
+    spread: ResidualSpread,
+    t: int,
+    T: float = T_DEFAULT,
+    *,
+    dp_max: float = 200.0,
+    Q_max: float = np.inf,
+) -> Survey:
+    """Survey a map at time ``t`` (UTC ns) and temperature ``T``, for dp up to ``dp_max``.
+
+    Where P is known, the suggestion is the next sample of an I-optimal design: with A = X·P·Xᵀ
+    over the grid, a sample at point k lowers the sum of the variances by Σ_g A_gk²/(1 + A_kk)
+    (in units of the noise). Otherwise it is the point of the largest standard deviation, and where
+    no estimate of it differs from point to point (a network), the one that was visited least.
+    Points whose predicted flow lies beyond ``Q_max`` are not suggested.
+
+    References
+    ----------
+    A. Atkinson, A. Donev, R. Tobias, Optimum Experimental Designs, with SAS, 2007, ch. 10-12.
+
+    Examples
+    --------
+    >>> from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+    >>> from valvemap.model.samples import Samples
+    >>> rng = np.random.default_rng(0)
+    >>> U, dp, e = rng.uniform(0, 40, 500), rng.uniform(10, 200, 500), rng.normal(size=500)
+    >>> samples = Samples.of(np.arange(500), U, dp, 0 * dp, 0.1 * U * np.sqrt(dp) + e)
+    >>> rls = RecursiveLeastSquares()
+    >>> state, trace = rls.update(rls.initial_state(), samples)
+    >>> found = survey(rls, state, ResidualSpread.none().add(samples, trace), 500)
+    >>> found.suggested_U, found.share
+    (100.0, 0.32)
+    """
+    T = T if np.isfinite(T) else T_DEFAULT
+    middles_U, middles_dp = axes(dp_max)
+    cells = slice(len(middles_dp))
+    U, dp = (x.ravel() for x in np.meshgrid(middles_U, middles_dp, indexing="ij"))
+    _, std = estimator.predict(state, U, dp, np.full_like(U, T))
+    seen = spread.weights[:, cells] > 0.0
+    U_grid, dp_grid = _grid(dp_max)
+    gain, condition = _gain(estimator, state, spread, U_grid, dp_grid, T)
+    Q, _ = estimator.predict(state, U_grid, dp_grid, np.full_like(U_grid, T))
+    reachable = (Q_max >= Q) | np.isnan(Q)
+    best = int(np.argmax(np.where(reachable, gain, -1.0)))
+    return Survey(
+        U=middles_U,
+        dp=middles_dp,
+        std=std.reshape(seen.shape),
+        age_s=(t - spread.last[:, cells]) / 1e9,
+        share=float(seen.mean()),
+        condition=condition,
+        suggested_U=float(U_grid[best]),
+        suggested_dp=float(dp_grid[best]),
+    )
+
+
+def axes(dp_max: float) -> tuple[Floats, Floats]:
+    """Middles of the regions over U (10,), % and dp (n,), bar.
+
+    >>> axes(100.0)[1].round(1)
+    array([ 0.6,  5.1, 14.1, 27.6, 45.6, 68.1, 95.1])
+    """
+    low, high = np.sqrt(EDGES_DP[:-1]), np.sqrt(EDGES_DP[1:])
+    middles = np.minimum(((low + high) / 2.0) ** 2, dp_max)
+    return (EDGES_U[:-1] + EDGES_U[1:]) / 2.0, middles[EDGES_DP[:-1] < dp_max]
+
+
+def _gain(
+    estimator: Estimator[S], state: S, spread: ResidualSpread, U: Floats, dp: Floats, T: float
+) -> tuple[Floats, float]:
+    """What a sample at each of N points would tell, in some unit, and the condition of P."""
+    if isinstance(estimator, Informed):
+        X = estimator.structure.regressors(U, dp, np.full_like(U, T))
+        P = _inverse(estimator.information(state), X)
+        A = X @ P @ X.T
+        gain = (A * A).sum(axis=0) / (1.0 + np.maximum(np.diag(A), 0.0))
+        return gain, _condition(P, X)
+    _, std = estimator.predict(state, U, dp, np.full_like(U, T))
+    known = std[np.isfinite(std)]
+    if len(known) < len(std) or np.ptp(known) > 0.0:
+        return np.where(np.isfinite(std), std, np.inf), np.nan
+    return 1.0 / (1.0 + spread.density(U, dp)), np.nan
+
+
+def _condition(P: Floats, X: Floats) -> float:
+    """Root of the largest over the smallest eigenvalue of P in units of the map."""
+    scale = np.sqrt(np.mean(X * X, axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    eigenvalues = np.linalg.eigvalsh(P * np.outer(scale, scale))
+    if not eigenvalues[0] > 0.0 or eigenvalues[-1] * OPEN > 0.01:
+        return np.inf
+    return float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))
+
+
+def _inverse(information: Floats, X: Floats) -> Floats:
+    """P; huge where a direction is open."""
+    faint = OPEN * np.maximum(np.mean(X * X, axis=0), np.finfo(np.float64).tiny)
+    return np.asarray(np.linalg.inv(information + np.diag(faint)))
+
+
+def _grid(dp_max: float) -> tuple[Floats, Floats]:
+    levels = np.linspace(0.0, 100.0, POINTS_U), dp_max * np.linspace(0.1, 1.0, POINTS_DP)
+    U, dp = np.meshgrid(*levels, indexing="ij")
+    return U.ravel(), dp.ravel()

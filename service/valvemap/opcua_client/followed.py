@@ -1,0 +1,236 @@
+"""Variables of a server of ours that are followed: what changes is sent, some changes at a time.
+
+A message costs a server far more than the numbers in it. So the server samples often and
+publishes seldom: nothing is missed, and whoever looks is a moment late.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Final, Generic, TypeVar
+
+from asyncua import ua
+
+from valvemap.errors import SourceError, SourceLost, SourceRejected
+from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.requests import in_chunks, operation_limits
+from valvemap.opcua_client.responses import decode_response
+
+_Name = TypeVar("_Name")
+
+_KEEP_ALIVES, _LIFETIME = 20, 120  # publishing intervals: of 0.5 s, 10 and 60 s
+_VALUES_PER_MESSAGE = 500
+_MOST_CHANGES = 10_000  # that nobody has taken; beyond them the oldest go
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a server looks for changes.
+
+    Attributes
+    ----------
+    every_s
+        How often; of the values in between the last counts.
+    queue
+        Values of a variable that it keeps if somebody is late.
+    equal_too
+        Whether an equal value with a new time is a change: it says that the valve is alive.
+    """
+
+    every_s: float
+    queue: int
+    equal_too: bool
+
+
+CLOSELY: Final = Sampling(0.05, 40, equal_too=True)
+"""Twice as often as anybody looks: nothing that is due is thinned out; 2 s of it are kept."""
+
+
+class Followed(Generic[_Name]):
+    """One subscription: made when something is first followed, deleted by :meth:`stop`.
+
+    Attributes
+    ----------
+    lost : int
+        Changes that came and found no room, as nobody had taken those before.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.lost = 0
+        self._connection = connection
+        self._subscription: int | None = None
+        self._publishing: asyncio.Task[None] | None = None
+        self._handles = count(1)
+        self._names: dict[int, _Name] = {}  # by client handle
+        self._items: dict[_Name, int] = {}  # numbers at the server
+        self._changes: deque[tuple[_Name, ua.DataValue]] = deque(maxlen=_MOST_CHANGES)
+        self._failure: SourceError | None = None
+
+    async def follow(
+        self, nodes: Mapping[_Name, ua.NodeId], every_s: float, sampling: Sampling = CLOSELY
+    ) -> None:
+        """Follow just these: some more than before, the others no longer.
+
+        What changes comes every ``every_s``, as the first who followed something wanted it.
+
+        Raises
+        ------
+        SourceRejected
+            if the server takes no more subscriptions or items; nothing is followed then.
+        SourceLost
+        """
+        if not nodes:
+            await self.stop()
+            return
+        try:
+            with self._connection.errors("following values"):
+                await self._begin(every_s)
+                await self._forget([name for name in self._items if name not in nodes])
+                new = {n: node for n, node in nodes.items() if n not in self._items}
+                await self._add(new, sampling)
+        except SourceRejected:
+            await self.stop()
+            raise
+
+    def take(self) -> list[tuple[_Name, ua.DataValue]]:
+        """Take what has changed, in its order.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+            whatever ended the subscription.
+        """
+        if self._failure is not None:
+            raise self._failure
+        changes = list(self._changes)
+        self._changes.clear()
+        return changes
+
+    async def stop(self) -> None:
+        """Follow nothing any more: the server keeps nothing of it.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        number, self._subscription = self._subscription, None
+        self._items.clear()
+        self._names.clear()
+        self._changes.clear()
+        self._failure = None
+        if number is None or self._publishing is None:
+            return
+        with self._connection.errors("ending what is followed"):
+            await self._connection.session.end_subscription(number)
+            async with asyncio.timeout(self._connection.settings.timeout_s):
+                await self._publishing  # its request is refused now: there is nothing to publish
+        self._publishing = None
+
+    async def end(self) -> None:
+        """End without a word: the connection is closed."""
+        if self._publishing is not None:
+            self._publishing.cancel()
+            await asyncio.gather(self._publishing, return_exceptions=True)
+
+    async def _begin(self, every_s: float) -> None:
+        if self._subscription is not None:
+            return
+        wished = ua.CreateSubscriptionParameters(
+            RequestedPublishingInterval=every_s * 1e3,
+            RequestedLifetimeCount=_LIFETIME,
+            RequestedMaxKeepAliveCount=_KEEP_ALIVES,
+            MaxNotificationsPerPublish=_VALUES_PER_MESSAGE,
+            PublishingEnabled=True,
+        )
+        try:
+            created = await self._connection.session.create_subscription(wished)
+        except ua.uaerrors.BadTooManySubscriptions as error:
+            raise SourceRejected(f"{self._connection.settings.url}: {error}") from error
+        self._subscription = created.SubscriptionId
+        self._publishing = asyncio.create_task(self._publish(created.SubscriptionId))
+
+    async def _add(self, nodes: Mapping[_Name, ua.NodeId], sampling: Sampling) -> None:
+        if not nodes:
+            return
+        handles = {next(self._handles): name for name in nodes}
+        self._names |= handles
+        items = [_item(nodes[name], handle, sampling) for handle, name in handles.items()]
+        limit = (await operation_limits(self._connection)).items_per_call
+        results = await in_chunks(items, limit, self._create)
+        for (handle, name), result in zip(handles.items(), results, strict=True):
+            code = result.StatusCode.value
+            if not code >> 30:
+                self._items[name] = result.MonitoredItemId
+            elif code == ua.StatusCodes.BadNodeIdUnknown:
+                del self._names[handle]  # it never changes
+            else:
+                raise SourceRejected(f"{self._connection.settings.url}: {status_name(code)}")
+
+    async def _create(
+        self, items: Sequence[ua.MonitoredItemCreateRequest]
+    ) -> list[ua.MonitoredItemCreateResult]:
+        return await self._connection.session.create_monitored_items(
+            ua.CreateMonitoredItemsParameters(
+                SubscriptionId=self._subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Source,
+                ItemsToCreate=list(items),
+            )
+        )
+
+    async def _forget(self, names: list[_Name]) -> None:
+        if not names:
+            return
+        numbers = [self._items.pop(name) for name in names]
+        self._names = {handle: name for handle, name in self._names.items() if name in self._items}
+        await self._connection.session.delete_monitored_items(
+            ua.DeleteMonitoredItemsParameters(self._subscription, numbers)
+        )
+
+    async def _publish(self, subscription: int) -> None:
+        acknowledged: list[ua.SubscriptionAcknowledgement] = []
+        try:
+            with self._connection.errors("following values"):
+                while True:
+                    request = ua.PublishRequest()
+                    request.Parameters.SubscriptionAcknowledgements = acknowledged
+                    body = await self._connection.session.request(request, timeout=0)
+                    answer = decode_response(ua.PublishResponse, body).Parameters
+                    acknowledged = []
+                    if answer.NotificationMessage.NotificationData:
+                        number = answer.NotificationMessage.SequenceNumber
+                        acknowledged.append(ua.SubscriptionAcknowledgement(subscription, number))
+                        self._keep(answer.NotificationMessage.NotificationData)
+        except SourceError as error:
+            self._failure = error if self._subscription == subscription else None
+
+    def _keep(self, notifications: list[object]) -> None:
+        for notification in notifications:
+            match notification:
+                case ua.DataChangeNotification(MonitoredItems=changes):
+                    for change in changes:
+                        name = self._names.get(change.ClientHandle)
+                        if name is not None:
+                            self.lost += len(self._changes) == _MOST_CHANGES
+                            self._changes.append((name, change.Value))
+                case ua.StatusChangeNotification(Status=status) if status.value >> 30:
+                    url, why = self._connection.settings.url, status_name(status.value)
+                    raise SourceLost(f"{url}: the subscription ended: {why}")
+
+
+def _item(node: ua.NodeId, handle: int, sampling: Sampling) -> ua.MonitoredItemCreateRequest:
+    trigger = ua.DataChangeTrigger.StatusValue
+    if sampling.equal_too:
+        trigger = ua.DataChangeTrigger.StatusValueTimestamp
+    return ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(
+            ClientHandle=handle,
+            SamplingInterval=sampling.every_s * 1e3,
+            Filter=ua.DataChangeFilter(Trigger=trigger, DeadbandType=ua.DeadbandType.None_),
+            QueueSize=sampling.queue,
+            DiscardOldest=True,
+        ),
+    )

@@ -1,0 +1,317 @@
+"""A client of a server of ours, results or rig: browse, read, follow, call, write.
+
+It shows what any client can get, and needs none of the compiled loops that take in every sample.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from asyncua import ua
+
+from valvemap.clock import utc_ns
+from valvemap.errors import CommandRejected, SourceLost
+from valvemap.opcua_client.connection import (
+    Connection,
+    Security,
+    SourceSettings,
+    open_connection,
+    status_name,
+)
+from valvemap.opcua_client.followed import CLOSELY, Followed, Sampling
+from valvemap.opcua_client.requests import (
+    children_of,
+    in_chunks,
+    namespaces_of,
+    read_attributes,
+    read_values,
+)
+
+__all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
+
+UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # of a reading: there is no such variable
+
+_METHODS_AT_ONCE = 50  # of one request: others want their turn
+_LATE = 10  # values of a variable that is watched which the server keeps if we are late
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One value: None where there is none; ``code`` is its StatusCode, ``t`` source time, UTC ns.
+
+    Arrays are lists, matrices lists of lists.
+    """
+
+    value: Any
+    code: int
+    t: int
+
+
+@dataclass(frozen=True)
+class Child:
+    """A node below another: its string identifier, and what it is."""
+
+    id: str
+    is_variable: bool
+    is_method: bool
+
+
+class ResultsClient:
+    """Nodes of one server, named by the string identifiers of its own namespace.
+
+    Parameters
+    ----------
+    settings
+        Server, security, user.
+    namespace
+        URI of the namespace that the names live in.
+    """
+
+    def __init__(self, settings: SourceSettings, namespace: str) -> None:
+        self._settings = settings
+        self._namespace = namespace
+        self._connection: Connection | None = None
+        self._followed: Followed[str] | None = None
+        self._index = 0
+
+    @property
+    def url(self) -> str:
+        """Where the server is."""
+        return self._settings.url
+
+    async def connect(self) -> None:
+        """Connect and log in.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate or user.
+        CertificateError
+            if our own certificate or key cannot be used.
+        """
+        await self.close()
+        connection = await open_connection(self._settings)
+        try:
+            self._index = await self._find_namespace(connection)
+        except BaseException:
+            await connection.close()
+            raise
+        self._connection, self._followed = connection, Followed(connection)
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice, and after a loss."""
+        connection, self._connection = self._connection, None
+        followed, self._followed = self._followed, None
+        if connection is not None:
+            await connection.close()
+        if followed is not None:
+            await followed.end()
+
+    async def browse(self, id: str | None) -> list[Child]:  # noqa: A002 - OPC UA's word
+        """Nodes of our namespace below a node; None is the Objects folder.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        (children,) = await self.browse_each([id])
+        return children
+
+    async def browse_each(self, ids: Sequence[str | None]) -> list[list[Child]]:
+        """The same of several nodes in few requests.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        objects = ua.NodeId(ua.ObjectIds.ObjectsFolder)
+        nodes = [objects if id_ is None else self._node(id_) for id_ in ids]
+        with connection.errors(f"browsing {ids[0] or 'Objects'}"):
+            found = await children_of(connection, nodes)
+        return [
+            [
+                Child(
+                    str(reference.NodeId.Identifier),
+                    reference.NodeClass == ua.NodeClass.Variable,
+                    reference.NodeClass == ua.NodeClass.Method,
+                )
+                for reference in references
+                if reference.NodeId.NamespaceIndex == self._index
+            ]
+            for references in found
+        ]
+
+    async def scalar_types(self, ids: Sequence[str]) -> list[str | None]:
+        """Names of the standard's types of variables; None of arrays, and of what has none.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        wanted = (ua.AttributeIds.DataType, ua.AttributeIds.ValueRank)
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading types"):
+            answers = await read_attributes(connection, nodes, wanted)
+        return [_type_name(*answer) for answer in answers]
+
+    async def read(self, ids: Sequence[str | int]) -> list[Reading]:
+        """Values of variables, one reading each; what cannot be read has a Bad ``code``.
+
+        A number names one of the standard's variables.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        nodes = [self._node(id_) for id_ in ids]
+        with connection.errors("reading"):
+            answers = await read_values(connection, nodes, ua.TimestampsToReturn.Source)
+        return [_reading(answer) for answer in answers]
+
+    async def follow(self, ids: Collection[str], every_s: float) -> None:
+        """Be sent what changes of just these variables, so often; of none: end that.
+
+        An equal value with a new time is a change.
+
+        Raises
+        ------
+        SourceRejected
+            if the server has no room for that; nothing is followed then.
+        SourceLost
+        """
+        await self._follow(ids, every_s, CLOSELY)
+
+    async def watch(self, ids: Collection[str], every_s: float) -> None:
+        """Like :meth:`follow`; of the values since the last time the last one is sent at least.
+
+        Raises
+        ------
+        SourceRejected
+            if the server has no room for that; nothing is followed then.
+        SourceLost
+        """
+        await self._follow(ids, every_s, Sampling(every_s, _LATE, equal_too=False))
+
+    def changes(self) -> list[tuple[str, Reading]]:
+        """Take what was sent of the variables that are followed, in its order.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+        """
+        if self._followed is None:
+            raise self._not_connected()
+        return [(id_, _reading(value)) for id_, value in self._followed.take()]
+
+    @property
+    def lost(self) -> int:
+        """Changes that were sent over this connection and not taken in time."""
+        return 0 if self._followed is None else self._followed.lost
+
+    async def call(
+        self, owner: str, method: str, inputs: Sequence[Sequence[float | str]]
+    ) -> list[tuple[Any, ...]]:
+        """Call ``method`` of ``owner`` once for each of the ``inputs``; return each call's outputs.
+
+        Raises
+        ------
+        CommandRejected
+            if the server refuses one of them: in its words.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        requests = [
+            ua.CallMethodRequest(
+                ObjectId=self._node(owner),
+                MethodId=self._node(f"{owner}.{method}"),
+                InputArguments=[_variant(value) for value in arguments],
+            )
+            for arguments in inputs
+        ]
+        with connection.errors(f"calling {owner}.{method}"):
+            results = await in_chunks(
+                requests, _METHODS_AT_ONCE, lambda chunk: connection.session.call(list(chunk))
+            )
+        for result in results:
+            _check(f"{owner}.{method}", result.StatusCode.value)
+        return [
+            tuple(output.Value for output in result.OutputArguments or ()) for result in results
+        ]
+
+    async def write(self, id: str, value: float) -> None:  # noqa: A002 - OPC UA's word
+        """Write a Double.
+
+        Raises
+        ------
+        CommandRejected
+            if the server refuses it: in its words.
+        SourceLost, SourceRejected
+        """
+        connection = self._connected()
+        written = ua.DataValue(ua.Variant(float(value), ua.VariantType.Double), StatusCode=None)
+        with connection.errors(f"writing {id}"):
+            (status,) = await connection.session.write(
+                ua.WriteParameters(
+                    NodesToWrite=[
+                        ua.WriteValue(
+                            NodeId=self._node(id), AttributeId=ua.AttributeIds.Value, Value=written
+                        )
+                    ]
+                )
+            )
+        _check(id, status.value)
+
+    async def _follow(self, ids: Collection[str], every_s: float, sampling: Sampling) -> None:
+        if self._followed is None:
+            raise self._not_connected()
+        await self._followed.follow({id_: self._node(id_) for id_ in ids}, every_s, sampling)
+
+    async def _find_namespace(self, connection: Connection) -> int:
+        namespaces = await namespaces_of(connection)
+        if self._namespace not in namespaces:
+            raise SourceLost(f"{self.url}: has no namespace {self._namespace} (yet)")
+        return namespaces.index(self._namespace)
+
+    def _connected(self) -> Connection:
+        if self._connection is None:
+            raise self._not_connected()
+        return self._connection
+
+    def _not_connected(self) -> SourceLost:
+        return SourceLost(f"{self.url}: not connected")
+
+    def _node(self, id_: str | int) -> ua.NodeId:
+        return ua.NodeId(id_, self._index if isinstance(id_, str) else 0)
+
+
+def _reading(answer: ua.DataValue) -> Reading:
+    value = answer.Value.Value if answer.Value is not None else None
+    if isinstance(value, ua.LocalizedText):
+        value = value.Text
+    code = answer.StatusCode.value if answer.StatusCode is not None else 0
+    time = answer.SourceTimestamp
+    return Reading(value, int(code), 0 if time is None else utc_ns(time))
+
+
+def _type_name(type_: ua.DataValue, rank: ua.DataValue) -> str | None:
+    is_scalar = rank.Value is not None and rank.Value.Value == ua.ValueRank.Scalar
+    node = type_.Value.Value if is_scalar and type_.Value is not None else None
+    if not isinstance(node, ua.NodeId) or node.NamespaceIndex != 0:
+        return None
+    return ua.ObjectIdNames.get(node.Identifier)
+
+
+def _variant(value: float | str) -> ua.Variant:
+    if isinstance(value, str):
+        return ua.Variant(value, ua.VariantType.String)
+    return ua.Variant(float(value), ua.VariantType.Double)
+
+
+def _check(what: str, code: int) -> None:
+    if code >> 30:
+        raise CommandRejected(f"{what}: refused by the server, {status_name(code)}")

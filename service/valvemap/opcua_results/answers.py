@@ -1,0 +1,46 @@
+"""Answers of an operator that may come later: from a worker of a fleet, say."""
+
+import inspect
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from guarded_opcua import CommandRejected as Refused
+from valvemap.errors import CommandRejected
+from valvemap.pipeline.ports import Answer
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+def say_nothing(_why: str) -> None:
+    """Let a refusal be."""
+
+
+def answered(
+    ask: Callable[[], Answer[A]],
+    then: Callable[[A], B],
+    refused: Callable[[str], None] = say_nothing,
+) -> Answer[B]:
+    """Go on with an answer, at once or when it is there.
+
+    What the service rejects the server refuses.
+    """
+
+    async def later(outcome: Awaitable[A]) -> B:
+        try:
+            found = await outcome
+        except (CommandRejected, Refused) as rejected:
+            refused(str(rejected))
+            raise _as_refused(rejected) from rejected
+        return then(found)
+
+    try:
+        outcome = ask()
+    except (CommandRejected, Refused) as rejected:
+        refused(str(rejected))
+        raise _as_refused(rejected) from rejected
+    return later(outcome) if inspect.isawaitable(outcome) else then(outcome)
+
+
+def _as_refused(rejected: CommandRejected | Refused) -> Refused:
+    return rejected if isinstance(rejected, Refused) else Refused(str(rejected))

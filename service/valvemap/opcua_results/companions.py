@@ -1,0 +1,119 @@
+"""Valves by the names of Devices (DI, OPC 10000-100) and Machinery (OPC 40001-1).
+
+What these namespaces have stands in ``node_sets``, a part of each at its own ids. Valves are below
+DI's DeviceSet as well as below our own root, and have by further references what is shown here.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from asyncua import ua
+
+from guarded_opcua import (
+    HardenedServer,
+    Variable,
+    add_object,
+    add_property,
+    add_variable,
+)
+from valvemap.opcua_results.information_model import DEVICE_HEALTH, IDENTIFICATION
+from valvemap.pipeline.nameplate import Nameplate
+
+DI = "http://opcfoundation.org/UA/DI/"
+MACHINERY = "http://opcfoundation.org/UA/Machinery/"
+NODE_SETS = Path(__file__).parent / "node_sets"
+_FILES = "di.NodeSet2.xml", "machinery.NodeSet2.xml"  # the second one needs the first
+_DEVICE_SET, _I_DEVICE_HEALTH, _HEALTH_ENUMERATION = 5001, 15051, 6244  # of DI
+_COMPONENT_IDENTIFICATION, _I_MACHINE_TAG_NAMEPLATE = 1005, 1011  # of Machinery
+_NEEDED = {"Manufacturer", "SerialNumber"}  # by the type, whether anybody knows them or not
+_LOCALIZED = {"Manufacturer", "Model", "ComponentName"}
+_LOCATION = "Location"
+_UNKNOWN = ua.StatusCodes.UncertainInitialValue
+
+
+@dataclass(frozen=True)
+class Companions:
+    """Where the namespaces of DI and Machinery are at one server."""
+
+    server: HardenedServer
+    di: int
+    machinery: int
+
+    def list_device(self, owner: ua.NodeId) -> None:
+        """Have the DeviceSet organize a valve; before that is put aside."""
+        self.server.refer(self.device_set, ua.ObjectIds.Organizes, owner)
+
+    @property
+    def device_set(self) -> ua.NodeId:
+        """What organizes valves."""
+        return self._of_di(_DEVICE_SET)
+
+    async def add_identification(self, owner: ua.NodeId, plate: Nameplate) -> None:
+        """Say who made a valve; what nobody said is not there, or uncertain where it must be."""
+        server = self.server
+        server.refer_back(self.device_set, ua.ObjectIds.Organizes, owner)
+        own = await add_object(
+            server,
+            owner,
+            f"{owner.Identifier}.{IDENTIFICATION}",
+            description="The valve's name plate, as configured.",
+            type_definition=ua.NodeId(_COMPONENT_IDENTIFICATION, self.machinery),
+            name=ua.QualifiedName("Identification", self.di),
+            as_add_in=True,
+        )
+        for name, text, words in (
+            ("Manufacturer", plate.manufacturer, "Who made the valve."),
+            ("ManufacturerUri", plate.manufacturer_uri, "The maker's own URI."),
+            ("Model", plate.model, "The maker's name of the type."),
+            ("ProductCode", plate.product_code, "The maker's order code."),
+            ("SerialNumber", plate.serial_number, "Unique among the maker's."),
+            ("ProductInstanceUri", plate.product_instance_uri, "Unique in the world."),
+            ("HardwareRevision", plate.hardware_revision, "Revision of the hardware."),
+            ("ComponentName", plate.component_name, "What the plant calls the valve."),
+            ("AssetId", plate.asset_id, "Its number in the plant."),
+            (_LOCATION, plate.location, "Where it is."),
+        ):
+            if text or name in _NEEDED:
+                at = self.machinery if name == _LOCATION else self.di
+                await add_property(
+                    server,
+                    own,
+                    ua.QualifiedName(name, at),
+                    ua.LocalizedText(text) if name in _LOCALIZED else text,
+                    code=ua.StatusCodes.Good if text else _UNKNOWN,
+                    description=words,
+                )
+        if plate.location:
+            tag = ua.NodeId(_I_MACHINE_TAG_NAMEPLATE, self.machinery)
+            server.refer(own, ua.ObjectIds.HasInterface, tag)
+
+    async def add_health(self, owner: ua.NodeId) -> Variable:
+        """Add the DeviceHealth of a valve, or of the service."""
+        server = self.server
+        server.refer(owner, ua.ObjectIds.HasInterface, self._of_di(_I_DEVICE_HEALTH))
+        return await add_variable(
+            server,
+            owner,
+            f"{owner.Identifier}.{DEVICE_HEALTH}",
+            None,
+            description="By the categories of NAMUR NE 107, from the alarms that are active.",
+            type=ua.VariantType.Int32,
+            data_type=self._of_di(_HEALTH_ENUMERATION),
+            name=ua.QualifiedName("DeviceHealth", self.di),
+        )
+
+    def _of_di(self, number: int) -> ua.NodeId:
+        return ua.NodeId(number, self.di)
+
+
+async def add_companions(server: HardenedServer) -> Companions:
+    """Add what the server has of DI and Machinery; before anything refers to it."""
+    for text in _texts():
+        await server.add_node_set(text)
+    return Companions(server, await server.namespace(DI), await server.namespace(MACHINERY))
+
+
+@cache
+def _texts() -> tuple[str, ...]:
+    return tuple((NODE_SETS / file).read_text(encoding="utf-8") for file in _FILES)

@@ -1,0 +1,104 @@
+"""What changes of the nodes from one configuration to the next (Part 3, 9.32; Part 5, 12.16). Pure.
+
+A NodeVersion is a digest of what there is: the same model has the same version after a restart, at
+another machine, too; a client that kept the old one sees whether it must browse anew.
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+
+from asyncua import ua
+
+from guarded_opcua import Event, instant
+from valvemap.opcua_results.information_model import ROOT
+from valvemap.pipeline.ports import ValveDescription
+
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
+_KIND = ua.NodeId(ua.ObjectIds.GeneralModelChangeEventType)
+_SEVERITY = 100
+_MOST_NAMED = 10  # valves, in the message
+_Verb = ua.ModelChangeStructureVerbMask
+_Types = ua.VariantType
+
+
+def version_of_root(valves: Iterable[ValveDescription]) -> str:
+    """NodeVersion of ``s=Identification``: changes when a valve comes, goes or is made anew.
+
+    >>> one, two = ValveDescription("V1", ()), ValveDescription("V2", ())
+    >>> version_of_root([one, two]) == version_of_root([two, one]) != version_of_root([one])
+    True
+    """
+    return _digest(sorted((valve.name, version_of_valve(valve)) for valve in valves))
+
+
+def version_of_valve(valve: ValveDescription) -> str:
+    """NodeVersion of a valve: changes whenever its nodes are made anew."""
+    return _digest(valve)
+
+
+def model_change(
+    before: Sequence[ValveDescription],
+    after: Sequence[ValveDescription],
+    index: int,
+    valve_type: ua.NodeId,
+    now: int,
+) -> Event | None:
+    """The event that says what came, went or changed; None: nothing did.
+
+    Parameters
+    ----------
+    before, after
+        What was shown, and is.
+    index
+        Of our namespace.
+    valve_type
+        The type of valves.
+    now
+        UTC ns.
+    """
+    old, new = ({valve.name: valve for valve in valves} for valves in (before, after))
+    came = [name for name in new if name not in old]
+    went = [name for name in old if name not in new]
+    changed = [name for name in new if name in old and old[name] != new[name]]
+    if not (came or went or changed):
+        return None
+    root = ua.NodeId(ROOT, index)
+    verbs = [(name, _Verb.NodeAdded) for name in came]
+    verbs += [(name, _Verb.NodeDeleted) for name in went]
+    verbs += [(name, _Verb.NodeAdded | _Verb.NodeDeleted) for name in changed]  # made anew
+    changes = [_change(ua.NodeId(name, index), valve_type, verb) for name, verb in verbs]
+    if came or went:
+        verb = (_Verb.ReferenceAdded if came else 0) | (_Verb.ReferenceDeleted if went else 0)
+        changes.append(_change(root, ua.NodeId(ua.ObjectIds.BaseObjectType), verb))
+    said = "; ".join(
+        f"{word}: {', '.join(names[:_MOST_NAMED])}{' …' if len(names) > _MOST_NAMED else ''}"
+        for word, names in (("added", came), ("removed", went), ("changed", changed))
+        if names
+    )
+    return _event(changes, f"Valves {said}", root, now)
+
+
+def _event(
+    changes: list[ua.ModelChangeStructureDataType], said: str, root: ua.NodeId, now: int
+) -> Event:
+    moment, what = instant(now), f"{now} {changes}"
+    fields = {
+        "EventId": ua.Variant(hashlib.sha256(what.encode()).digest()[:16], _Types.ByteString),
+        "EventType": ua.Variant(_KIND, _Types.NodeId),
+        "SourceNode": ua.Variant(_SERVER, _Types.NodeId),
+        "SourceName": ua.Variant("Server", _Types.String),
+        "Time": ua.Variant(moment, _Types.DateTime),
+        "ReceiveTime": ua.Variant(moment, _Types.DateTime),
+        "Message": ua.Variant(ua.LocalizedText(said, "en"), _Types.LocalizedText),
+        "Severity": ua.Variant(_SEVERITY, _Types.UInt16),
+        "Changes": ua.Variant(changes, _Types.ExtensionObject, is_array=True),
+    }
+    return Event((_SERVER, root), _KIND, fields)
+
+
+def _change(affected: ua.NodeId, kind: ua.NodeId, verb: int) -> ua.ModelChangeStructureDataType:
+    return ua.ModelChangeStructureDataType(Affected=affected, AffectedType=kind, Verb=verb)
+
+
+def _digest(what: object) -> str:
+    return hashlib.sha256(repr(what).encode()).hexdigest()[:16]

@@ -1,0 +1,80 @@
+"""The history of signals, results and alarms, as the guarded server asks for it."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+from asyncua import ua
+
+from guarded_opcua import Event, PastEvent, Records, Span
+from valvemap.opcua_results.information_model import ROOT
+from valvemap.pipeline.ports import SIGNALS, AlarmReport, PastStore
+from valvemap.runtime.past import ESTIMATED, REQUIRED_U
+
+_NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
+_BAD: Final = 0x8000_0000
+_PARTS: Final = {
+    "Signals": frozenset(SIGNALS),
+    "Inverse": frozenset({REQUIRED_U}),
+}
+
+
+def has_past(id_: str) -> bool:
+    """Whether a variable of the results server is one of those that are kept.
+
+    >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
+    [True, True, False]
+    """
+    _, _, rest = id_.partition(".")
+    part, _, name = rest.partition(".")
+    return name in _PARTS.get(part, ESTIMATED)
+
+
+class ResultsPast:
+    """Fulfils :class:`guarded_opcua.Historian`: the file is read in a thread."""
+
+    def __init__(self, store: PastStore) -> None:
+        self._store = store
+
+    def raw(self, variable: ua.NodeId, span: Span, skip: int, most: int) -> Awaitable[Records]:
+        """What a variable was, see :class:`guarded_opcua.Historian`."""
+        return asyncio.to_thread(self._read, str(variable.Identifier), span, skip, most)
+
+    def _read(self, id_: str, span: Span, skip: int, most: int) -> Records:
+        series, _, column = id_.rpartition(".")
+        past = self._store.read(
+            series, column, span.low, span.high, backwards=span.backwards, skip=skip, most=most
+        )
+        missing = np.isnan(past.values) & (past.codes < _BAD)
+        codes = np.where(missing, _NO_DATA, past.codes)
+        return Records(past.values, codes, past.t, past.t)
+
+
+class AlarmsPast:
+    """Fulfils :class:`guarded_opcua.EventHistorian`: what alarms have been, as their events.
+
+    ``event_of`` makes the event of an owner's alarm as it stood.
+    """
+
+    def __init__(self, store: PastStore, event_of: Callable[[str, AlarmReport], Event]) -> None:
+        self._store = store
+        self._event_of = event_of
+
+    def events(
+        self, emitter: ua.NodeId, span: Span, skip: int, most: int
+    ) -> Awaitable[Sequence[PastEvent]]:
+        """Past events, see :class:`guarded_opcua.EventHistorian`."""
+        of_all = emitter.NamespaceIndex == 0 or emitter.Identifier == ROOT
+        owner = None if of_all else str(emitter.Identifier)
+        return asyncio.to_thread(self._read, owner, span, skip, most)
+
+    def _read(self, owner: str | None, span: Span, skip: int, most: int) -> list[PastEvent]:
+        found = self._store.changes(
+            owner, span.low, span.high, backwards=span.backwards, skip=skip, most=most
+        )
+        return [
+            PastEvent(change.t, partial(self._event_of, change.owner, change.report))
+            for change in found
+        ]

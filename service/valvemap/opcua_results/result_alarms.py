@@ -1,0 +1,336 @@
+"""The alarms of valves and service on the results server: one logic, shown twice.
+
+As plain tags, since many clients know no others, and as conditions (Part 9): each is made of the
+same report, and what is done by way of the one shows at the other.
+"""
+
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+
+from guarded_opcua import (
+    Argument,
+    Clock,
+    Condition,
+    ConditionClass,
+    ConditionKey,
+    ConditionKind,
+    Event,
+    HardenedServer,
+    Role,
+    add_method,
+    add_object,
+    caller,
+)
+from guarded_opcua import CommandRejected as Refused
+from valvemap.opcua_results.answers import answered
+from valvemap.opcua_results.information_model import (
+    ALARMS,
+    ROOT,
+    SERVICE,
+    VariableNode,
+    alarm_variables,
+)
+from valvemap.opcua_results.result_types import ALARM, Place, type_of
+from valvemap.opcua_results.result_values import Shown, alarm_values
+from valvemap.pipeline.alarm_words import ALARM_DESCRIPTIONS
+from valvemap.pipeline.ports import (
+    AlarmChange,
+    AlarmReport,
+    Answer,
+    Operator,
+    Remark,
+    Results,
+    ValveDescription,
+)
+
+CONDITION = "Condition"
+MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
+_KIND = {
+    "Changed": ConditionKind.OFF_NORMAL,
+    "Extrapolated": ConditionKind.OFF_NORMAL,
+    "Certificate": ConditionKind.BELOW_LIMIT,
+}
+_CATEGORY = {
+    **dict.fromkeys(
+        ("Changed", "Residual", "SensorLost", "SensorFrozen", "LagFound"),
+        ConditionClass.MAINTENANCE,
+    ),
+    **dict.fromkeys(("Misfit", "Unexcited", "Extrapolated"), ConditionClass.PROCESS),
+}
+_COMMENT = Argument("Comment", "What was done about it", type=ua.VariantType.String)
+
+Show = Callable[[str, Shown], None]
+AddVariable = Callable[[ua.NodeId, VariableNode, Shown], Awaitable[Any]]
+Act = Callable[[str | None, str, Remark], Answer[None]]
+
+
+class ResultAlarms:
+    """Shows alarms, reports their changes once; fulfils :class:`guarded_opcua.ConditionKeeper`.
+
+    Parameters
+    ----------
+    server
+        Where.
+    valves
+        Whose; the service has alarms, too.
+    operator
+        Knows how they stand and carries out what people do.
+    clock
+        Stamps what no sample is behind.
+    show
+        Writes a variable of a valve, or of the service.
+    note
+        Shows what was done to a valve.
+    stands
+        Takes how all alarms of a valve stand, when one of them changed.
+    keep
+        Takes what changed, for the history; None: there is none.
+    """
+
+    def __init__(
+        self,
+        server: HardenedServer,
+        valves: Sequence[ValveDescription],
+        operator: Operator,
+        clock: Clock,
+        show: Show,
+        note: Callable[[str, str], None],
+        stands: Callable[[str, Sequence[AlarmReport]], None],
+        keep: Callable[[AlarmChange], None] | None = None,
+    ) -> None:
+        self._server = server
+        self._names = [valve.name for valve in valves]
+        self._valves = frozenset(self._names)
+        self._operator = operator
+        self._clock = clock
+        self._show = show
+        self._note = note
+        self._stands = stands
+        self._keep = keep
+        self._versions = np.zeros(len(self._names), np.int64)
+        self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
+        server.keep_conditions(self)
+
+    def follow(
+        self,
+        names: Sequence[str],
+        shown: Collection[str],
+        keep: Callable[[AlarmChange], None] | None,
+    ) -> None:
+        """Go on with other valves: ``names`` by slot, those ``shown`` now; forget the others."""
+        self._names = list(names)
+        self._valves = frozenset(shown)
+        self._keep = keep
+        self._versions = np.zeros(len(names), np.int64)
+        owners = {*shown, SERVICE}
+        self._reported = {key: at for key, at in self._reported.items() if key[0] in owners}
+
+    def publish(self, results: Results, now: int) -> None:
+        """Show what changed of valves' alarms."""
+        if results.alarms is None:
+            return
+        valves, versions = results.valves, results.alarms.version
+        changed = np.flatnonzero(versions != self._versions[valves])
+        self._versions[valves] = versions
+        for m in changed.tolist():
+            name, reports = self._names[valves[m]], results.alarms.reports(m)
+            self.take(name, reports, now)
+            self._stands(name, reports)
+
+    def take(self, owner: str, reports: Iterable[AlarmReport], now: int) -> None:
+        """Show how alarms stand that ever came, and report each that changed."""
+        came = [report for report in reports if report.at or report.commented]
+        for new in alarm_values(came, now):
+            self._show(owner, new)
+        for report in came:
+            digest = hash(_facts(report))
+            before = self._reported.get((owner, report.name))
+            self._reported[owner, report.name] = digest
+            condition = _condition(self._key(owner, report.name), report)
+            is_news = before is not None or condition.retain  # else it was over before we began
+            if before != digest and is_news:
+                self._server.report(condition)
+                if self._keep is not None:
+                    self._keep(AlarmChange(owner, max(report.at, report.commented), report))
+
+    def event_of(self, owner: str, report: AlarmReport) -> Event:
+        """The event of a change, from how the alarm stood then: the same for ever."""
+        return _condition(self._key(owner, report.name), report).event()
+
+    async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
+        """Add the nodes of a valve's alarms, or of the service's."""
+        owner = SERVICE if valve is None else valve
+        reports = self._operator.alarms(valve)
+        now = {new.name: new for new in alarm_values(reports, self._clock.now())}
+        for alarm in reports:
+            prefix = f"{owner}.{ALARMS}.{alarm.name}"
+            description = ALARM_DESCRIPTIONS[alarm.name]
+            each = await add_object(
+                self._server,
+                parent,
+                prefix,
+                description=description,
+                type_definition=type_of(self._server, ALARM),
+            )
+            for node in alarm_variables(prefix):
+                await add_variable(each, node, now[node.id.partition(".")[2]])
+            await self._add_methods(self._server, each, valve, alarm.name)
+            kind = self._key(owner, alarm.name).type_definition
+            folder = await _add_condition(self._server, each, kind)
+            self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
+
+    async def declare(self, place: Place, kind: ua.NodeId) -> None:
+        """Declare what an alarm has beside its variables, for its type."""
+        await self._add_methods(place, kind, None, "")
+        await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
+
+    async def _add_methods(
+        self,
+        place: Place,
+        parent: ua.NodeId,
+        valve: str | None,
+        alarm: str,
+    ) -> None:
+        for name, act, words in (
+            (
+                "Acknowledge",
+                self._operator.acknowledge,
+                "Say that the alarm was seen. A change of the valve goes with it.",
+            ),
+            ("Confirm", self._operator.confirm, "Say that what was seen was dealt with."),
+        ):
+            await add_method(
+                place,
+                parent,
+                f"{parent.Identifier}.{name}",
+                partial(self._act, name, act, valve, alarm),
+                inputs=(_COMMENT,),
+                required=Role.OPERATOR,
+                description=words,
+            )
+
+    def keys(self, valve: str | None) -> list[ConditionKey]:
+        """The conditions of a valve, or of the service."""
+        owner = SERVICE if valve is None else valve
+        return [self._key(owner, report.name) for report in self._operator.alarms(valve)]
+
+    def find(self, condition: ua.NodeId) -> Condition | None:
+        """How a condition stands; None: there is no such one."""
+        found = self._owner_of(condition)
+        return None if found is None else self._standing(*found)
+
+    def retained(self) -> Iterator[Sequence[Condition]]:
+        """Those that are to be shown, valve by valve."""
+        for valve in (None, *self._operator.alarmed()):
+            owner = SERVICE if valve is None else valve
+            every = (
+                _condition(self._key(owner, report.name), report)
+                for report in self._operator.alarms(valve)
+            )
+            yield [condition for condition in every if condition.retain]
+
+    def acknowledge(self, condition: ua.NodeId, comment: str) -> Answer[None]:
+        """Note that it was seen."""
+        return self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
+
+    def confirm(self, condition: ua.NodeId, comment: str) -> Answer[None]:
+        """Note that it was dealt with."""
+        return self._act_on(condition, "Confirm", self._operator.confirm, comment)
+
+    def remark(self, condition: ua.NodeId, comment: str) -> Answer[None]:
+        """Note what somebody said of it."""
+        return self._act_on(condition, "AddComment", self._operator.remark, comment)
+
+    def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> Answer[None]:
+        found = self._owner_of(condition)
+        if found is None:
+            raise Refused(f"{condition.to_string()}: there is no such condition")
+        return self._act(name, act, *found, comment)
+
+    def _act(
+        self, name: str, act: Act, valve: str | None, alarm: str, comment: str
+    ) -> Answer[None]:
+        now = self._clock.now()
+        asked = partial(act, valve, alarm, Remark(comment, caller(), now))
+        return answered(asked, lambda _: self._acted(name, valve, alarm, comment, now))
+
+    def _acted(self, name: str, valve: str | None, alarm: str, comment: str, now: int) -> None:
+        owner, every = SERVICE if valve is None else valve, self._operator.alarms(valve)
+        self.take(owner, [report for report in every if report.name == alarm], now)
+        self._stands(owner, every)
+        if valve is not None:
+            self._note(valve, f"{ALARMS}.{alarm} {name} {comment[:MOST_OF_A_COMMENT]!r}")
+
+    def _owner_of(self, condition: ua.NodeId) -> tuple[str | None, str] | None:
+        """The valve (None: the service) and the alarm that a condition is of."""
+        names = str(condition.Identifier).split(".")
+        if (
+            condition.NamespaceIndex != self._server.namespace_index
+            or len(names) != 4
+            or (names[1], names[3]) != (ALARMS, CONDITION)
+            or (names[0] != SERVICE and names[0] not in self._valves)
+        ):
+            return None
+        valve = None if names[0] == SERVICE else names[0]
+        known = any(report.name == names[2] for report in self._operator.alarms(valve))
+        return (valve, names[2]) if known else None
+
+    def _standing(self, valve: str | None, alarm: str) -> Condition:
+        (report,) = (r for r in self._operator.alarms(valve) if r.name == alarm)
+        return _condition(self._key(SERVICE if valve is None else valve, alarm), report)
+
+    def _key(self, owner: str, alarm: str) -> ConditionKey:
+        index = self._server.namespace_index
+        source = ua.NodeId(owner, index)
+        return ConditionKey(
+            id=ua.NodeId(f"{owner}.{ALARMS}.{alarm}.{CONDITION}", index),
+            name=alarm,
+            kind=_KIND.get(alarm, ConditionKind.ABOVE_LIMIT),
+            category=_CATEGORY.get(alarm, ConditionClass.SYSTEM),
+            source=source,
+            source_name=owner,
+            emitters=(_SERVER, ua.NodeId(ROOT, index), source),
+        )
+
+
+async def _add_condition(place: Place, parent: ua.NodeId, kind: ua.NodeId) -> ua.NodeId:
+    return await add_object(
+        place,
+        parent,
+        f"{parent.Identifier}.{CONDITION}",
+        description="The same alarm as a condition of Part 9.",
+        type_definition=kind,
+    )
+
+
+def _facts(report: AlarmReport) -> tuple[object, ...]:
+    return (
+        report.at,
+        report.count,
+        report.active,
+        report.acked,
+        report.confirmed,
+        report.commented,
+    )
+
+
+def _condition(key: ConditionKey, report: AlarmReport) -> Condition:
+    return Condition(
+        key=key,
+        active=report.active,
+        acked=report.acked,
+        confirmed=report.confirmed,
+        severity=report.severity,
+        message=report.text,
+        coming=report.count,
+        changed=report.at,
+        limit=report.limit,
+        comment=report.comment,
+        commented_by=report.commented_by,
+        commented=report.commented,
+    )

@@ -1,0 +1,160 @@
+"""What operators may do to valves: methods that change something, each noted as LastAction."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from asyncua import ua
+
+from guarded_opcua import Argument, Clock, OutOfRange, Role, add_method
+from valvemap.opcua_results.answers import answered, say_nothing
+from valvemap.opcua_results.information_model import ARMED, BASELINE, INVERSE
+from valvemap.opcua_results.result_notes import ResultNotes
+from valvemap.opcua_results.result_slots import ValveSlots
+from valvemap.opcua_results.result_types import Place
+from valvemap.opcua_results.result_values import Shown, baseline_values
+from valvemap.opcua_results.result_variables import ResultVariables
+from valvemap.pipeline.ports import Answer, Operator
+
+
+class ResultCommands:
+    """Adds commands; what they changed shows at once, since who has called may read.
+
+    Parameters
+    ----------
+    operator
+        Carries them out.
+    slots
+        Which valves are shown.
+    variables
+        Show what was changed.
+    notes
+        Show what was done, and what was refused.
+    clock
+        Stamps what was changed.
+    """
+
+    def __init__(
+        self,
+        operator: Operator,
+        slots: ValveSlots,
+        variables: ResultVariables,
+        notes: ResultNotes,
+        clock: Clock,
+    ) -> None:
+        self._operator = operator
+        self._slots = slots
+        self._variables = variables
+        self._notes = notes
+        self._clock = clock
+
+    async def add_to_estimator(
+        self, place: Place, parent: ua.NodeId, valve: str, estimator: str
+    ) -> None:
+        """Add what may be done to an estimator of a valve."""
+        command = partial(self._add, place, parent, f"{valve}.{estimator}")
+        who = (valve, estimator)
+        await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
+        await command(
+            "Freeze", partial(self._operator.freeze, *who), "Stop adaptation: predict only."
+        )
+        await command("Resume", partial(self._operator.resume, *who), "Adapt again.")
+        await command(
+            "SetForgettingFactor",
+            partial(self._set_forgetting_factor, *who),
+            "Use another forgetting factor from the next sample on; 1 forgets nothing.",
+            Argument("ForgettingFactor", "0 < λ <= 1"),
+        )
+
+    async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
+        """Add what may be done to a valve by its inverse map."""
+        command = partial(self._add, place, parent, f"{valve}.{INVERSE}")
+        await command(
+            "Arm",
+            partial(self._arm, valve),
+            "Write RequiredU to the valve while FeedForwardStatus lets it; a restart disarms.",
+        )
+        await command(
+            "Disarm",
+            partial(self._disarm, valve),
+            "Write nothing to the valve any more: it is the source's own.",
+        )
+
+    async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
+        """Add what may be done to the map that was approved as new."""
+        command = partial(self._add, place, parent, f"{valve}.{BASELINE}")
+        await command(
+            "Approve",
+            partial(self._approve, valve),
+            "Keep what is known now as the valve's map when new.",
+        )
+        await command(
+            "RollBack",
+            partial(self._operator.roll_back, valve),
+            "Have all estimators know what they knew when approved.",
+        )
+        await command(
+            "ValveReplaced",
+            partial(self._replace_valve, valve),
+            "Another valve is there: forget what was learnt, and the approved map.",
+        )
+
+    async def _add(
+        self,
+        place: Place,
+        parent: ua.NodeId,
+        prefix: str,
+        name: str,
+        function: Callable[..., Answer[None]],
+        description: str,
+        *inputs: Argument,
+    ) -> None:
+        valve, _, part = prefix.partition(".")
+
+        def command(*arguments: Any) -> Answer[None]:  # noqa: ANN401 - the command's own
+            given = "".join(f" {argument:g}" for argument in arguments)
+            return answered(
+                partial(function, *arguments),
+                lambda _: self._notes.acted(valve, f"{part} {name}{given}"),
+                partial(self._notes.refused, valve) if part == BASELINE else say_nothing,
+            )
+
+        await add_method(
+            place,
+            parent,
+            f"{prefix}.{name}",
+            command,
+            inputs=inputs,
+            required=Role.OPERATOR,
+            description=description,
+        )
+
+    def _set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
+        if not 0.0 < lam <= 1.0:
+            raise OutOfRange(f"forgetting factor {lam:g}: allowed is 0 < λ <= 1")
+        return self._operator.set_forgetting_factor(valve, estimator, lam)
+
+    def _arm(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.arm, valve)
+        return answered(asked, lambda _: self._show_armed(valve, armed=True))
+
+    def _disarm(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.disarm, valve)
+        return answered(asked, lambda _: self._show_armed(valve, armed=False))
+
+    def _show_armed(self, valve: str, *, armed: bool) -> None:
+        new = Shown(f"{INVERSE}.{ARMED}", armed, ua.StatusCodes.Good, self._clock.now())
+        self._variables.show(valve, new)
+
+    def _approve(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.approve, valve)
+        return answered(asked, lambda _: self._show_baseline(valve))
+
+    def _replace_valve(self, valve: str) -> Answer[None]:
+        asked = partial(self._operator.replace_valve, valve)
+        return answered(asked, lambda _: self._show_baseline(valve))
+
+    def _show_baseline(self, valve: str) -> None:
+        found = self._operator.baseline(self._slots.number(valve))
+        for new in baseline_values(found, self._clock.now()):
+            self._variables.show(valve, new)

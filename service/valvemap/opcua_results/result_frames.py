@@ -1,0 +1,94 @@
+"""One array per valve with all its numbers, so that a machine reads them together. Pure.
+
+``s=<Valve>.Frame`` holds Doubles whose names ``s=<Valve>.FrameNames`` gives; its SourceTimestamp is
+that of the newest sample behind it. NaN is what is not known. The first column, ``Sequence``, grows
+by one with each frame: a jump is a loss.
+"""
+
+from typing import Any
+
+import numpy as np
+from asyncua import ua
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Floats, Quality, Times
+from valvemap.opcua_results.information_model import (
+    FRAME,
+    FRAME_NAMES,
+    INVERSE,
+    SIGNALS,
+    VariableNode,
+)
+from valvemap.opcua_results.result_values import Column, estimator_own_words, worse
+from valvemap.pipeline.ports import SIGNALS as SIGNAL_NAMES
+from valvemap.pipeline.ports import Results, ValveDescription
+
+_NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCount", "Status")
+
+
+def frame_names(valve: ValveDescription) -> tuple[str, ...]:
+    """Names of the columns.
+
+    >>> from valvemap.pipeline.ports import EstimatorDescription
+    >>> rls = EstimatorDescription("RLS", "", ("a",), has_forgetting_factor=True)
+    >>> frame_names(ValveDescription("V1", (rls,)))[:3]
+    ('Sequence', 'RLS.PredictedFlow', 'RLS.Residual')
+    """
+    columns = ["Sequence"]
+    for estimator in valve.estimators:
+        columns += [f"{estimator.name}.{name}" for name in _NUMBERS]
+        columns += [
+            f"{estimator.name}.ParameterVector.{name}" for name in estimator.parameter_names
+        ]
+    columns += [f"{INVERSE}.RequiredU", f"{INVERSE}.RequiredUStatus"]
+    return (*columns, *(f"{SIGNALS}.{name}" for name in SIGNAL_NAMES))
+
+
+def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode]:
+    """The frame, and the names of its columns."""
+    count = len(frame_names(valve))
+    return (
+        VariableNode(
+            f"{valve.name}.{FRAME}",
+            "All numbers of the newest result in one array; FrameNames names its columns.",
+            dimensions=(count,),
+        ),
+        VariableNode(
+            f"{valve.name}.{FRAME_NAMES}",
+            "Names of the columns of Frame.",
+            ua.VariantType.String,
+            dimensions=(count,),
+        ),
+    )
+
+
+def frames(valve: ValveDescription, results: Results, sequence: Times, now: int) -> Column:
+    """The numbers of M valves that are described like ``valve``, one frame each.
+
+    ``sequence`` (M,) numbers them.
+    """
+    M = len(results.valves)
+    codes, t = np.full(M, ua.StatusCodes.Good, np.uint32), np.zeros(M, np.int64)
+    columns: list[NDArray[Any]] = [sequence]
+    for described in valve.estimators:
+        found = results.estimators.get(described.name)
+        n = len(described.parameter_names)
+        if found is None:
+            columns.append(np.full((M, len(_NUMBERS) + n), np.nan))
+            continue
+        codes = worse(codes, estimator_own_words(found))
+        t = np.maximum(t, found.t)
+        columns += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
+        columns += [found.sample_count, found.status, found.theta]
+    columns += [results.inverse.required_U, results.inverse.status, _signals(results)]
+    values = np.column_stack([np.asarray(column, np.float64) for column in columns])
+    return Column(FRAME, values, codes, np.where(t, t, now))
+
+
+def _signals(results: Results) -> Floats:
+    """The newest sample of M valves, (M, 6); NaN where the sensors are lost."""
+    signals = results.signals
+    if signals is None:
+        return np.full((len(results.valves), len(SIGNAL_NAMES)), np.nan)
+    lost = (signals.quality == Quality.BAD) | (signals.t == 0)
+    return np.where(lost[:, None], np.nan, signals.values)

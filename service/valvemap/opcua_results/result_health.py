@@ -1,0 +1,53 @@
+"""DeviceHealth of valves and service, written when it changes; of those alone that have a node."""
+
+from collections.abc import Iterable
+
+from asyncua import ua
+
+from guarded_opcua import Clock, HardenedServer, Variable
+from valvemap.pipeline.device_health import DeviceHealth, device_health
+from valvemap.pipeline.ports import AlarmReport
+
+
+class ResultHealth:
+    """Shows how devices are, by their alarms.
+
+    Parameters
+    ----------
+    server
+        Where.
+    clock
+        Stamps what no alarm is behind.
+    """
+
+    def __init__(self, server: HardenedServer, clock: Clock) -> None:
+        self._server = server
+        self._clock = clock
+        self._variables: dict[str, Variable] = {}
+        self._shown: dict[str, DeviceHealth] = {}
+
+    def __contains__(self, owner: str) -> bool:
+        return owner in self._variables
+
+    def forget(self, owner: str) -> None:
+        """Show it no more: its node is gone."""
+        self._variables.pop(owner, None)
+        self._shown.pop(owner, None)
+
+    def add(self, owner: str, variable: Variable, reports: Iterable[AlarmReport] | None) -> None:
+        """Show an owner's from now on; None: it has been heard of nothing yet."""
+        self._variables[owner] = variable
+        if reports is not None:
+            self.stands(owner, reports)
+
+    def stands(self, owner: str, reports: Iterable[AlarmReport]) -> None:
+        """Take in how all alarms of an owner stand."""
+        variable = self._variables.get(owner)
+        if variable is None:
+            return
+        every = list(reports)
+        health = device_health(report.name for report in every if report.active)
+        if health != self._shown.get(owner):
+            self._shown[owner] = health
+            t = max((report.at for report in every), default=0) or self._clock.now()
+            self._server.write([(variable, int(health), ua.StatusCodes.Good, t)])

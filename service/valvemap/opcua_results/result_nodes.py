@@ -1,0 +1,119 @@
+"""The nodes of valves: what leads to each at once, what is below it when somebody first looks."""
+
+from collections.abc import Callable, Collection
+from functools import partial
+
+from asyncua import ua
+
+from guarded_opcua import HardenedServer, add_object, add_property
+from valvemap.opcua_results.companions import Companions
+from valvemap.opcua_results.information_model import ALARMS, NODE_VERSION, ROOT
+from valvemap.opcua_results.model_changes import version_of_valve
+from valvemap.opcua_results.result_alarms import ResultAlarms
+from valvemap.opcua_results.result_health import ResultHealth
+from valvemap.opcua_results.result_parts import ResultParts
+from valvemap.opcua_results.result_types import ESTIMATOR, VALVE, AddPart, type_of
+from valvemap.pipeline.ports import Operator, ValveDescription
+
+
+class ResultNodes:
+    """Adds valves and removes them.
+
+    Parameters
+    ----------
+    server, companions
+        Where.
+    parts
+        What is in the parts of a valve.
+    alarms, health
+        What valves report, and how they are.
+    operator
+        Knows how alarms stand.
+    is_heard_of
+        Whether anything was published of a valve yet, by its name.
+    keep_events
+        Has clients find what an object reported.
+    """
+
+    def __init__(
+        self,
+        server: HardenedServer,
+        companions: Companions,
+        parts: ResultParts,
+        alarms: ResultAlarms,
+        health: ResultHealth,
+        operator: Operator,
+        is_heard_of: Callable[[str], bool],
+        keep_events: Callable[[ua.NodeId], None],
+    ) -> None:
+        self._server = server
+        self._companions = companions
+        self._parts = parts
+        self._alarms = alarms
+        self._health = health
+        self._operator = operator
+        self._is_heard_of = is_heard_of
+        self._keep_events = keep_events
+
+    async def add(self, valve: ValveDescription) -> None:
+        """Add a valve; what is below it is added later."""
+        server = self._server
+        folder = await add_object(
+            server,
+            ua.NodeId(ROOT, server.namespace_index),
+            valve.name,
+            description=f"The valve {valve.name} and what is known of it.",
+            type_definition=type_of(server, VALVE),
+        )
+        server.let_emit(folder)
+        # before it is put aside, or it would be made at once
+        self._keep_events(folder)
+        self._companions.list_device(folder)
+        server.add_later(folder, partial(self._add_below, folder, valve))
+
+    def remove(self, names: Collection[str]) -> None:
+        """Remove valves, and all that is below them."""
+        index = self._server.namespace_index
+        referrers = ua.NodeId(ROOT, index), self._companions.device_set
+        self._server.remove([ua.NodeId(name, index) for name in names], referrers)
+        for name in names:
+            self._health.forget(name)
+
+    async def _add_below(self, folder: ua.NodeId, valve: ValveDescription) -> None:
+        """Add what is below a valve's folder; what is in folders there is added later still."""
+        server, parts = self._server, self._parts
+        server.refer_to_conditions(folder, self._alarms.keys(valve.name))
+        await add_property(server, folder, NODE_VERSION, version_of_valve(valve))
+        await self._companions.add_identification(folder, valve.nameplate)
+        is_heard_of = self._is_heard_of(valve.name)
+        self._health.add(
+            valve.name,
+            await self._companions.add_health(folder),
+            self._operator.alarms(valve.name) if is_heard_of else None,
+        )
+        await parts.add_frame(server, folder, valve)
+        add_part = partial(self._add_part, folder, valve)
+        for estimator in valve.estimators:
+            add_estimator = partial(parts.add_estimator, estimator)
+            kind = type_of(server, ESTIMATOR)
+            await add_part(estimator.name, estimator.description, add_estimator, kind)
+        for name, (words, add) in parts.of_every_valve().items():
+            await add_part(name, words, add, type_of(server, name) if name != ALARMS else None)
+
+    async def _add_part(
+        self,
+        folder: ua.NodeId,
+        valve: ValveDescription,
+        name: str,
+        description: str,
+        add: AddPart,
+        kind: ua.NodeId | None,
+    ) -> None:
+        part = await add_object(
+            self._server,
+            folder,
+            f"{valve.name}.{name}",
+            description=description,
+            type_definition=kind,
+        )
+        self._server.add_later(part, partial(add, self._server, part, valve))

@@ -1,0 +1,162 @@
+"""What anybody may ask of valves: methods that change nothing."""
+
+from collections.abc import Iterable
+from functools import partial
+
+from asyncua import ua
+
+from guarded_opcua import Argument, Role, Unit, add_method
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.samples import Floats, Status
+from valvemap.opcua_results.answers import answered
+from valvemap.opcua_results.information_model import BASELINE, INVERSE, U_RANGE
+from valvemap.opcua_results.result_notes import ResultNotes
+from valvemap.opcua_results.result_types import Place
+from valvemap.pipeline.ports import Answer, Operator
+
+_STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
+_U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)
+_dp = Argument("dp", "Pressure drop p1 - p2", unit=Unit.BAR)
+_T = Argument(
+    "T",
+    "Oil temperature; NaN takes the one measured last",
+    unit=Unit.DEGREE_CELSIUS,
+    or_nan=True,
+)
+
+
+class ResultQuestions:
+    """Adds questions.
+
+    Parameters
+    ----------
+    operator
+        Answers them.
+    notes
+        Show what of the baseline could not be answered.
+    """
+
+    def __init__(self, operator: Operator, notes: ResultNotes) -> None:
+        self._operator = operator
+        self._notes = notes
+
+    async def add_to_estimator(
+        self, place: Place, parent: ua.NodeId, valve: str, estimator: str
+    ) -> None:
+        """Add what may be asked of an estimator: flows at a point of its map."""
+        prefix, who, flow = f"{valve}.{estimator}", (valve, estimator), Unit.LITRE_PER_MINUTE
+        await add_method(
+            place,
+            parent,
+            f"{prefix}.Predict",
+            partial(self._predict, *who),
+            inputs=(_U, _dp, _T),
+            outputs=(
+                Argument("Q", "Flow; NaN if unknown", unit=flow),
+                Argument("Std", "Its standard deviation", unit=flow),
+                _STATUS,
+            ),
+            required=Role.OBSERVER,
+            description=f"Flow at a point of the map. Status: {_numbered(Status)}.",
+        )
+        await add_method(
+            place,
+            parent,
+            f"{prefix}.PredictMeasurement",
+            partial(self._predict_measurement, *who),
+            inputs=(_U, _dp, _T),
+            outputs=(
+                Argument("Q", "Flow; NaN if unknown", unit=flow),
+                Argument("Lower", "Lower end of the 95 % interval", unit=flow),
+                Argument("Upper", "Upper end of the 95 % interval", unit=flow),
+                _STATUS,
+            ),
+            required=Role.OBSERVER,
+            description="Where a measurement within the next 32 samples will lie: noise and what "
+            f"the structure cannot follow included. Status: {_numbered(Status)}.",
+        )
+
+    async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
+        """Add what may be asked of an inverse map: the control voltage for a flow."""
+        await add_method(
+            place,
+            parent,
+            f"{valve}.{INVERSE}.Invert",
+            partial(self._invert, valve),
+            inputs=(Argument("Q", "Demanded flow", unit=Unit.LITRE_PER_MINUTE), _dp, _T),
+            outputs=(
+                Argument("U", "Control voltage; NaN if none can be trusted", unit=Unit.PERCENT),
+                Argument("Lower", "Lower end of its 95 % interval", unit=Unit.PERCENT),
+                Argument("Upper", "Upper end of its 95 % interval", unit=Unit.PERCENT),
+                _STATUS,
+            ),
+            required=Role.OBSERVER,
+            description=f"Control voltage for a flow. Status: {_numbered(InverseStatus)}.",
+        )
+
+    async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
+        """Add what may be asked of the map that was approved: how far another is from it."""
+        flow = Unit.LITRE_PER_MINUTE
+        await add_method(
+            place,
+            parent,
+            f"{valve}.{BASELINE}.Compare",
+            partial(self._compare, valve),
+            inputs=(Argument("Estimator", "Whose map", type=ua.VariantType.String),),
+            outputs=(
+                Argument("Mean", "Now less then, over all points; NaN: none", unit=flow),
+                Argument("Largest", "The largest of them, with its sign", unit=flow),
+                Argument("U", "Where that is", unit=Unit.PERCENT),
+                Argument("dp", "Where that is", unit=Unit.BAR),
+                Argument("Points", "How many could be compared", type=ua.VariantType.UInt32),
+            ),
+            required=Role.OBSERVER,
+            description="By how much a map has moved away from the approved one, where both rest "
+            "on measurements.",
+        )
+
+    def _predict(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, int]]:
+        return answered(
+            partial(self._operator.predict, valve, estimator, U, dp, T),
+            lambda found: (found[0], found[1], int(found[2])),
+        )
+
+    def _predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, float, int]]:
+        return answered(
+            partial(self._operator.predict_measurement, valve, estimator, U, dp, T),
+            lambda found: (found[0], found[1], found[2], int(found[3])),
+        )
+
+    def _invert(
+        self, valve: str, Q: float, dp: float, T: float
+    ) -> Answer[tuple[float, float, float, int]]:
+        return answered(
+            partial(self._operator.invert, valve, Q, dp, T),
+            lambda answer: (
+                _first(answer.U),
+                _first(answer.lower),
+                _first(answer.upper),
+                int(answer.status[0]),
+            ),
+        )
+
+    def _compare(
+        self, valve: str, estimator: str
+    ) -> Answer[tuple[float, float, float, float, int]]:
+        return answered(
+            partial(self._operator.compare, valve, estimator),
+            lambda found: (found.mean, found.largest, found.U, found.dp, found.points),
+            partial(self._notes.refused, valve),
+        )
+
+
+def _first(values: Floats) -> float:
+    return float(values[0])
+
+
+def _numbered(statuses: Iterable[Status] | Iterable[InverseStatus]) -> str:
+    return ", ".join(f"{member.value} {member.name}" for member in statuses)

@@ -1,0 +1,96 @@
+"""The service's own nodes: how it stands itself, and the method Reload."""
+
+from collections.abc import Awaitable, Callable
+from functools import partial
+
+from asyncua import ua
+
+from guarded_opcua import HardenedServer, Role, add_method, add_object
+from valvemap.opcua_results.answers import answered
+from valvemap.opcua_results.companions import Companions
+from valvemap.opcua_results.information_model import ALARMS, SERVICE, service_variables
+from valvemap.opcua_results.result_alarms import ResultAlarms
+from valvemap.opcua_results.result_health import ResultHealth
+from valvemap.opcua_results.result_values import service_values
+from valvemap.opcua_results.result_variables import ResultVariables
+from valvemap.pipeline.ports import AlarmReport, Health
+
+_PARTS = {
+    f"{SERVICE}.Checkpoint": "Whether what was learnt survives a restart.",
+    f"{SERVICE}.History": "What signals and results have been: whether it is kept.",
+    f"{SERVICE}.Source": "What came from the source since the service started.",
+}
+
+
+class ResultService:
+    """Adds the service's nodes and writes them.
+
+    Parameters
+    ----------
+    server, companions
+        Where.
+    variables
+        Show what is new.
+    alarms, health
+        What the service reports, and how it is.
+    on_reload
+        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
+    """
+
+    def __init__(
+        self,
+        server: HardenedServer,
+        companions: Companions,
+        variables: ResultVariables,
+        alarms: ResultAlarms,
+        health: ResultHealth,
+        on_reload: Callable[[], Awaitable[None]] | None,
+    ) -> None:
+        self._server = server
+        self._companions = companions
+        self._variables = variables
+        self._alarms = alarms
+        self._health = health
+        self._on_reload = on_reload
+        self._reports: tuple[AlarmReport, ...] = ()
+
+    async def add(self, root: ua.NodeId) -> None:
+        """Add all nodes below the root."""
+        server = self._server
+        folder = await add_object(
+            server, root, SERVICE, description="How the service itself stands."
+        )
+        server.let_emit(folder)
+        server.refer_to_conditions(folder, self._alarms.keys(None))
+        self._health.add(SERVICE, await self._companions.add_health(folder), None)
+        for part, variables in service_variables().items():
+            parent = await add_object(server, folder, part, description=_PARTS[part])
+            for node in variables:
+                await self._variables.add(server, parent, node, None)
+        parent = await add_object(
+            server, folder, f"{SERVICE}.{ALARMS}", description="What the service itself needs."
+        )
+        show = self._variables.add_standing
+        server.add_later(parent, partial(self._alarms.add, parent, None, show))
+        if self._on_reload is not None:
+            await add_method(
+                server,
+                folder,
+                f"{SERVICE}.Reload",
+                partial(answered, self._on_reload, _done),
+                required=Role.ENGINEER,
+                description="Read the configuration again. Valves that it leaves alone keep what "
+                "they know and miss nothing; a faulty one is refused, and the old one goes on.",
+            )
+
+    def show(self, health: Health, now: int) -> None:
+        """Show how the service stands; ``now`` in UTC ns."""
+        self._variables.write(service_values(health), now)
+        self._health.stands(SERVICE, health.alarms)
+        if health.alarms != self._reports:
+            self._reports = tuple(health.alarms)
+            self._alarms.take(SERVICE, health.alarms, now)
+
+
+def _done(_: None) -> None:
+    """Nothing is said when it is done."""

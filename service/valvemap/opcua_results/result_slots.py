@@ -1,0 +1,103 @@
+"""Which valves are shown, and how others follow them over a reload. Pure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Times
+from valvemap.pipeline.ports import ValveDescription
+
+
+@dataclass(frozen=True)
+class Changeover:
+    """What a reload changed of the valves that are shown.
+
+    ``before`` and ``after`` are all of them; a valve that is described otherwise than before has
+    ``gone`` by its name and ``came`` as well. ``kept`` are the slots of the others, (K,).
+    """
+
+    before: Sequence[ValveDescription]
+    after: Sequence[ValveDescription]
+    gone: frozenset[str]
+    came: Sequence[ValveDescription]
+    kept: NDArray[np.intp]
+
+
+class ValveSlots:
+    """The rows of what is remembered of valves: each valve has its slot for good.
+
+    An operator counts its own valves from 0: at first these numbers are the slots, and after a
+    reload no more.
+
+    Parameters
+    ----------
+    valves
+        The first operator's, by number.
+
+    >>> boom, stick = ValveDescription("Boom", ()), ValveDescription("Stick", ())
+    >>> slots = ValveSlots([boom, stick])
+    >>> came = slots.follow([stick, ValveDescription("Bucket", ())]).came
+    >>> slots.of(np.array([0, 1])).tolist(), slots.names, slots.find("Boom")
+    ([1, 2], ['Boom', 'Stick', 'Bucket'], None)
+    """
+
+    def __init__(self, valves: Sequence[ValveDescription]) -> None:
+        self._valves = list(valves)  # by slot, also those that are gone
+        self._slots = {valve.name: slot for slot, valve in enumerate(self._valves)}
+        self._slot_of = np.arange(len(self._valves))  # of each of the operator's valves
+
+    def __len__(self) -> int:
+        """How many slots there are, also of valves that are gone."""
+        return len(self._valves)
+
+    def __getitem__(self, slot: int) -> ValveDescription:
+        """The valve that has a slot, or had it."""
+        return self._valves[slot]
+
+    @property
+    def names(self) -> list[str]:
+        """By slot."""
+        return [valve.name for valve in self._valves]
+
+    @property
+    def shown(self) -> list[ValveDescription]:
+        """The valves that are shown now."""
+        return [self._valves[slot] for slot in self._slots.values()]
+
+    @property
+    def most_counters(self) -> int:
+        """The largest number of counters that a valve has."""
+        return max((len(valve.counters) for valve in self._valves), default=0)
+
+    @property
+    def every(self) -> NDArray[np.intp]:
+        """The slots of all of the operator's valves, by number."""
+        return self._slot_of
+
+    def of(self, numbers: Times) -> NDArray[np.intp]:
+        """The slots of the operator's valves of these numbers, (M,)."""
+        return self._slot_of[numbers]
+
+    def find(self, name: str) -> int | None:
+        """A valve's slot; None: it is not shown."""
+        return self._slots.get(name)
+
+    def number(self, name: str) -> int:
+        """The operator's number of a valve that is shown."""
+        return int(np.flatnonzero(self._slot_of == self._slots[name])[0])
+
+    def follow(self, valves: Sequence[ValveDescription]) -> Changeover:
+        """Go on with another operator's valves; those that come have the next slots."""
+        before, first_new = self.shown, len(self._valves)
+        after = {valve.name: valve for valve in valves}
+        gone = frozenset(valve.name for valve in before if after.get(valve.name) != valve)
+        for name in gone:
+            del self._slots[name]
+        came = [valve for valve in valves if valve.name not in self._slots]
+        self._valves += came
+        self._slots |= {valve.name: first_new + k for k, valve in enumerate(came)}
+        self._slot_of = np.array([self._slots[valve.name] for valve in valves], np.intp)
+        kept = self._slot_of[self._slot_of < first_new]
+        return Changeover(before, valves, gone, came, kept)

@@ -1,0 +1,135 @@
+"""The types of what the results server shows, from the code that makes the instances."""
+
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
+
+from asyncua import ua
+
+from guarded_opcua import Declarations, HardenedServer, add_object, add_type
+from valvemap.opcua_results.information_model import (
+    ALARMS,
+    BASELINE,
+    COUNTERS,
+    DIAGNOSTICS,
+    INVERSE,
+    PARAMETERS,
+    SIGNALS,
+    TYPES,
+)
+from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+
+VALVE, ESTIMATOR, ALARM = "Valve", "Estimator", "Alarm"
+_NAMES = {
+    VALVE: ("ValveType", "A valve and what is known of it."),
+    ESTIMATOR: ("EstimatorType", "What one estimator has learnt of a valve, and its commands."),
+    INVERSE: ("InverseMapType", "The control voltage that a flow demands."),
+    SIGNALS: ("SignalsType", "The newest sample of a valve."),
+    BASELINE: ("BaselineType", "The map that was approved as new."),
+    DIAGNOSTICS: ("DiagnosticsType", "What became of a valve's data on their way."),
+    ALARM: ("AlarmType", "An alarm as plain tags."),
+}
+_NOT_OF_ALL = {
+    *("ChangeCount", "ChangeTime", "ChangeSize", "Structure", PARAMETERS, "LagU", "LagQ", "Map"),
+    *("Condition",),
+}
+# of everything that a valve or an estimator may have
+_TEMPLATE = ValveDescription(
+    name=TYPES,
+    estimators=(
+        EstimatorDescription(
+            ESTIMATOR,
+            "",
+            (),
+            has_forgetting_factor=True,
+            finds_changes=True,
+            chooses_structure=True,
+            finds_lags=True,
+        ),
+    ),
+    map_Q=(0.0, 1.0),
+    map_dp=(0.0, 1.0),
+    counters=tuple(COUNTERS),
+)
+Place = HardenedServer | Declarations  # of instances, of types
+AddPart = Callable[[Place, ua.NodeId, ValveDescription], Coroutine[Any, Any, None]]
+
+
+def type_of(server: HardenedServer, part: str) -> ua.NodeId:
+    """The type of a part of a valve, or of the valve."""
+    return ua.NodeId(f"{TYPES}.{part}", server.namespace_index)
+
+
+async def add_types(
+    server: HardenedServer,
+    add_valves_own: AddPart,
+    add_estimator: Callable[..., Coroutine[Any, Any, None]],
+    add_alarm: Callable[[Any, ua.NodeId], Coroutine[Any, Any, None]],
+    parts: dict[str, tuple[str, AddPart]],
+) -> None:
+    """Add all types; what is below them is made when somebody first looks.
+
+    Parameters
+    ----------
+    add_valves_own
+        Adds the variables of the valve itself.
+    add_estimator
+        Adds what an estimator has.
+    add_alarm
+        Adds what an alarm has.
+    parts
+        Description, and what adds what it has, of each part of every valve.
+    """
+
+    async def declare_valve(place: Declarations, own: ua.NodeId) -> None:
+        prefix = str(own.Identifier)
+        named = ValveDescription(name=prefix, estimators=())
+        await add_valves_own(place, own, named)
+        for part, (words, _) in parts.items():
+            kind = type_of(server, part) if part in _NAMES else None
+            folder = await add_object(
+                place, own, f"{prefix}.{part}", description=words, type_definition=kind
+            )
+            if part == ALARMS:
+                await _add_placeholder(place, folder, "<Alarm>", type_of(server, ALARM))
+        await _add_placeholder(place, own, "<Estimator>", type_of(server, ESTIMATOR))
+
+    async def declare_estimator(place: Declarations, own: ua.NodeId) -> None:
+        (estimator,) = _TEMPLATE.estimators
+        await add_estimator(estimator, place, own, _TEMPLATE)
+        words = "The parameters, each by itself."
+        await add_object(place, own, f"{own.Identifier}.{PARAMETERS}", description=words)
+
+    async def declare(add: AddPart, place: Declarations, own: ua.NodeId) -> None:
+        await add(place, own, _TEMPLATE)
+
+    for part, (name, words) in _NAMES.items():
+        make: Callable[[Declarations, ua.NodeId], Coroutine[Any, Any, None]]
+        if part == VALVE:
+            make = declare_valve
+        elif part == ESTIMATOR:
+            make = declare_estimator
+        elif part == ALARM:
+            make = add_alarm
+        else:
+            make = partial(declare, parts[part][1])
+        add_type(
+            server,
+            f"{TYPES}.{part}",
+            name,
+            make,
+            description=words,
+            optional=_NOT_OF_ALL,
+        )
+
+
+async def _add_placeholder(
+    place: Declarations, parent: ua.NodeId, name: str, kind: ua.NodeId
+) -> None:
+    await add_object(
+        place,
+        parent,
+        f"{parent.Identifier}.{name}",
+        description="As many as there are.",
+        type_definition=kind,
+    )

@@ -1,0 +1,334 @@
+"""Results → values with StatusCodes that mean something (Part 4, 7.39; Part 8, 6). Pure.
+
+=====================================  ==========================================================
+nothing known yet                      BadWaitingForInitialData
+parameters not determined              UncertainInitialValue
+inputs without variety, parameters held UncertainSubNormal
+the newest sample is unusable          BadSensorFailure
+no samples any more                    BadNoCommunication
+RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
+RequiredU where nothing was measured   UncertainSubNormal
+U beyond what an estimator can do      UncertainEngineeringUnitsExceeded
+nothing demanded                       BadNoData
+the map falls with U                   BadInvalidState
+=====================================  ==========================================================
+
+Status, SampleCount and the like are the service's own words: they stay readable, as
+UncertainLastUsableValue, while the rest is Bad, or uncertain because it is old.
+"""
+
+import math
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Self
+
+import numpy as np
+from asyncua import ua
+from numpy.typing import NDArray
+
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.recursive_least_squares import Change
+from valvemap.model.samples import Floats, Quality, Status, Times
+from valvemap.model.survey import Survey
+from valvemap.opcua_results.information_model import (
+    ALARMS,
+    ARMED,
+    BASELINE,
+    DIAGNOSTICS,
+    FEED_FORWARD_STATUS,
+    INVERSE,
+    LAG_Q,
+    LAG_U,
+    PARAMETERS,
+    SERVICE,
+    SIGNALS,
+)
+from valvemap.pipeline.ports import (
+    AlarmReport,
+    EstimatorResults,
+    Health,
+    InverseResults,
+    Results,
+    SignalResults,
+    Version,
+)
+
+_Codes = ua.StatusCodes
+_BAD = 0x8000_0000
+
+StatusCodes = NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One variable of M valves: its name within the valve, values, StatusCodes, source times.
+
+    Or k variables that are published side by side: then values and codes are (M, k).
+    """
+
+    name: str
+    values: NDArray[Any]
+    codes: StatusCodes
+    t: Times
+
+    def __getitem__(self, valves: NDArray[np.bool_]) -> Self:
+        return type(self)(self.name, self.values[valves], self.codes[valves], self.t[valves])
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One variable's new value: its name within the valve, value, StatusCode, source time."""
+
+    name: str
+    value: Any
+    code: int
+    t: int
+
+
+def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Iterator[Column]:
+    """All numbers that are shown of M valves, but for maps and counters.
+
+    ``now`` (UTC ns) stamps what no sample is behind yet; ``by_name`` are the estimators whose
+    parameters are variables of their own, too.
+    """
+    for name, estimator in results.estimators.items():
+        yield from _estimator_columns(name, estimator, now, by_name=name in by_name)
+    yield from _inverse_columns(results.inverse, now)
+    if results.signals is not None:
+        yield _signal_column(results.signals, now)
+
+
+def survey_values(name: str, survey: Survey | None, code: int, t: int) -> Iterator[Shown]:
+    """How well an estimator knows its map; nothing before the first survey."""
+    if survey is None:
+        return
+    for variable, value in (
+        ("Coverage", survey.std),
+        ("CoverageAge", survey.age_s),
+        ("CoverageShare", survey.share),
+        ("Conditioning", survey.condition),
+        ("SuggestedU", survey.suggested_U),
+        ("SuggestedDp", survey.suggested_dp),
+    ):
+        yield Shown(f"{name}.{variable}", value, code, t)
+
+
+def discovery_values(
+    name: str, found: Change | None, structure: str | None, own: int, t: int
+) -> Iterator[Shown]:
+    """What an estimator found out by itself: changes of the valve, the structure of its map."""
+    code = own if found else int(_Codes.BadNoData)
+    yield Shown(f"{name}.ChangeCount", found.count if found else 0, own, t)
+    moment = datetime.fromtimestamp(found.t / 1e9, UTC) if found else None
+    yield Shown(f"{name}.ChangeTime", moment, code, t)
+    yield Shown(f"{name}.ChangeSize", found.size if found else 0.0, code, t)
+    yield Shown(f"{name}.Structure", structure or "", own, t)
+
+
+def lag_values(lags: tuple[float, float], own: int, t: int) -> Iterator[Shown]:
+    """How late U's effect and the flow meter are, s."""
+    for name, lag in zip((LAG_U, LAG_Q), lags, strict=True):
+        code = own if np.isfinite(lag) else int(_Codes.BadNoData)
+        yield Shown(f"{DIAGNOSTICS}.{name}", lag, code, t)
+
+
+def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
+    """The map that was approved as new, in the service's own words; when it was found so."""
+    code = int(_Codes.Good if found is not None else _Codes.BadNoData)
+    moment = None if found is None else datetime.fromtimestamp(found.t / 1e9, UTC)
+    version, digest = ("", "") if found is None else (found.version, found.digest)
+    yield Shown(f"{BASELINE}.Version", version, int(_Codes.Good), now)
+    yield Shown(f"{BASELINE}.Time", moment, code, now)
+    yield Shown(f"{BASELINE}.DataHash", digest, code, now)
+
+
+def alarm_values(alarms: Iterable[AlarmReport], now: int) -> Iterator[Shown]:
+    """How alarms stand, in the service's own words; ``now`` where none ever came."""
+    good = int(_Codes.Good)
+    for alarm in alarms:
+        prefix, t = f"{ALARMS}.{alarm.name}", alarm.at or now
+        since = datetime.fromtimestamp(alarm.since / 1e9, UTC) if alarm.since else None
+        yield Shown(f"{prefix}.Active", alarm.active, good, t)
+        yield Shown(f"{prefix}.Severity", alarm.severity, good, t)
+        yield Shown(f"{prefix}.Since", since, good if since else int(_Codes.BadNoData), t)
+        yield Shown(f"{prefix}.Text", alarm.text, good, t)
+        yield Shown(f"{prefix}.Acked", alarm.acked, good, t)
+        yield Shown(f"{prefix}.Confirmed", alarm.confirmed, good, t)
+
+
+def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
+    """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
+    yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
+    yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
+
+
+def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
+    """Identifier, value and StatusCode of what is shown of the service itself."""
+    never = math.isnan(health.checkpoint_age_s)
+    age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
+    yield f"{SERVICE}.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
+    for name, count in (
+        ("Checkpoint.Failures", health.checkpoint_failures),
+        ("Checkpoint.Refused", health.checkpoints_refused),
+        ("Checkpoint.Size", health.checkpoint_bytes),
+        ("Source.Notifications", health.source.notifications),
+        ("Source.Overflows", health.source.overflows),
+        ("Source.MissingMessages", health.source.missing_messages),
+        ("Source.Undecodable", health.source.undecodable),
+        ("Source.FromHistory", health.source.from_history),
+        ("History.Lost", health.history.lost),
+        ("History.Failures", health.history.failures),
+        ("History.Size", health.history.bytes),
+    ):
+        yield f"{SERVICE}.{name}", count, int(_Codes.Good)
+    yield f"{SERVICE}.Source.States", list(health.source_states), int(_Codes.Good)
+
+
+def map_value(table: Floats, code: int, t: int) -> Shown:
+    """The inverse map; ``code`` is one of `inverse_codes`."""
+    if not np.isfinite(table).any():
+        code = int(worse(np.array([code]), _Codes.BadWaitingForInitialData)[0])
+    return Shown(f"{INVERSE}.Map", table, code, t)
+
+
+def estimator_codes(results: EstimatorResults) -> StatusCodes:
+    """StatusCodes (M,) of what an estimator knows."""
+    return _of_estimators(_ESTIMATOR, results)
+
+
+def estimator_own_words(results: EstimatorResults) -> StatusCodes:
+    """StatusCodes (M,) of what the service knows for certain, whatever its sensors do."""
+    words = _of_estimators(_ESTIMATOR_ITSELF, results)
+    if results.old is None:
+        return words
+    return np.where(results.old, worse(words, _Codes.UncertainLastUsableValue), words)
+
+
+def inverse_codes(results: InverseResults) -> StatusCodes:
+    """StatusCodes (M,) of what is known of the inverse maps."""
+    return _of_inverses(_INVERSE, results)
+
+
+def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
+    """The StatusCodes of the worse severity; the first, if they are equal."""
+    second = np.asarray(others, np.uint32)
+    return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
+
+
+def _estimator_columns(
+    name: str, results: EstimatorResults, now: int, *, by_name: bool
+) -> Iterator[Column]:
+    codes, own = estimator_codes(results), estimator_own_words(results)
+    doubtful = worse(codes, _Codes.UncertainInitialValue)
+    t = np.where(results.t, results.t, now)
+    numbers: tuple[tuple[str, Floats], ...] = (
+        ("PredictedFlow", results.predicted),
+        ("Residual", results.residual),
+        ("ResidualRmse", results.residual_rmse),
+        ("NoiseStd", results.noise_std),
+    )
+    yield Column(f"{name}.ParameterVector", results.theta, codes, t)
+    yield Column(f"{name}.ParameterStd", results.std, codes, t)
+    for variable, values in numbers:  # a number that is none is not Good
+        yield Column(
+            f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
+        )
+    stated = np.where(np.isfinite(results.systematic_std), codes, worse(codes, _Codes.BadNoData))
+    yield Column(f"{name}.SystematicStd", results.systematic_std, stated, t)
+    yield Column(f"{name}.SampleCount", results.sample_count, own, t)
+    yield Column(f"{name}.Status", results.status, own, t)
+    yield Column(f"{name}.Adaptation", results.adaptation, own, t)
+    if by_name:
+        yield _each(f"{name}.{PARAMETERS}", results.theta, codes, doubtful, t)
+
+
+def _signal_column(signals: SignalResults, now: int) -> Column:
+    codes = _SIGNAL[_waiting(signals.t), signals.quality]
+    none = worse(codes, _Codes.BadNoData)
+    return _each(SIGNALS, signals.values, codes, none, np.where(signals.t, signals.t, now))
+
+
+def _each(name: str, values: Floats, codes: StatusCodes, of_none: StatusCodes, t: Times) -> Column:
+    """Variables side by side; a number that is none has a StatusCode that says so."""
+    each = np.where(np.isfinite(values), codes[:, None], of_none[:, None])
+    return Column(name, values, each, t)
+
+
+def _inverse_columns(results: InverseResults, now: int) -> Iterator[Column]:
+    codes, t = inverse_codes(results), np.where(results.t, results.t, now)
+    answers = worse(codes, _ANSWERS[results.status])
+    yield Column(f"{INVERSE}.RequiredU", results.required_U, answers, t)
+    own = _of_inverses(_INVERSE_ITSELF, results)
+    yield Column(f"{INVERSE}.RequiredUStatus", results.status, own, t)
+
+
+def _of_estimators(table: StatusCodes, results: EstimatorResults) -> StatusCodes:
+    return np.asarray(table[_waiting(results.t), results.quality, results.status])
+
+
+def _of_inverses(table: StatusCodes, results: InverseResults) -> StatusCodes:
+    return np.asarray(table[_waiting(results.t), results.quality])
+
+
+def _waiting(t: Times) -> NDArray[np.uint8]:
+    return (t == 0).view(np.uint8)
+
+
+def _own_words(codes: StatusCodes) -> StatusCodes:
+    words = np.where(codes >= _BAD, _Codes.UncertainLastUsableValue, _Codes.Good)
+    waiting = codes == _Codes.BadWaitingForInitialData
+    return np.where(waiting, _Codes.UncertainInitialValue, words).astype(np.uint32)
+
+
+def _of_estimator(t: int, quality: Quality, status: Status) -> int:
+    if t == 0:
+        return int(_Codes.BadWaitingForInitialData)
+    if quality == Quality.GOOD:
+        return int(_Codes.Good)
+    if quality == Quality.UNCERTAIN:
+        return int(_UNCERTAIN_BECAUSE.get(status, _Codes.UncertainLastUsableValue))
+    rejected = status == Status.REJECTED
+    return int(_Codes.BadSensorFailure if rejected else _Codes.BadNoCommunication)
+
+
+_UNCERTAIN_BECAUSE: dict[Status, int] = {
+    Status.WARMING_UP: _Codes.UncertainInitialValue,
+    Status.UNEXCITED: _Codes.UncertainSubNormal,
+    Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
+}
+_OF_INVERSE: dict[Quality, int] = {
+    Quality.GOOD: _Codes.Good,
+    Quality.UNCERTAIN: _Codes.UncertainSubNormal,
+    Quality.BAD: _Codes.BadNoCommunication,
+}
+_OF_ANSWER: dict[InverseStatus, int] = {
+    InverseStatus.OK: _Codes.Good,
+    InverseStatus.ABOVE_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.BELOW_REACH: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.NOT_MONOTONE: _Codes.BadInvalidState,
+    InverseStatus.UNIDENTIFIED: _Codes.BadWaitingForInitialData,
+    InverseStatus.NOT_FINITE: _Codes.BadNoData,
+    InverseStatus.OUTSIDE: _Codes.UncertainEngineeringUnitsExceeded,
+    InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
+}
+
+# By "nothing known yet" (0 or 1), quality, status.
+_ESTIMATOR = np.array(
+    [[[_of_estimator(t, q, s) for s in Status] for q in Quality] for t in (1, 0)], np.uint32
+)
+_INVERSE = np.array(
+    [[_OF_INVERSE[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
+    np.uint32,
+)
+_OF_SIGNAL: dict[Quality, int] = {
+    Quality.GOOD: _Codes.Good,
+    Quality.UNCERTAIN: _Codes.Uncertain,
+    Quality.BAD: _Codes.Bad,
+}
+_SIGNAL = np.array(
+    [[_OF_SIGNAL[q] for q in Quality], [_Codes.BadWaitingForInitialData for _ in Quality]],
+    np.uint32,
+)
+_ESTIMATOR_ITSELF, _INVERSE_ITSELF = _own_words(_ESTIMATOR), _own_words(_INVERSE)
+_ANSWERS = np.array([_OF_ANSWER[status] for status in InverseStatus], np.uint32)

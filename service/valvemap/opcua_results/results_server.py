@@ -1,0 +1,295 @@
+"""The results server: what was identified, for any OPC UA client, and what operators may do."""
+
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+
+from asyncua import ua
+
+from guarded_opcua import (
+    Clock,
+    HardenedServer,
+    ServerSettings,
+    Startable,
+    SystemClock,
+    add_object,
+    add_property,
+    event_fields,
+    many_nodes,
+)
+from valvemap.model.samples import Times
+from valvemap.opcua_results.companions import add_companions
+from valvemap.opcua_results.information_model import (
+    NAMESPACE,
+    NODE_VERSION,
+    ROOT,
+    SERVICE,
+    check_names,
+)
+from valvemap.opcua_results.model_changes import model_change, version_of_root
+from valvemap.opcua_results.past import AlarmsPast, ResultsPast
+from valvemap.opcua_results.result_alarms import ResultAlarms
+from valvemap.opcua_results.result_blocks import Generations
+from valvemap.opcua_results.result_commands import ResultCommands
+from valvemap.opcua_results.result_demands import ResultDemands
+from valvemap.opcua_results.result_health import ResultHealth
+from valvemap.opcua_results.result_nodes import ResultNodes
+from valvemap.opcua_results.result_notes import ResultNotes
+from valvemap.opcua_results.result_parts import ResultParts
+from valvemap.opcua_results.result_publishing import ResultPublishing
+from valvemap.opcua_results.result_questions import ResultQuestions
+from valvemap.opcua_results.result_service import ResultService
+from valvemap.opcua_results.result_slots import ValveSlots
+from valvemap.opcua_results.result_types import VALVE, add_types, type_of
+from valvemap.opcua_results.result_variables import ResultVariables
+from valvemap.opcua_results.successive_operator import SuccessiveOperator
+from valvemap.pipeline.ports import (
+    AlarmChange,
+    Health,
+    Operator,
+    PastStore,
+    Results,
+    ValveDescription,
+)
+
+__all__ = ["NAMESPACE", "ResultsServer"]
+
+_SAID_FOR_S = 600.0  # what another configuration changed, to clients that come back
+
+
+class ResultsServer(Startable):
+    """Shows results and takes commands; fulfils :class:`~valvemap.pipeline.ports.ResultSink`.
+
+    Use it with ``async with``, or call :meth:`start` and :meth:`stop`.
+
+    Parameters
+    ----------
+    settings
+        Address, security, users; the namespace must be ``urn:valvemap:service``.
+    valves
+        What there is to show.
+    operator
+        Who carries out commands and answers questions.
+    clock
+        Stamps what no sample is behind.
+    scalars_interval_s
+        Shortest time between two results of a valve in its single variables; its Frame has them
+        all. What is Bad never waits.
+    on_reload
+        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
+    past
+        What signals, results and alarms have been; None: that cannot be asked.
+    on_alarm
+        Takes each change of an alarm, to be kept.
+    before
+        What was shown until now, where this server follows another: who comes back hears what has
+        changed; None: nobody comes back.
+    """
+
+    def __init__(
+        self,
+        settings: ServerSettings,
+        valves: Sequence[ValveDescription],
+        operator: Operator,
+        clock: Clock | None = None,
+        scalars_interval_s: float = 0.0,
+        on_reload: Callable[[], Awaitable[None]] | None = None,
+        past: PastStore | None = None,
+        on_alarm: Callable[[AlarmChange], None] | None = None,
+        before: Sequence[ValveDescription] | None = None,
+    ) -> None:
+        check_names(valves)
+        self._settings = settings
+        self._in_charge = SuccessiveOperator(operator)
+        self._clock = clock or SystemClock()
+        self._scalars_interval_s = scalars_interval_s
+        self._on_reload = on_reload
+        self._past = past
+        self._on_alarm = on_alarm
+        self._before = before
+        self._slots = ValveSlots(valves)
+        self._blocks = Generations()
+        self._server: HardenedServer | None = None
+        self._variables: ResultVariables  # this and what follows is there from the start on
+        self._alarms: ResultAlarms
+        self._alarms_past: AlarmsPast | None
+        self._demands: ResultDemands
+        self._publishing: ResultPublishing
+        self._nodes: ResultNodes
+        self._service: ResultService
+
+    @property
+    def url(self) -> str:
+        """Where clients connect."""
+        return self._settings.url if self._server is None else self._server.url
+
+    async def start(self) -> None:
+        """Make the nodes that lead to each valve, then listen.
+
+        What is below a valve is made when somebody first looks at it.
+
+        Raises
+        ------
+        ServerError
+            if the address is in use or not ours.
+        CertificateError
+            if certificate or key cannot be had.
+        """
+        server = await HardenedServer.create(self._settings, self._clock)
+        root = await add_object(
+            server, None, ROOT, description="Flow maps of hydraulic valves, identified online."
+        )
+        parts = await self._furnish(server)
+        shown = self._slots.shown
+        await add_property(server, root, NODE_VERSION, version_of_root(shown))
+        server.let_emit(root, ua.NodeId(ua.ObjectIds.Server))
+        with many_nodes():
+            await add_types(
+                server,
+                parts.add_frame,
+                parts.add_estimator,
+                parts.declare_alarm,
+                parts.of_every_valve(),
+            )
+            for valve in shown:
+                await self._nodes.add(valve)
+            await self._service.add(root)
+        service = ua.NodeId(SERVICE, server.namespace_index)
+        self._keep_events(server, root, service, ua.NodeId(ua.ObjectIds.Server))
+        await server.start()
+        self._server = server
+        if self._before is not None:
+            self._say_what_changed(server, self._before, shown)
+
+    async def follow(
+        self,
+        valves: Sequence[ValveDescription],
+        operator: Operator,
+        scalars_interval_s: float = 0.0,
+        on_alarm: Callable[[AlarmChange], None] | None = None,
+    ) -> None:
+        """Go on with other valves, of another operator; sessions and subscriptions live on.
+
+        Valves that are described as before keep their nodes, and who monitors these misses nothing.
+        Nodes of the others come and go; who listens to the Server object hears it.
+
+        Raises
+        ------
+        ConfigurationError
+            if a name cannot be; nothing has changed then.
+        """
+        check_names(valves)
+        server, names = self._server, [valve.name for valve in valves]
+        assert server is not None  # noqa: S101 - it was started
+        change = self._slots.follow(valves)
+        self._nodes.remove(change.gone)
+        self._variables.forget(change.gone)
+        self._in_charge.hand_over(operator)
+        self._blocks.keep(change.kept)
+        self._blocks.add(server, change.came, self._clock.now())
+        self._publishing.follow(scalars_interval_s)
+        self._alarms.follow(self._slots.names, names, on_alarm)
+        self._demands.follow(names, change.gone)
+        with many_nodes():
+            for valve in change.came:
+                await self._nodes.add(valve)
+        await self._demands.repeat()
+        self._say_what_changed(server, change.before, change.after)
+
+    def take_no_commands(self) -> None:
+        """Refuse what would change the operator, until another one follows."""
+        self._in_charge.refuses = True
+
+    async def stop(self) -> None:
+        """Close every session and stop listening; safe to call twice."""
+        server, self._server = self._server, None
+        if server is not None:
+            await server.stop()
+
+    async def publish(self, results: Results) -> None:
+        """Show results; a later call for the same valve replaces the earlier one."""
+        if self._server is not None and len(results.valves):
+            self._publishing.publish(results)
+
+    async def doubt(self, valves: Times) -> None:
+        """Have what is shown of some valves be at best Uncertain: it has become old."""
+        if self._server is not None and len(valves):
+            self._publishing.doubt(valves)
+
+    async def show_health(self, health: Health) -> None:
+        """Show how the service itself stands."""
+        if self._server is not None:
+            now = self._clock.now()
+            self._publishing.publish_waits(health, now)
+            self._service.show(health, now)
+
+    async def _furnish(self, server: HardenedServer) -> ResultParts:
+        """Make all that adds nodes and writes them, each with what it stands on."""
+        operator, clock, slots = self._in_charge.as_operator(), self._clock, self._slots
+        past = None if self._past is None else ResultsPast(self._past)
+        if past is not None:
+            server.add_history((), past)
+        companions = await add_companions(server)
+        self._blocks.add(server, slots.shown, clock.now())
+        variables = ResultVariables(server, slots, self._blocks, past)
+        notes, health = ResultNotes(variables, clock), ResultHealth(server, clock)
+        alarms = ResultAlarms(
+            server,
+            slots.shown,
+            operator,
+            clock,
+            variables.show,
+            notes.acted,
+            health.stands,
+            self._on_alarm,
+        )
+        self._alarms_past = None if self._past is None else AlarmsPast(self._past, alarms.event_of)
+        demands = ResultDemands(operator, notes, slots.names)
+        self._publishing = ResultPublishing(
+            slots,
+            self._blocks,
+            variables,
+            alarms,
+            health,
+            operator,
+            clock,
+            self._scalars_interval_s,
+        )
+        parts = ResultParts(
+            variables,
+            ResultCommands(operator, slots, variables, notes, clock),
+            ResultQuestions(operator, notes),
+            demands,
+            alarms,
+        )
+        self._nodes = ResultNodes(
+            server,
+            companions,
+            parts,
+            alarms,
+            health,
+            operator,
+            self._publishing.is_heard_of,
+            partial(self._keep_events, server),
+        )
+        self._service = ResultService(
+            server, companions, variables, alarms, health, self._on_reload
+        )
+        self._variables, self._alarms, self._demands = variables, alarms, demands
+        return parts
+
+    def _keep_events(self, server: HardenedServer, *emitters: ua.NodeId) -> None:
+        if self._alarms_past is not None:
+            server.add_event_history(emitters, self._alarms_past, event_fields())
+
+    def _say_what_changed(
+        self,
+        server: HardenedServer,
+        before: Sequence[ValveDescription],
+        after: Sequence[ValveDescription],
+    ) -> None:
+        kind, now = type_of(server, VALVE), self._clock.now()
+        event = model_change(before, after, server.namespace_index, kind, now)
+        if event is not None:
+            version = ua.NodeId(f"{ROOT}.{NODE_VERSION}", server.namespace_index)
+            server.write_property(version, ua.Variant(version_of_root(after)))
+            server.say(event, _SAID_FOR_S)

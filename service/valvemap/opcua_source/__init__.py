@@ -1,0 +1,1 @@
+"""The source: subscribe to a plant's OPC UA server and decode its samples as arrays."""

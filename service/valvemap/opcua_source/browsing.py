@@ -1,0 +1,99 @@
+"""A foreign server's numbers: found by browsing, each with its names, unit and range."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from asyncua import ua
+
+from valvemap.opcua_client.connection import Connection, in_one_line
+from valvemap.opcua_client.requests import children_of, namespaces_of, read_attributes
+from valvemap.opcua_source.source_units import read_units
+from valvemap.opcua_source.wire import NUMERIC_FORMATS
+from valvemap.pipeline.naming import Candidate
+
+MOST_NODES: Final = 50_000  # browsed; a server that has more is asked for a part of it
+DEEPEST: Final = 12  # folders within each other
+_ATTRIBUTES: Final = (
+    ua.AttributeIds.Value,
+    ua.AttributeIds.ValueRank,
+    ua.AttributeIds.UserAccessLevel,
+    ua.AttributeIds.Description,
+)
+_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
+_NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
+_SCALARS: Final = {-3, -2, -1}
+_CLASSES: Final = ua.NodeClass.Object | ua.NodeClass.Variable
+
+_Place = tuple[ua.NodeId, tuple[str, ...]]
+
+
+async def find_numbers(connection: Connection) -> list[Candidate]:
+    """All scalar numbers below the Objects folder that can be read, the server's own left out.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    with connection.errors("browsing"):
+        places = await _variables(connection)
+        answers = await read_attributes(connection, [node for node, _ in places], _ATTRIBUTES)
+    numbers = [
+        (place, answer) for place, answer in zip(places, answers, strict=True) if _is_number(answer)
+    ]
+    said = await read_units(connection, [node for (node, _), _ in numbers])
+    namespaces = await namespaces_of(connection)
+    return [
+        Candidate(
+            node=_text(node, namespaces),
+            path=path,
+            unit=of_node.unit,
+            bounds=of_node.bounds,
+            writable=bool((answer[2].Value.Value or 0) & 2) if answer[2].Value else False,
+            description=_words(answer[3]),
+        )
+        for ((node, path), answer), of_node in zip(numbers, said, strict=True)
+    ]
+
+
+async def _variables(connection: Connection) -> list[_Place]:
+    found: list[_Place] = []
+    seen = {ua.NodeId(ua.ObjectIds.ObjectsFolder), ua.NodeId(ua.ObjectIds.Server)}
+    front: list[_Place] = [(ua.NodeId(ua.ObjectIds.ObjectsFolder), ())]
+    for _ in range(DEEPEST):
+        below: list[_Place] = []
+        children = await children_of(connection, [node for node, _ in front], _CLASSES)
+        for (_, path), references in zip(front, children, strict=True):
+            for reference in references:
+                target = reference.NodeId
+                node = ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
+                is_property = reference.ReferenceTypeId == _HAS_PROPERTY
+                if is_property or node in seen or len(seen) > MOST_NODES:
+                    continue
+                seen.add(node)
+                own = (*path, in_one_line(reference.DisplayName.Text or node.Identifier))
+                if reference.NodeClass == ua.NodeClass.Variable:
+                    found.append((node, own))
+                below.append((node, own))
+        front = below
+    return found
+
+
+def _is_number(answer: Sequence[ua.DataValue]) -> bool:
+    value, rank = answer[0].Value, answer[1].Value
+    kind = None if value is None else value.VariantType.value
+    is_scalar = rank is None or rank.Value in _SCALARS
+    return is_scalar and kind in NUMERIC_FORMATS and kind not in _NO_SIGNALS
+
+
+def _words(answer: ua.DataValue) -> str:
+    text = answer.Value.Value if answer.Value is not None else None
+    return in_one_line(text.Text or "") if isinstance(text, ua.LocalizedText) else ""
+
+
+def _text(node: ua.NodeId, namespaces: Sequence[str]) -> str:
+    """The NodeId as it stays the same whatever order the server gives its namespaces."""
+    own = ua.NodeId(node.Identifier, 0, node.NodeIdType).to_string()
+    if node.NamespaceIndex == 0 or node.NamespaceIndex >= len(namespaces):
+        return own
+    uri = namespaces[node.NamespaceIndex]
+    return f"nsu={uri};{own}" if ";" not in uri else f"ns={node.NamespaceIndex};{own}"

@@ -1,0 +1,462 @@
+"""The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
+
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from asyncua import ua
+
+from valvemap.clock import Clock, SystemClock
+from valvemap.errors import SourceLost, SourceRejected
+from valvemap.model.estimator import key_of
+from valvemap.opcua_client.connection import (
+    Connection,
+    Security,
+    SourceSettings,
+    Ticket,
+    open_connection,
+    status_name,
+)
+from valvemap.opcua_source.decoding import overflown
+from valvemap.opcua_source.history import NEVER, Holes, Knowledge, SourceHistory
+from valvemap.opcua_source.position import Mark, Position, position_from_bytes, position_to_bytes
+from valvemap.opcua_source.recall import recall
+from valvemap.opcua_source.source_clock import SourceClock
+from valvemap.opcua_source.source_nodes import (
+    HEARTBEAT,
+    REQUIRED_U,
+    CheckedNodes,
+    MonitoredNode,
+    ValveNodes,
+    WritableNode,
+    check_nodes,
+)
+from valvemap.opcua_source.source_units import Scales, check_units
+from valvemap.opcua_source.subscription import (
+    LIFETIME_S,
+    Left,
+    Part,
+    Subscription,
+    Tally,
+    subscribe,
+    take_over,
+)
+from valvemap.opcua_source.succession import Estate, divided
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.ports import SourceCounters
+
+__all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
+
+
+class OpcUaSource:
+    """Data changes of some valves from one OPC UA server.
+
+    Fulfils :class:`~valvemap.pipeline.ports.Source`.
+    Every sample is asked for, constant signals included (trigger StatusValueTimestamp), in queues
+    long enough that nothing is lost between two publishings. A change's time is its
+    SourceTimestamp, exact to the nanosecond; where the server sends none, its ServerTimestamp.
+
+    Parameters
+    ----------
+    settings
+        Server, security, intervals.
+    valves
+        The nodes of each valve; the order gives the valves their numbers in
+        :class:`~valvemap.pipeline.data_changes.DataChanges`.
+    clock
+        For the watchdog.
+    ready
+        Waited for before the first changes are handed out; what comes meanwhile is held.
+    """
+
+    def __init__(
+        self,
+        settings: SourceSettings,
+        valves: Sequence[ValveNodes],
+        clock: Clock | None = None,
+        ready: Callable[[], Awaitable[None]] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._valves = tuple(valves)
+        self._clock = clock or SystemClock()
+        self._ready = ready
+        self._heir: Callable[[Estate], None] | None = None
+        self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: there is none
+        self._tally = Tally()
+        self._source_clock = SourceClock(self._clock)
+        self._connection: Connection | None = None
+        self._ticket: Ticket | None = None
+        self._left: Left | None = None
+        self._left_at = 0.0
+        self._parts: deque[Part] = deque()  # arrived, not handed out
+        self._knowledge = Knowledge(len(self._valves) * SIGNALS_PER_VALVE)
+        self._history = SourceHistory()
+        self._mark: Mark | None = None
+        self._holds_back = False
+        self._known_position: Position | None = None
+        self._subscription: Subscription | None = None
+        self._writable: dict[tuple[int, str], WritableNode] = {}
+        self._scales = Scales(self._valves)
+
+    @property
+    def counters(self) -> SourceCounters:
+        """What was seen so far, over all connections."""
+        return SourceCounters(**vars(self._tally))
+
+    @property
+    def started(self) -> int:
+        """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
+        return self._source_clock.started
+
+    @property
+    def clock_offset_s(self) -> float:
+        """By how much the source's clock is ahead of ours."""
+        return self._source_clock.ahead_s
+
+    async def connect(self) -> None:
+        """Connect; go on with what the server holds for us, or check every node and subscribe.
+
+        Raises
+        ------
+        SourceLost
+            if the server cannot be reached: worth another try.
+        SourceRejected
+            if it refuses certificate, user or node: names the node and what is allowed.
+        CertificateError
+            if our own certificate or key cannot be used.
+        """
+        await self.drop()
+        connection = await open_connection(self._settings, self._ticket)
+        try:
+            await self._source_clock.read(connection)
+            subscription = await self._take_over(connection) or await self._subscribe(connection)
+        except BaseException:
+            await (connection.hang_up() if self.is_held else connection.close())
+            raise
+        self._connection, self._subscription = connection, subscription
+        self._source_clock.follow(connection)
+        if self._history_s > 0.0:
+            self._history.over(connection, (item.node for item in subscription.items))
+
+    async def receive(self) -> DataChanges:
+        """Wait for data changes and return all that have arrived, in order and in our units.
+
+        Before what comes behind a hole, what the source's history has of it is returned.
+
+        Raises
+        ------
+        SourceLost
+            if the connection was cut, or fell silent for longer than its keep-alives allow.
+        """
+        if self._ready is not None:
+            await self._ready()
+            self._ready = None
+        changes = DataChanges.empty()
+        while not len(changes):
+            if not self._parts:
+                if self._subscription is None:
+                    raise SourceLost(f"{self._settings.url}: not connected")
+                self._parts += await self._subscription.receive()
+            changes = await self._next()
+        return self._scales(changes)
+
+    async def _next(self) -> DataChanges:
+        """What is to be handed out next: what has arrived, or what was missed before it."""
+        whole = 0
+        for part in self._parts:
+            if len(self._holes_before(part)):
+                break
+            self._knowledge.note(part.changes)
+            whole += 1
+        if whole:
+            parts = [self._parts.popleft() for _ in range(whole)]
+            last = parts[-1]
+            self._mark = Mark(last.subscription, last.message, self._knowledge.known_to.copy())
+            return DataChanges.concatenate([part.changes for part in parts])
+        return await self._missed(self._parts[0])
+
+    @property
+    def _history_s(self) -> float:
+        return max(self._settings.history_s, self._settings.warm_start_s)
+
+    def _holes_before(self, part: Part) -> Holes:
+        """What the source's history may know of the time before a message."""
+        known, changes = self._knowledge, part.changes
+        if not self._history.is_there:
+            return Holes.none()
+        if part.behind_gap:
+            known.doubt()
+        if part.overflows:
+            known.doubt(changes.item[overflown(changes.status)])
+        if not known.doubtful.any():
+            return Holes.none()
+        return known.holes(changes, round(self._history_s * 1e9))
+
+    async def _missed(self, part: Part) -> DataChanges:
+        """The oldest of what was missed before a message; nothing where nobody knows of it."""
+        known = self._knowledge
+        changes, read, reached = await self._history.read(self._holes_before(part))
+        known.fill(read, reached)
+        self._tally.from_history += len(changes)
+        before = self._mark or Mark(0, 0, known.known_to)
+        self._mark = replace(before, known_to=known.known_to.copy())
+        return changes
+
+    @property
+    def mark(self) -> Mark | None:
+        """How far changes have been handed out; None: none were."""
+        return self._mark
+
+    def hold_back(self) -> None:
+        """Let the source keep what is handed out until `commit` says that it is safe."""
+        self._holds_back = True
+        if self._subscription is not None:
+            self._subscription.hold_back()
+
+    def commit(self, mark: Mark) -> None:
+        """What was handed out up to a mark is safe: the source need not keep it any more."""
+        if self._subscription is not None:
+            self._subscription.commit(mark.subscription, mark.message)
+
+    def position(self, mark: Mark) -> bytes:
+        """What `resume_at` goes on from after a restart."""
+        known = self._subscription or self._left
+        if known is None or known.created.SubscriptionId != mark.subscription:
+            return position_to_bytes(self._binding, mark, None, ())
+        return position_to_bytes(self._binding, mark, known.created, known.items)
+
+    def resume_at(self, position: bytes) -> bool:
+        """Go on from a position that was kept, if the source still has the subscription.
+
+        False: it cannot be one of this source, and is forgotten.
+        """
+        items = len(self._knowledge.known_to)
+        latest = self._clock.now() + _MOST_AHEAD_NS
+        self._known_position = position_from_bytes(position, self._binding, items, latest)
+        return self._known_position is not None
+
+    async def check(self) -> None:
+        """Connect, check every node, and leave: nothing is subscribed to.
+
+        Raises
+        ------
+        SourceLost, SourceRejected, CertificateError
+            as :meth:`connect`.
+        """
+        connection = await open_connection(self._settings)
+        try:
+            await check_units(connection, self._valves, await check_nodes(connection, self._valves))
+        finally:
+            await connection.close()
+
+    async def recall(self, start: int, stop: int) -> AsyncIterator[DataChanges]:
+        """Yield what the source's history has of a span of time (UTC ns), and leave.
+
+        Raises
+        ------
+        SourceLost, SourceRejected, CertificateError
+            as :meth:`connect`; or if it keeps no history.
+        """
+        connection = await open_connection(self._settings)
+        try:
+            nodes = await check_nodes(connection, self._valves)
+            await check_units(connection, self._valves, nodes)
+            async for changes in recall(connection, nodes.monitored, start, stop):
+                yield self._scales(changes)
+        finally:
+            await connection.close()
+
+    def succeed(self, before: "OpcUaSource") -> None:
+        """Take over from another one when it is closed: signals of both miss nothing by it.
+
+        It must be the same user of the same server; else each is on its own.
+        """
+        if before.identity == self.identity:
+            before.bequeath(self.inherit)
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """What a session belongs to: the server, and its user."""
+        settings = self._settings
+        return settings.url, settings.security, settings.user, settings.password
+
+    def bequeath(self, heir: Callable[[Estate], None]) -> None:
+        """Have somebody go on where this source stops, instead of saying good-bye."""
+        self._heir = heir
+
+    def inherit(self, estate: Estate) -> None:
+        """Go on where another source stopped."""
+        ours = divided(estate, self._valves)
+        self._knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
+        self._parts.extend(part for part in ours.parts if len(part.changes))
+        self._left, self._left_at, self._surplus = ours.left, ours.left_at, ours.surplus
+
+    async def write_required_U(self, valve: int, U: float) -> None:
+        """Write the feed-forward voltage (%) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost
+            if the connection is gone.
+        SourceRejected
+            if the valve has no such node, or the server refuses the value.
+        """
+        scaling = self._valves[valve].measure(REQUIRED_U).scaling(REQUIRED_U)
+        await self._write(valve, REQUIRED_U, scaling.back(float(U)))
+
+    async def write_heartbeat(self, valve: int, count: int) -> None:
+        """Write the heartbeat (UInt32) of one valve to its node at the source.
+
+        Raises
+        ------
+        SourceLost, SourceRejected
+            as :meth:`write_required_U`.
+        """
+        await self._write(valve, HEARTBEAT, count)
+
+    async def _write(self, valve: int, role: str, number: float) -> None:
+        if self._connection is None:
+            raise SourceLost(f"{self._settings.url}: not connected")
+        target = self._writable.get((valve, role))
+        if target is None:
+            raise SourceRejected(f"valve {self._valves[valve].valve} has no node {role}")
+        value = round(number) if target.type not in _FLOATS else number
+        with self._connection.errors(f"writing {target.label}"):
+            (status,) = await self._connection.session.write(
+                ua.WriteParameters(
+                    NodesToWrite=[
+                        ua.WriteValue(
+                            NodeId=target.node,
+                            AttributeId=ua.AttributeIds.Value,
+                            Value=ua.DataValue(ua.Variant(value, target.type), StatusCode=None),
+                        )
+                    ]
+                )
+            )
+        if not status.is_good():
+            raise SourceRejected(
+                f"{target.label} does not take {number:g} at {self._settings.url}: "
+                f"{status_name(status.value)}"
+            )
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the server may still hold for us what we have not heard."""
+        return self._left is not None and self._clock.monotonic() - self._left_at < LIFETIME_S
+
+    async def drop(self) -> None:
+        """Hang up without a word; the server goes on to collect for us. Safe to call twice."""
+        await self._source_clock.stop()
+        subscription, self._subscription = self._subscription, None
+        connection, self._connection = self._connection, None
+        if subscription is not None:
+            await subscription.stop()
+            self._leave(subscription)
+        if connection is not None:
+            self._ticket = connection.ticket
+            await connection.hang_up()
+
+    def _leave(self, subscription: Subscription) -> None:
+        left = subscription.left()
+        self._left, self._left_at = left, self._clock.monotonic()
+        self._parts += left.buffer
+
+    async def _take_over(self, connection: Connection) -> Subscription | None:
+        """Go on with the subscription of the connection before, if the server still has it."""
+        if self._left is None and self._known_position is not None:
+            nodes = await self._check_nodes(connection)
+            self._resume(self._known_position, nodes.monitored)
+        self._known_position = None
+        if self._left is None:
+            return None
+        surplus = self._surplus
+        checked = None if surplus is None else await self._check_nodes(connection)
+        found = await take_over(connection, self._left, self._tally, self._clock)
+        if found is not None:
+            subscription, available = found
+            known = False
+            try:
+                known = await subscription.catch_up(available)
+            finally:
+                self._leave(subscription)
+            if known:
+                subscription.start()
+                if checked is not None and surplus is not None:
+                    await subscription.change_items(checked.monitored, surplus)
+                    self._surplus = None
+                return subscription
+        self._left = self._surplus = None
+        return None
+
+    def _resume(self, position: Position, nodes: Sequence[MonitoredNode]) -> None:
+        self._knowledge.known_to[:] = position.known_to
+        self._left, self._left_at = position.left(nodes), self._clock.monotonic()
+
+    async def _check_nodes(self, connection: Connection) -> CheckedNodes:
+        nodes = await check_nodes(connection, self._valves)
+        await check_units(connection, self._valves, nodes)
+        self._writable = nodes.writable
+        return nodes
+
+    @cached_property
+    def _binding(self) -> str:
+        """What a position belongs to: server, user, nodes in their order; 0.1 ms a valve."""
+        return key_of(_Binding(self._settings.url, self._settings.user, self._valves))
+
+    async def _subscribe(self, connection: Connection) -> Subscription:
+        nodes = await self._check_nodes(connection)
+        self._begin_earlier(nodes.monitored)
+        self._knowledge.doubt()
+        return await subscribe(
+            connection,
+            nodes.monitored,
+            self._tally,
+            self._clock,
+            hold_back=self._holds_back,
+        )
+
+    def _begin_earlier(self, nodes: Sequence[MonitoredNode]) -> None:
+        """At a first start, go on as if we had heard the source some time ago."""
+        known_to, warm_start_s = self._knowledge.known_to, self._settings.warm_start_s
+        if warm_start_s > 0.0 and (known_to == NEVER).all():
+            now = self._clock.now() + round(self.clock_offset_s * 1e9)
+            known_to[[node.item for node in nodes]] = now - round(warm_start_s * 1e9)
+
+    def _estate(self) -> Estate:
+        return Estate(
+            self._valves,
+            self._knowledge,
+            tuple(self._parts),
+            self._tally,
+            self._ticket,
+            self._left,
+            self._left_at,
+            self._surplus or (),
+        )
+
+    async def close(self) -> None:
+        """Disconnect; safe to call twice, and after a loss."""
+        heir, self._heir = self._heir, None
+        if heir is not None:
+            await self.drop()
+            heir(self._estate())
+        await self._source_clock.stop()
+        self._left = self._ticket = None
+        subscription, self._subscription = self._subscription, None
+        connection, self._connection = self._connection, None
+        if subscription is not None:
+            await subscription.stop()
+        if connection is not None:
+            await connection.close()
+
+
+@dataclass(frozen=True)
+class _Binding:
+    url: str
+    user: str | None
+    valves: tuple[ValveNodes, ...]
+
+
+_MOST_AHEAD_NS = 86_400_000_000_000  # a day: no source's clock is so far ahead of ours
+_FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

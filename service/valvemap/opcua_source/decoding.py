@@ -1,0 +1,488 @@
+"""PublishResponse bytes → arrays (OPC UA Part 4, 5.13.5 and 7.26; Part 6, 5.2).
+
+A DataChangeNotification is a list of records: ClientHandle (u4), DataValue mask (u1), Variant
+encoding (u1), value, then status (u4), source time (i8, then picoseconds u2) and server time
+(i8, then u2) as far as the mask says. Records differ in size, so one compiled loop walks
+them, looks at every mask and every type byte, and takes in all numeric scalars; strings and
+arrays become NaN. What it does not know (structures and the like) is passed over by
+:mod:`valvemap.opcua_source.wire`, becomes NaN too, and the loop goes on behind it.
+
+Nothing here does I/O.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from asyncua import ua
+from numba import njit
+from numpy.typing import NDArray
+
+from valvemap.opcua_source.wire import FIXED_SIZES, NUMERIC_FORMATS, DecodeError, Reader
+from valvemap.pipeline.data_changes import DataChanges
+
+__all__ = [
+    "EPOCH_TICKS",
+    "DecodeError",
+    "HistoryPiece",
+    "Message",
+    "PublishResponse",
+    "decode_history_response",
+    "decode_publish_response",
+    "decode_republish_response",
+    "ns_from_ticks",
+    "overflown",
+    "ticks_from_ns",
+]
+
+EPOCH_TICKS = 116_444_736_000_000_000
+"""1970-01-01 in units of 100 ns since 1601-01-01, as OPC UA counts."""
+
+_PUBLISH_RESPONSE = 829
+_REPUBLISH_RESPONSE = 835
+_HISTORY_READ_RESPONSE = 667
+_HISTORY_DATA = 658
+_DATA_CHANGE_NOTIFICATION = 811
+_STATUS_CHANGE_NOTIFICATION = 820
+
+_MAX_TICKS = (2**63 - 1) // 100 + EPOCH_TICKS  # what still fits into int64 ns, year 2262
+_MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
+_OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
+_OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
+_HANDLE = 4  # bytes of a client handle, where one goes before a value
+_MOST_RECORDS = 600_000  # what the largest message holds with a Double in each
+_ELEMENTS_PER_RECORD = 4  # to pass over a record costs as much as to walk so many elements
+_RESERVED = 0xC0  # bits of a DataValue mask
+_SMALLEST_RESULT = 11  # bytes of a HistoryReadResult: status, no continuation point, nothing
+_NO_TIME = -(2**63)
+_NO_NUMBER = 255
+
+
+@dataclass(frozen=True)
+class Message:
+    """One NotificationMessage.
+
+    Attributes
+    ----------
+    sequence_number : int
+        Of this message; of the *next* one if this is a keep-alive.
+    publish_time : int
+        When the server made it, UTC ns.
+    changes : DataChanges
+        ``item`` is the client handle as sent. Time is the source's; the server's where the source
+        gives none; ``publish_time`` where there is neither.
+    keep_alive : bool
+        There is nothing in it.
+    status_change : int or None
+        StatusCode of the subscription, if it changed.
+    overflows : int
+        Changes marked with the Overflow bit: the server's queue was full and dropped some.
+    not_numeric : int
+        Changes with a value that is no numeric scalar.
+    """
+
+    sequence_number: int
+    publish_time: int
+    changes: DataChanges
+    keep_alive: bool
+    status_change: int | None
+    overflows: int
+    not_numeric: int
+
+
+@dataclass(frozen=True)
+class PublishResponse:
+    """A decoded PublishResponse; ``acknowledged`` are the StatusCodes of our acknowledgements."""
+
+    service_result: int
+    subscription_id: int
+    available: tuple[int, ...]
+    more: bool
+    message: Message
+    acknowledged: tuple[int, ...]
+
+
+def ns_from_ticks(ticks: int) -> int:
+    """UTC ns of an OPC UA DateTime (100 ns since 1601), exactly; clipped to int64.
+
+    >>> ns_from_ticks(EPOCH_TICKS + 1)
+    100
+    """
+    return (min(max(ticks, _MIN_TICKS), _MAX_TICKS) - EPOCH_TICKS) * 100
+
+
+def ticks_from_ns(ns: int) -> int:
+    """OPC UA DateTime (100 ns since 1601) of UTC ns, rounded down.
+
+    >>> ticks_from_ns(199) - EPOCH_TICKS
+    1
+    """
+    return ns // 100 + EPOCH_TICKS
+
+
+def decode_publish_response(data: bytes) -> PublishResponse:
+    """Decode the body of a PublishResponse message, from its TypeId on.
+
+    Raises
+    ------
+    DecodeError
+        if it is cut short, or no PublishResponse.
+    """
+    reader = Reader(data)
+    service_result = _enter_response(reader, _PUBLISH_RESPONSE)
+    subscription_id = reader.u4()
+    available = reader.u4_array()
+    more = reader.u1() != 0
+    message = _message(reader)
+    acknowledged = reader.u4_array()
+    for _ in reader.one_by_one(1):
+        reader.skip_diagnostic_info()
+    return PublishResponse(service_result, subscription_id, available, more, message, acknowledged)
+
+
+def decode_data_changes(body: bytes) -> DataChanges:
+    r"""Decode the body of one DataChangeNotification (Part 4, 7.25.2); times are UTC ns.
+
+    Raises
+    ------
+    DecodeError
+        if the bytes are no such notification.
+
+    Examples
+    --------
+    >>> len(decode_data_changes(bytes(4) + b"\\xff" * 4))
+    0
+    """
+    return _data_changes(Reader(body), 0).changes
+
+
+def decode_republish_response(data: bytes) -> Message:
+    """Decode the body of a RepublishResponse message, from its TypeId on.
+
+    Raises
+    ------
+    DecodeError
+        if it is cut short, or no RepublishResponse.
+    """
+    reader = Reader(data)
+    _enter_response(reader, _REPUBLISH_RESPONSE)
+    return _message(reader)
+
+
+@dataclass(frozen=True)
+class HistoryPiece:
+    """What one variable was: ``status`` of the reading, ``point`` where it can be gone on with."""
+
+    status: int
+    point: bytes
+    changes: DataChanges
+
+
+def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPiece]:
+    """Decode the body of a HistoryReadResponse, from its TypeId on.
+
+    ``items`` are those that were asked for; a value without any time has the earliest there is.
+
+    Raises
+    ------
+    DecodeError
+        if it is cut short, or no HistoryReadResponse, or not of so many variables.
+    UaStatusCodeError
+        if the server refuses.
+    """
+    reader = Reader(data)
+    ua.StatusCode(_enter_response(reader, _HISTORY_READ_RESPONSE)).check()
+    results = reader.one_by_one(_SMALLEST_RESULT)
+    if len(results) != len(items):
+        raise DecodeError(f"{len(results)} histories for {len(items)} variables")
+    pieces = []
+    for item in items:
+        status, size = reader.u4(), max(reader.i4(), 0)
+        start = reader.skip(size)
+        point = reader.data[start : start + size]
+        kind, body = reader.extension_object()
+        changes = DataChanges.empty()
+        if kind == _HISTORY_DATA:
+            changes = _data_changes(body, _NO_TIME, handle=0).changes
+        pieces.append(HistoryPiece(status, point, replace(changes, item=_all(item, changes))))
+    return pieces
+
+
+def _all(item: int, changes: DataChanges) -> NDArray[np.int32]:
+    return np.full(len(changes), item, np.int32)
+
+
+def _enter_response(reader: Reader, expected: int) -> int:
+    """Read TypeId and ResponseHeader; return the ServiceResult."""
+    kind = reader.node_id()
+    if kind != expected:
+        raise DecodeError(f"message of type {kind}, expected {expected}")
+    reader.skip(12)  # Timestamp, RequestHandle
+    service_result = reader.u4()
+    reader.skip_diagnostic_info()
+    for _ in reader.one_by_one(4):
+        reader.skip_string()
+    reader.extension_object()
+    return service_result
+
+
+def _message(reader: Reader) -> Message:
+    sequence_number = reader.u4()
+    publish_time = ns_from_ticks(reader.i8())
+    batches: list[_Batch] = []
+    status_change = None
+    notifications = reader.one_by_one(3)
+    for _ in notifications:
+        kind, body = reader.extension_object()
+        if kind == _DATA_CHANGE_NOTIFICATION:
+            batches.append(_data_changes(body, publish_time))
+        elif kind == _STATUS_CHANGE_NOTIFICATION:
+            status_change = body.u4()
+    return Message(
+        sequence_number=sequence_number,
+        publish_time=publish_time,
+        changes=(
+            batches[0].changes
+            if len(batches) == 1
+            else DataChanges.concatenate([batch.changes for batch in batches])
+        ),
+        keep_alive=len(notifications) == 0,
+        status_change=status_change,
+        overflows=sum(batch.overflows for batch in batches),
+        not_numeric=sum(batch.not_numeric for batch in batches),
+    )
+
+
+@dataclass(frozen=True)
+class _Batch:
+    changes: DataChanges
+    overflows: int
+    not_numeric: int
+
+
+def _data_changes(reader: Reader, publish_time: int, handle: int = _HANDLE) -> _Batch:
+    n = reader.count(handle + 1)
+    if n > _MOST_RECORDS:
+        raise DecodeError(f"{n} changes in one message, at most {_MOST_RECORDS} are read")
+    raw = np.frombuffer(reader.data, np.uint8)
+    item = np.zeros(n, np.int32)
+    bits = np.empty(n, np.uint64)
+    kind = np.empty(n, np.uint8)
+    status = np.empty(n, np.uint32)
+    time = np.empty(n, np.int64)
+    columns = (item, bits, kind, status, time)
+    row = 0
+    while True:
+        at = reader.position
+        row, position = _scan(raw, at, reader.stop, row, publish_time, handle, *columns)
+        reader.position = position
+        if row == n:
+            break
+        reader.spend(_ELEMENTS_PER_RECORD)
+        _pass_over(reader, row, publish_time, handle, *columns)
+        row += 1
+    return _Batch(
+        DataChanges(item=item, value=_values(bits, kind), status=status, source_time=time),
+        overflows=int(np.count_nonzero(overflown(status))),
+        not_numeric=int(np.count_nonzero(kind == _NO_NUMBER)),
+    )
+
+
+def _pass_over(
+    reader: Reader,
+    row: int,
+    publish_time: int,
+    handle: int,
+    item: NDArray[np.int32],
+    bits: NDArray[np.uint64],
+    kind: NDArray[np.uint8],
+    status: NDArray[np.uint32],
+    time: NDArray[np.int64],
+) -> None:
+    """Take in one record whose value is of some other type: NaN, but its status and time."""
+    if handle:
+        item[row] = np.uint32(reader.u4()).view(np.int32)
+    mask = reader.u1()
+    if mask & _RESERVED:
+        raise DecodeError(f"DataValue mask {mask:#x} has reserved bits")
+    bits[row], kind[row] = 0, 0
+    if mask & 0x01:
+        encoding = reader.u1()
+        reader.skip_variant_body(encoding)
+        kind[row] = 0 if encoding == 0 else _NO_NUMBER
+    status[row] = reader.u4() if mask & 0x02 else 0
+    source = reader.i8() if mask & 0x04 else 0
+    source_picoseconds = reader.u2() if mask & 0x10 else 0
+    server = reader.i8() if mask & 0x08 else 0
+    server_picoseconds = reader.u2() if mask & 0x20 else 0
+    if source:
+        time[row] = ns_from_ticks(source) + source_picoseconds // 100
+    elif server:
+        time[row] = ns_from_ticks(server) + server_picoseconds // 100
+    else:
+        time[row] = publish_time
+
+
+_SIZES = np.zeros(256, np.int64)  # of a value, by its Variant encoding byte
+_ELEMENTS = np.zeros(256, np.int64)  # of one element, where an Int32 length goes before them
+for _kind, _size in FIXED_SIZES.items():
+    _SIZES[_kind] = _size
+    _ELEMENTS[_kind | 0x80] = _size
+_ELEMENTS[[12, 15, 16]] = 1  # String, ByteString, XmlElement
+_NUMERIC = np.zeros(256, np.bool_)
+_NUMERIC[[0, *NUMERIC_FORMATS]] = True
+
+
+def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Numbers as float64; integers beyond 2**53 are rounded."""
+    values = bits.view(np.float64)
+    present = np.bincount(kind, minlength=256).nonzero()[0]
+    for number in present.tolist():
+        if number == 11:
+            continue
+        rows = kind == number
+        chosen = bits[rows]
+        match number:
+            case 10:
+                values[rows] = chosen.astype(np.uint32).view(np.float32)
+            case 2 | 4 | 6 | 8:
+                values[rows] = chosen.view(np.int64)
+            case 1 | 3 | 5 | 7 | 9:
+                values[rows] = chosen
+            case _:
+                values[rows] = np.nan
+    return values
+
+
+def overflown(status: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Which changes say that the server dropped some before them."""
+    return (status & _OVERFLOW_MASK) == _OVERFLOW
+
+
+@njit(cache=True, inline="always")
+def _u4(raw: NDArray[np.uint8], at: int) -> np.uint64:
+    return (
+        np.uint64(raw[at])
+        | np.uint64(raw[at + 1]) << np.uint64(8)
+        | np.uint64(raw[at + 2]) << np.uint64(16)
+        | np.uint64(raw[at + 3]) << np.uint64(24)
+    )
+
+
+@njit(cache=True, inline="always")
+def _i8(raw: NDArray[np.uint8], at: int) -> np.int64:
+    return np.int64(_u4(raw, at) | _u4(raw, at + 4) << np.uint64(32))
+
+
+@njit(cache=True)
+def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
+    raw: NDArray[np.uint8],
+    position: int,
+    stop: int,
+    row: int,
+    publish_time: int,
+    handle: int,
+    item: NDArray[np.int32],
+    bits: NDArray[np.uint64],
+    kind: NDArray[np.uint8],
+    status: NDArray[np.uint32],
+    time: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Take in records until all rows are filled, or one is not known, or cut short.
+
+    ``handle`` bytes go before each value.
+
+    Returns the next row and the position of its record.
+    """
+    n = len(item)
+    while row < n:
+        at = position + handle
+        if stop - at < 1:
+            break
+        mask = raw[at]
+        if mask & _RESERVED:
+            break
+        at += 1
+        number = np.uint8(0)
+        size = 0
+        if mask & 0x01:
+            if stop - at < 1:
+                break
+            number = raw[at]
+            at += 1
+            size = _SIZES[number]
+            if _ELEMENTS[number] > 0:
+                if stop - at < 4:
+                    break
+                size = 4 + max(np.int64(np.int32(_u4(raw, at))), 0) * _ELEMENTS[number]
+            elif size == 0 and number != 0:
+                break
+            if not _NUMERIC[number]:
+                number = np.uint8(_NO_NUMBER)
+        tail = size
+        if mask & 0x02:
+            tail += 4
+        if mask & 0x04:
+            tail += 8
+        if mask & 0x10:
+            tail += 2
+        if mask & 0x08:
+            tail += 8
+        if mask & 0x20:
+            tail += 2
+        if stop - at < tail:
+            break
+        if number == _NO_NUMBER:
+            bits[row] = np.uint64(0)
+        elif size == 8:
+            bits[row] = np.uint64(_i8(raw, at))
+        elif size == 4:
+            value = _u4(raw, at)
+            bits[row] = np.uint64(np.int32(value)) if number == 6 else value
+        elif size == 2:
+            value = np.uint64(raw[at]) | np.uint64(raw[at + 1]) << np.uint64(8)
+            bits[row] = np.uint64(np.int16(value)) if number == 4 else value
+        elif number == 1:
+            bits[row] = np.uint64(raw[at] != 0)
+        elif size == 1:
+            value = np.uint64(raw[at])
+            bits[row] = np.uint64(np.int8(value)) if number == 2 else value
+        else:
+            bits[row] = np.uint64(0)
+        at += size
+        if handle > 0:
+            item[row] = np.int32(_u4(raw, position))
+        kind[row] = number
+        if mask & 0x02:
+            status[row] = np.uint32(_u4(raw, at))
+            at += 4
+        else:
+            status[row] = np.uint32(0)
+        ticks = np.int64(0)
+        picoseconds = np.int64(0)
+        if mask & 0x04:
+            ticks = _i8(raw, at)
+            at += 8
+        if mask & 0x10:
+            if ticks != 0:
+                picoseconds = np.int64(raw[at]) | np.int64(raw[at + 1]) << 8
+            at += 2
+        if mask & 0x08:
+            if ticks == 0:
+                ticks = _i8(raw, at)
+                if mask & 0x20 and ticks != 0:
+                    picoseconds = np.int64(raw[at + 8]) | np.int64(raw[at + 9]) << 8
+            at += 8
+        if mask & 0x20:
+            at += 2
+        if ticks == 0:
+            time[row] = publish_time
+        else:
+            if ticks < _MIN_TICKS:
+                ticks = np.int64(_MIN_TICKS)
+            elif ticks > _MAX_TICKS:
+                ticks = np.int64(_MAX_TICKS)
+            time[row] = (ticks - EPOCH_TICKS) * 100 + picoseconds // 100
+        position = at
+        row += 1
+    return row, position

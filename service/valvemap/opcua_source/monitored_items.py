@@ -1,0 +1,164 @@
+"""The monitored items of a subscription: made, checked, given longer queues."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from asyncua import ua
+
+from valvemap.errors import SourceRejected
+from valvemap.opcua_client.connection import Connection, status_name
+from valvemap.opcua_client.requests import in_chunks, operation_limits
+from valvemap.opcua_source.source_nodes import MonitoredNode
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
+
+_log = logging.getLogger(__name__)
+
+_ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publishes
+
+
+@dataclass(frozen=True)
+class Item:
+    """A monitored item: its node, its number at the server, the queue that was granted.
+
+    ``handle`` is what its changes are marked with.
+    """
+
+    node: MonitoredNode
+    number: int
+    queue_size: int
+    handle: int
+
+
+async def create_items(
+    connection: Connection, subscription: int, nodes: Mapping[int, MonitoredNode]
+) -> tuple[Item, ...]:
+    """Watch every sample of every node; the keys are the handles.
+
+    Raises
+    ------
+    SourceRejected
+        naming the node that cannot be watched.
+    UaError
+    """
+    settings = connection.settings
+
+    async def create(
+        chunk: Sequence[tuple[int, MonitoredNode]],
+    ) -> list[ua.MonitoredItemCreateResult]:
+        return await connection.session.create_monitored_items(
+            ua.CreateMonitoredItemsParameters(
+                SubscriptionId=subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Both,
+                ItemsToCreate=[
+                    ua.MonitoredItemCreateRequest(
+                        ItemToMonitor=ua.ReadValueId(
+                            NodeId=node.node, AttributeId=ua.AttributeIds.Value
+                        ),
+                        MonitoringMode=ua.MonitoringMode.Reporting,
+                        RequestedParameters=_parameters(handle, connection, settings.queue_size),
+                    )
+                    for handle, node in chunk
+                ],
+            )
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    created = await in_chunks(list(nodes.items()), min(limit, _ITEMS_AT_ONCE), create)
+    for node, result in zip(nodes.values(), created, strict=True):
+        if result.StatusCode.value >> 30:
+            raise SourceRejected(
+                f"{node.label} cannot be subscribed to at {settings.url}: "
+                f"{status_name(result.StatusCode.value)}"
+            )
+    slowest_ms = max(result.RevisedSamplingInterval for result in created)
+    if slowest_ms > max(settings.sampling_interval_ms, 0.0):
+        _log.warning(
+            "%s: samples a node every %g ms instead of %g ms",
+            settings.url,
+            slowest_ms,
+            settings.sampling_interval_ms,
+        )
+    items = tuple(
+        Item(node, result.MonitoredItemId, result.RevisedQueueSize, handle)
+        for (handle, node), result in zip(nodes.items(), created, strict=True)
+    )
+    _check_queues(connection, items, settings.queue_size)
+    return items
+
+
+async def delete_items(connection: Connection, subscription: int, numbers: Sequence[int]) -> None:
+    """Watch some items no longer.
+
+    Raises
+    ------
+    UaError
+    """
+
+    async def delete(chunk: Sequence[int]) -> list[ua.StatusCode]:
+        return await connection.session.delete_monitored_items(
+            ua.DeleteMonitoredItemsParameters(subscription, list(chunk))
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    await in_chunks(numbers, min(limit, _ITEMS_AT_ONCE), delete)
+
+
+async def enlarge_queues(
+    connection: Connection, subscription: int, items: Sequence[Item], size: int
+) -> tuple[Item, ...]:
+    """Have queues of ``size`` values; return the items with what was granted.
+
+    Raises
+    ------
+    UaError
+    """
+
+    async def modify(chunk: Sequence[Item]) -> list[ua.MonitoredItemModifyResult]:
+        return await connection.session.modify_monitored_items(
+            ua.ModifyMonitoredItemsParameters(
+                SubscriptionId=subscription,
+                TimestampsToReturn=ua.TimestampsToReturn.Both,
+                ItemsToModify=[
+                    ua.MonitoredItemModifyRequest(
+                        item.number, _parameters(item.handle, connection, size)
+                    )
+                    for item in chunk
+                ],
+            )
+        )
+
+    limit = (await operation_limits(connection)).items_per_call
+    results = await in_chunks(items, min(limit, _ITEMS_AT_ONCE), modify)
+    enlarged = tuple(
+        item if result.StatusCode.value >> 30 else replace(item, queue_size=result.RevisedQueueSize)
+        for item, result in zip(items, results, strict=True)
+    )
+    _check_queues(connection, enlarged, size)
+    return enlarged
+
+
+def _parameters(handle: int, connection: Connection, queue_size: int) -> ua.MonitoringParameters:
+    """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
+    return ua.MonitoringParameters(
+        ClientHandle=handle,
+        SamplingInterval=connection.settings.sampling_interval_ms,
+        Filter=ua.DataChangeFilter(
+            Trigger=ua.DataChangeTrigger.StatusValueTimestamp,
+            DeadbandType=ua.DeadbandType.None_,
+        ),
+        QueueSize=queue_size,
+        DiscardOldest=True,
+    )
+
+
+def _check_queues(connection: Connection, items: Sequence[Item], asked: int) -> None:
+    """Warn of what a cut will cost."""
+    smallest = min(item.queue_size for item in items)
+    if smallest < asked:
+        _log.warning(
+            "%s: keeps %d values of a node instead of %d while nobody asks for them",
+            connection.settings.url,
+            smallest,
+            asked,
+        )

@@ -1,0 +1,286 @@
+"""The nodes of a source server: their names, whether they exist, whether they hold numbers."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from uuid import UUID
+
+from asyncua import ua
+
+from valvemap.errors import ConfigurationError, SourceRejected
+from valvemap.opcua_client.connection import Connection, in_one_line, status_name
+from valvemap.opcua_client.requests import namespaces_of, read_attributes
+from valvemap.opcua_source.wire import NUMERIC_FORMATS
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
+from valvemap.pipeline.units import READ, Measure
+
+REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
+
+_NODE_ID = re.compile(
+    r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)"
+)
+_ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
+
+_ATTRIBUTES = (
+    ua.AttributeIds.NodeClass,
+    ua.AttributeIds.DataType,
+    ua.AttributeIds.ValueRank,
+    ua.AttributeIds.UserAccessLevel,
+    ua.AttributeIds.Value,
+)
+_ABSTRACT_NUMBERS = {26, 27, 28}  # Number, Integer, UInteger
+_BUILT_IN = {kind.value for kind in ua.VariantType}
+_SCALARS = {-3, -2, -1}  # ScalarOrOneDimension, Any, Scalar
+
+
+@dataclass(frozen=True)
+class ValveNodes:
+    """Where one valve's signals are; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
+
+    ``T``, ``sequence`` (a counter that grows by one with each sample), ``required_U`` (where the
+    feed-forward voltage is written) and ``heartbeat`` (UInt32, where the source sees that it still
+    is) may be missing. ``measures`` says by name in what units the signals come and the command
+    goes; with ``insist`` the source may say otherwise.
+    """
+
+    valve: str
+    U: str
+    p1: str
+    p2: str
+    Q: str
+    T: str | None = None
+    sequence: str | None = None
+    required_U: str | None = None
+    heartbeat: str | None = None
+    measures: Mapping[str, Measure] = field(default_factory=dict)
+    insist: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the form of the NodeIds.
+
+        Raises
+        ------
+        ConfigurationError
+            naming node and valve.
+        """
+        for wanted in _of_valve(0, self):
+            parse_node_id(wanted.text, ())
+
+    def measure(self, name: str) -> Measure:
+        """What is known of a signal, or of the command, beforehand."""
+        return self.measures.get(name, Measure())
+
+    def signals(self) -> Iterator[tuple[Signal, str, str]]:
+        """Signal, name and NodeId of all that is to be read."""
+        named = zip(Signal, READ, strict=True)
+        for signal, name in named:
+            text = getattr(self, name)
+            if text is not None:
+                yield signal, name, text
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """One node as configured; ``item`` is None for those that are written."""
+
+    item: int | None
+    valve: int
+    text: str
+    role: str
+
+
+@dataclass(frozen=True)
+class MonitoredNode:
+    """A node to subscribe to, and the item number of its changes."""
+
+    item: int
+    node: ua.NodeId
+    label: str
+
+
+@dataclass(frozen=True)
+class WritableNode:
+    """A node to write to, the type it takes, and how to name it in an error."""
+
+    node: ua.NodeId
+    type: ua.VariantType
+    label: str
+
+
+@dataclass(frozen=True)
+class CheckedNodes:
+    """What can be subscribed to and, by valve and role, written to."""
+
+    monitored: tuple[MonitoredNode, ...]
+    writable: dict[tuple[int, str], WritableNode]
+
+
+def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.NodeId:
+    """Turn the text of a NodeId into one.
+
+    Parameters
+    ----------
+    text
+        As in OPC UA Part 6, 5.3.1.10.
+    namespaces
+        The server's NamespaceArray; an empty one checks the form only.
+
+    Raises
+    ------
+    ConfigurationError
+        if the form is wrong.
+    SourceRejected
+        if the server does not know the namespace.
+
+    Examples
+    --------
+    >>> parse_node_id("nsu=urn:plant;s=Valve;7.U", ["urn:ua", "urn:other", "urn:plant"])
+    NodeId(Identifier='Valve;7.U', NamespaceIndex=2, NodeIdType=<NodeIdType.String: 3>)
+    """
+    match = _NODE_ID.fullmatch(text)
+    if match is None:
+        raise ConfigurationError(f"node '{text}' is no NodeId; {_ALLOWED}")
+    index = int(match["index"] or 0)
+    if match["uri"] is not None and namespaces:
+        if match["uri"] not in namespaces:
+            raise SourceRejected(
+                f"node '{text}': the server has no namespace {match['uri']}; "
+                f"it has {in_one_line(', '.join(namespaces))}"
+            )
+        index = list(namespaces).index(match["uri"])
+    try:
+        match match["kind"]:
+            case "i":
+                return ua.NodeId(_uint32(match["name"]), index)
+            case "g":
+                return ua.NodeId(UUID(match["name"]), index)
+            case "b":
+                return ua.NodeId(ua.NodeId.from_string(f"b={match['name']}").Identifier, index)
+            case _:
+                return ua.NodeId(match["name"], index)
+    except (ValueError, ua.UaError) as error:
+        raise ConfigurationError(f"node '{text}' is no NodeId; {_ALLOWED}") from error
+
+
+async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> CheckedNodes:
+    """Read every node once.
+
+    Raises
+    ------
+    SourceRejected
+        naming the first node that is missing, unreadable, not writable or not a number.
+    SourceLost
+    """
+    url = connection.settings.url
+    namespaces = await namespaces_of(connection)
+    wanted = [node for number, valve in enumerate(valves) for node in _of_valve(number, valve)]
+    ids = [parse_node_id(node.text, namespaces) for node in wanted]
+    with connection.errors("reading the nodes"):
+        answers = await read_attributes(connection, ids, _ATTRIBUTES)
+        return _checked(url, valves, wanted, ids, answers)
+
+
+def _checked(
+    url: str,
+    valves: Sequence[ValveNodes],
+    wanted: Sequence[_Wanted],
+    ids: Sequence[ua.NodeId],
+    answers: Sequence[Sequence[ua.DataValue]],
+) -> CheckedNodes:
+    """Refuse what cannot be used."""
+    monitored, writable, faults = [], {}, []
+    for node, node_id, answer in zip(wanted, ids, answers, strict=True):
+        label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
+        fault = _fault(answer, write=node.item is None)
+        if fault is None and node.role == HEARTBEAT and _type_of(answer) != ua.VariantType.UInt32:
+            fault = f"is of type {_type_of(answer).name} at {{url}}; a UInt32 is needed"
+        if fault:
+            faults.append(f"{label} {fault.format(url=url)}")
+        elif node.item is None:
+            writable[node.valve, node.role] = WritableNode(node_id, _type_of(answer), label)
+        else:
+            monitored.append(MonitoredNode(node.item, node_id, label))
+    if faults:
+        more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
+        raise SourceRejected(faults[0] + more)
+    return CheckedNodes(tuple(monitored), writable)
+
+
+def _of_valve(number: int, nodes: ValveNodes) -> Iterator[_Wanted]:
+    for signal, name, text in nodes.signals():
+        yield _Wanted(number * SIGNALS_PER_VALVE + signal, number, text, name)
+    for role in (REQUIRED_U, HEARTBEAT):
+        text = getattr(nodes, role)
+        if text is not None:
+            yield _Wanted(None, number, text, role)
+
+
+def _uint32(text: str) -> int:
+    number = int(text)
+    if not 0 <= number < 2**32:
+        raise ValueError(text)
+    return number
+
+
+def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> str | None:
+    """What is wrong with a node, as the end of a sentence with a place for the url."""
+    node_class, data_type, rank, access, value = answer
+    return (
+        _fault_of_class(node_class)
+        or _fault_of_access(access, value, write=write)
+        or _fault_of_type(data_type, rank, value)
+    )
+
+
+def _fault_of_class(node_class: ua.DataValue) -> str | None:
+    code = _code(node_class)
+    if code in {ua.StatusCodes.BadNodeIdUnknown, ua.StatusCodes.BadNodeIdInvalid}:
+        return "does not exist at {url}; the NodeId of an existing variable is needed"
+    if code >> 31:
+        return f"cannot be read at {{url}}: {status_name(code)}"
+    if node_class.Value.Value != ua.NodeClass.Variable:
+        name = ua.NodeClass(node_class.Value.Value).name
+        return f"is of class {name} at {{url}}; a Variable is needed"
+    return None
+
+
+def _fault_of_access(access: ua.DataValue, value: ua.DataValue, *, write: bool) -> str | None:
+    bit, verb = (
+        (ua.AccessLevel.CurrentWrite, "written") if write else (ua.AccessLevel.CurrentRead, "read")
+    )
+    withheld = not _code(access) >> 31 and not (access.Value.Value or 0) >> bit & 1
+    denied = not write and _code(value) == ua.StatusCodes.BadUserAccessDenied
+    if withheld or denied:
+        return f"cannot be {verb} by this user at {{url}}; another user is needed"
+    return None
+
+
+def _fault_of_type(data_type: ua.DataValue, rank: ua.DataValue, value: ua.DataValue) -> str | None:
+    kind = _kind(data_type, value)
+    if kind is not None and kind not in NUMERIC_FORMATS and kind not in _ABSTRACT_NUMBERS:
+        name = ua.VariantType(kind).name
+        return f"is of type {name} at {{url}}; a Boolean, an integer, Float or Double is needed"
+    if rank.Value.Value not in _SCALARS:
+        return "is an array at {url}; a scalar is needed"
+    return None
+
+
+def _type_of(answer: Sequence[ua.DataValue]) -> ua.VariantType:
+    _, data_type, _, _, value = answer
+    kind = _kind(data_type, value)
+    return ua.VariantType(kind) if kind in NUMERIC_FORMATS else ua.VariantType.Double
+
+
+def _kind(data_type: ua.DataValue, value: ua.DataValue) -> int | None:
+    """Built-in type of a variable's values; None if only the future can say."""
+    if value.Value is not None and value.Value.VariantType != ua.VariantType.Null:
+        return int(value.Value.VariantType.value)
+    node_id = data_type.Value.Value if data_type.Value is not None else None
+    if node_id is None or node_id.NamespaceIndex != 0:
+        return None
+    known = node_id.Identifier in _BUILT_IN | _ABSTRACT_NUMBERS and node_id.Identifier != 24
+    return int(node_id.Identifier) if known else None
+
+
+def _code(answer: ua.DataValue) -> int:
+    return answer.StatusCode.value if answer.StatusCode is not None else 0

@@ -1,0 +1,203 @@
+"""Units at the source: numbers turned into ours, and what the source itself says of them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from asyncua import ua
+
+from valvemap.errors import SourceRejected
+from valvemap.opcua_client.connection import Connection, in_one_line
+from valvemap.opcua_client.requests import in_chunks, operation_limits, read_values
+from valvemap.opcua_source.source_nodes import REQUIRED_U, CheckedNodes, ValveNodes
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.units import (
+    MEASURED,
+    QUANTITY_OF,
+    UNECE,
+    Measure,
+    Quantity,
+    Unit,
+    inside,
+    unit_by_number,
+    unit_of,
+)
+
+_HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
+_PROPERTIES: Final = ("EngineeringUnits", "EURange")
+_SLACK: Final = 0.01  # of a range: rounding of who set it up
+_ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0), (0.0, 5.0))
+
+
+class Scales:
+    """Turns data changes into the units that are used inside."""
+
+    def __init__(self, valves: Sequence[ValveNodes]) -> None:
+        n = len(valves) * SIGNALS_PER_VALVE
+        self._gain, self._offset = np.ones(n), np.zeros(n)
+        for number, valve in enumerate(valves):
+            for place, name in enumerate(MEASURED):
+                scaling = valve.measure(name).scaling(name)
+                item = number * SIGNALS_PER_VALVE + place
+                self._gain[item], self._offset[item] = scaling.gain, scaling.offset
+        self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
+
+    def __call__(self, changes: DataChanges) -> DataChanges:
+        """The same changes in our units; the very same ones where none has a unit of its own."""
+        if self._has_none:
+            return changes
+        gain, offset = self._gain[changes.item], self._offset[changes.item]
+        own = (gain == 1.0) & (offset == 0.0)
+        return replace(changes, value=np.where(own, changes.value, changes.value * gain + offset))
+
+
+@dataclass(frozen=True)
+class SaidOfNode:
+    """What a node's properties say: its unit, that unit's own symbol, and its range."""
+
+    unit: Unit | None = None
+    symbol: str = ""
+    bounds: tuple[float, float] | None = None
+
+
+async def check_units(
+    connection: Connection, valves: Sequence[ValveNodes], nodes: CheckedNodes
+) -> None:
+    """Compare the nodes' EngineeringUnits and EURange with what the configuration says of them.
+
+    A server that has neither, or cannot look them up, is believed.
+
+    Raises
+    ------
+    SourceRejected
+        naming the first node that says otherwise.
+    SourceLost
+    """
+    wanted = list(_wanted(valves, nodes))
+    said = await read_units(connection, [node for _, _, node, _ in wanted])
+    faults = []
+    for (valve, name, _, label), of_node in zip(wanted, said, strict=True):
+        fault = contradiction(name, valves[valve].measure(name), of_node)
+        if fault is not None and not valves[valve].insist:
+            faults.append(
+                f"{label} {fault} (signals.{name} of valve {valves[valve].valve}; "
+                "insist = true takes it as it is)"
+            )
+    if faults:
+        more = f" (and {len(faults) - 1} more nodes)" if len(faults) > 1 else ""
+        raise SourceRejected(faults[0] + more)
+
+
+def contradiction(name: str, measure: Measure, said: SaidOfNode) -> str | None:
+    """What speaks against a signal's configuration, as the end of a sentence; None if nothing.
+
+    >>> contradiction("p1", Measure(), SaidOfNode(unit_of("psi")))
+    "comes in psi, configured is bar: set unit = 'psi'"
+    """
+    return _of_unit(name, measure, said.unit) or _of_range(name, measure, said)
+
+
+def _of_unit(name: str, measure: Measure, said: Unit | None) -> str | None:
+    quantity = QUANTITY_OF[name]
+    unit = measure.unit or inside(quantity)
+    if said is None:
+        return None
+    if measure.raw is not None:
+        is_raw = said.quantity in {Quantity.ELECTRICAL, Quantity.OPENING}  # or a share of the range
+        what = f"comes in {said.symbol}, configured is a raw range: leave raw and range out"
+        return None if is_raw else what
+    if said.quantity is Quantity.ELECTRICAL:
+        return f"comes in {said.symbol}: raw and range must say what it means"
+    if said.quantity is not quantity:
+        return f"comes in {said.symbol}, a unit of {said.quantity.noun}; is it the right node?"
+    what = f"comes in {said.symbol}, configured is {unit.symbol}: set unit = '{said.symbol}'"
+    return None if said == unit else what
+
+
+def _of_range(name: str, measure: Measure, said: SaidOfNode) -> str | None:
+    if said.bounds is None:
+        return None
+    low, high = said.bounds
+    shown = f"[{low:g}, {high:g}]"
+    if measure.raw is not None:
+        slack = _SLACK * (high - low)
+        if min(measure.raw) < low - slack or max(measure.raw) > high + slack:
+            return f"has the range {shown}, configured is raw = {list(measure.raw)}"
+        return None
+    is_electrical = said.unit is None and said.bounds in _ELECTRICAL_SPANS
+    if name in {"U", REQUIRED_U} and measure.unit is None and is_electrical:
+        return f"has the range {shown}, which is no %: raw = {shown}, range = [0, 100]"
+    return None
+
+
+async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list[SaidOfNode]:
+    """What EngineeringUnits and EURange say of some nodes; nothing where there are none.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    with connection.errors("reading units"):
+        try:
+            limit = (await operation_limits(connection)).nodes_per_read
+            paths = [_path(node, name) for node in nodes for name in _PROPERTIES]
+            session = connection.session
+            found = await in_chunks(
+                paths, limit, lambda some: session.translate_browsepaths_to_nodeids(list(some))
+            )
+            targets = [_target(result) for result in found]
+            there = [target for target in targets if target is not None]
+            answers = iter(await read_values(connection, there))
+        except ua.UaStatusCodeError:
+            return [SaidOfNode() for _ in nodes]
+        values = [None if target is None else _value(next(answers)) for target in targets]
+    pairs = zip(values[::2], values[1::2], strict=True)
+    return [_said(information, bounds) for information, bounds in pairs]
+
+
+def _wanted(
+    valves: Sequence[ValveNodes], nodes: CheckedNodes
+) -> Iterator[tuple[int, str, ua.NodeId, str]]:
+    for node in nodes.monitored:
+        valve, signal = divmod(node.item, SIGNALS_PER_VALVE)
+        if signal < len(MEASURED):
+            yield valve, MEASURED[signal], node.node, node.label
+    for number in range(len(valves)):
+        command = nodes.writable.get((number, REQUIRED_U))
+        if command is not None:
+            yield number, REQUIRED_U, command.node, command.label
+
+
+def _path(node: ua.NodeId, name: str) -> ua.BrowsePath:
+    element = ua.RelativePathElement(
+        ReferenceTypeId=_HAS_PROPERTY,
+        IsInverse=False,
+        IncludeSubtypes=True,
+        TargetName=ua.QualifiedName(name, 0),
+    )
+    return ua.BrowsePath(StartingNode=node, RelativePath=ua.RelativePath(Elements=[element]))
+
+
+def _target(result: ua.BrowsePathResult) -> ua.NodeId | None:
+    if not result.StatusCode.is_good() or not result.Targets:
+        return None
+    target = result.Targets[0].TargetId
+    return ua.NodeId(target.Identifier, target.NamespaceIndex, target.NodeIdType)
+
+
+def _value(answer: ua.DataValue) -> object:
+    good = answer.StatusCode is None or answer.StatusCode.is_good()
+    return answer.Value.Value if good and answer.Value is not None else None
+
+
+def _said(information: object, bounds: object) -> SaidOfNode:
+    unit, symbol, span = None, "", None
+    if isinstance(information, ua.EUInformation):
+        symbol = in_one_line(information.DisplayName.Text or "")
+        if information.NamespaceUri in {UNECE, "", None}:
+            unit = unit_by_number(information.UnitId)
+        unit = unit or unit_of(symbol)
+    if isinstance(bounds, ua.Range) and np.isfinite([bounds.Low, bounds.High]).all():
+        span = (float(bounds.Low), float(bounds.High)) if bounds.Low < bounds.High else None
+    return SaidOfNode(unit, symbol, span)

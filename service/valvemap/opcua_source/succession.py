@@ -1,0 +1,80 @@
+"""What a source leaves to the one that goes on in its place, with other valves perhaps."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.opcua_client.connection import Ticket
+from valvemap.opcua_source.history import Knowledge
+from valvemap.opcua_source.source_nodes import ValveNodes
+from valvemap.opcua_source.subscription import Left, Part, Tally
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
+
+
+@dataclass(frozen=True)
+class Estate:
+    """What there is when a source stops.
+
+    Attributes
+    ----------
+    valves
+        By which items are numbered.
+    knowledge, parts
+        How far each item is known, and what has arrived since.
+    tally, ticket, left, left_at
+        Counts, session and subscription; the time (monotonic, s) since when it is alone.
+    surplus
+        Numbers of monitored items that nobody needs any more.
+    """
+
+    valves: tuple[ValveNodes, ...]
+    knowledge: Knowledge
+    parts: tuple[Part, ...]
+    tally: Tally
+    ticket: Ticket | None
+    left: Left | None
+    left_at: float
+    surplus: tuple[int, ...] = ()
+
+
+def divided(estate: Estate, valves: Sequence[ValveNodes]) -> Estate:
+    """What concerns these valves: signals of the same name and node, by their new numbers."""
+    ours = {key: item for item, key in _keys(valves)}
+    item_of = np.full(len(estate.knowledge.known_to), -1, np.int32)
+    for item, key in _keys(estate.valves):
+        item_of[item] = ours.get(key, -1)
+    both = item_of >= 0
+    knowledge = Knowledge(len(valves) * SIGNALS_PER_VALVE)
+    knowledge.known_to[item_of[both]] = estate.knowledge.known_to[both]
+    knowledge.doubtful[item_of[both]] = estate.knowledge.doubtful[both]
+    left, surplus = estate.left, estate.surplus
+    if left is not None:
+        surplus += tuple(i.number for i in left.items if item_of[i.node.item] < 0)
+        items = tuple(
+            replace(i, node=replace(i.node, item=int(item_of[i.node.item])))
+            for i in left.items
+            if item_of[i.node.item] >= 0
+        )
+        left = replace(left, items=items)
+    return replace(
+        estate,
+        valves=tuple(valves),
+        knowledge=knowledge,
+        parts=tuple(_of(part, item_of) for part in estate.parts),
+        left=left,
+        surplus=surplus,
+    )
+
+
+def _of(part: Part, item_of: NDArray[np.int32]) -> Part:
+    item = item_of[part.changes.item]
+    return replace(part, changes=replace(part.changes, item=item)[item >= 0])
+
+
+def _keys(valves: Sequence[ValveNodes]) -> Iterator[tuple[int, tuple[object, ...]]]:
+    """The items of some valves, and by what each is known again."""
+    for number, valve in enumerate(valves):
+        for signal, _, text in valve.signals():
+            yield number * SIGNALS_PER_VALVE + signal, (valve.valve, signal, text)

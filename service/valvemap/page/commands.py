@@ -1,0 +1,58 @@
+"""What who is logged in may do from the page: demand a flow; in a demo, play with the rig."""
+
+import math
+from typing import Any
+
+from valvemap.errors import CommandRejected
+from valvemap.page.log_ins import LogIn
+
+_LONGEST_NAME = 100
+
+
+async def carry_out(log_in: LogIn, command: dict[str, Any]) -> None:
+    """Carry out one command with the user's own rights.
+
+    Raises
+    ------
+    CommandRejected
+        if it is none, or the server refuses it.
+    SourceLost, SourceRejected
+    """
+    match command:
+        case {"demand": str() as valve, "Q": float() | int() as Q, "dp": float() | int() as dp}:
+            name = _checked(valve)
+            await log_in.service.write(f"{name}.Inverse.PressureDrop", _finite(dp))
+            await log_in.service.write(f"{name}.Inverse.FlowDemand", _finite(Q))
+        case {"scenario": str() as scenario}:
+            if scenario:
+                await _rig(log_in).call("Rig", "StartScenario", [[_checked(scenario)]])
+            else:
+                await _rig(log_in).call("Rig", "StopScenario", [[]])
+        case {
+            "fault": str() as kind,
+            "valve": str() as valve,
+            "size": float() | int() as size,
+            "duration": float() | int() as duration,
+        }:
+            inputs = [[_checked(kind), _finite(size), _finite(duration)]]
+            await _rig(log_in).call(_checked(valve), "InjectFault", inputs)
+        case _:
+            raise CommandRejected("no such command")
+
+
+def _rig(log_in: LogIn) -> Any:  # noqa: ANN401 - a client
+    if log_in.rig is None:
+        raise CommandRejected("there is no virtual rig here")
+    return log_in.rig
+
+
+def _checked(name: str) -> str:
+    if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise CommandRejected("no such name")
+    return name
+
+
+def _finite(number: float) -> float:
+    if not math.isfinite(number):
+        raise CommandRejected("a number is needed")
+    return float(number)

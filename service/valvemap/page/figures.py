@@ -1,0 +1,102 @@
+"""What `/metrics` alone shows: read from the service when somebody asks, at most once a second."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from valvemap.clock import Clock
+from valvemap.errors import ValvemapError
+from valvemap.page.layout import Valve
+from valvemap.page.ports import Client
+from valvemap.page.reading import read_all
+from valvemap.readings import Reading
+
+Key = TypeVar("Key")
+
+EVERY_S = 1.0  # however often somebody asks
+SERVICE = (
+    "Checkpoint.Age",
+    "Checkpoint.Failures",
+    "Checkpoint.Refused",
+    "Checkpoint.Size",
+    "Source.Notifications",
+    "Source.Overflows",
+    "Source.MissingMessages",
+    "Source.Undecodable",
+    "Source.FromHistory",
+    "History.Lost",
+    "History.Failures",
+    "History.Size",
+)
+SUMMARY = {  # of the server's own diagnostics, Part 5, 6.3.3
+    "CurrentSessionCount": 2277,
+    "CurrentSubscriptionCount": 2285,
+    "SecurityRejectedSessionCount": 2279,
+    "RejectedSessionCount": 3705,
+    "SecurityRejectedRequestsCount": 2287,
+    "RejectedRequestsCount": 2288,
+}
+_DIAGNOSTICS = "Diagnostics"
+_BAD = 0x8000_0000
+
+
+@dataclass
+class Figures:
+    """The newest figures.
+
+    ``valves`` by a valve's name and that of a variable of its Diagnostics, ``service`` by the name
+    of a variable of Service, ``server`` by the name of a count that every OPC UA server keeps.
+    """
+
+    client: Client
+    clock: Clock
+    valves: dict[tuple[str, str], float] = field(default_factory=dict)
+    service: dict[str, float] = field(default_factory=dict)
+    server: dict[str, float] = field(default_factory=dict)
+    _names: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _due: float = 0.0
+
+    def forget(self) -> None:
+        """Forget what is known: the service is another one."""
+        self.valves, self.service, self.server, self._names = {}, {}, {}, {}
+        self._due = 0.0
+
+    async def look(self, valves: Sequence[Valve]) -> None:
+        """Read what is due; what the service does not answer stays as it is."""
+        now = self.clock.monotonic()
+        if now < self._due:
+            return
+        self._due = now + EVERY_S
+        try:
+            of_valves = [
+                (valve.name, name) for valve in valves for name in await self._names_of(valve.name)
+            ]
+            ids = [f"{valve}.{_DIAGNOSTICS}.{name}" for valve, name in of_valves]
+            readings = await read_all(self.client, ids)
+            of_service = await read_all(self.client, [f"Service.{name}" for name in SERVICE])
+            of_server = await read_all(self.client, list(SUMMARY.values()))
+        except ValvemapError:
+            return  # the observer says why
+        self.valves = _numbers(of_valves, readings)
+        self.service = _numbers(SERVICE, of_service)
+        self.server = _numbers(list(SUMMARY), of_server)
+
+    async def _names_of(self, valve: str) -> tuple[str, ...]:
+        known = self._names.get(valve)
+        if known is None:
+            children = await self.client.browse(f"{valve}.{_DIAGNOSTICS}")
+            known = tuple(c.id.rpartition(".")[2] for c in children if c.is_variable)
+            self._names[valve] = known
+        return known
+
+
+def _numbers(keys: Sequence[Key], readings: Sequence[Reading]) -> dict[Key, float]:
+    """Numbers that are there; what is Bad, or no number, is none."""
+    return {
+        key: float(reading.value)
+        for key, reading in zip(keys, readings, strict=True)
+        if reading.code < _BAD
+        and isinstance(reading.value, int | float)
+        and not math.isnan(reading.value)
+    }

@@ -1,0 +1,52 @@
+"""The map as a surface, asked of the service point by point: Q, its uncertainty, its status."""
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+from valvemap.page.ports import Client
+
+POINTS_U, POINTS_DP = 21, 17
+_WIDEST_U, _WIDEST_DP = (0.0, 100.0), (0.0, 200.0)  # %, bar, where the service does not say
+_AT_ONCE = 51  # points of one call: three rows; others are answered between two calls
+_NAN = float("nan")
+
+
+async def draw_surface(client: Client, valve: str, estimator: str) -> Mapping[str, Any]:
+    """Ask an estimator for its map at the temperature measured last.
+
+    Returns
+    -------
+    dict
+        ``U`` (POINTS_U,), ``Dp`` (POINTS_DP,); ``Q``, ``Std`` (l/min) and ``Status`` of shape
+        (POINTS_U, POINTS_DP).
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+    """
+    (axis,) = await client.read([f"{valve}.Inverse.MapDp"])
+    dp = _axis(_span(axis.value, _WIDEST_DP), POINTS_DP)
+    U = _axis(_WIDEST_U, POINTS_U)
+    points = [(u, p, _NAN) for u, p in product(U, dp)]
+    answers: list[tuple[Any, ...]] = []
+    for start in range(0, len(points), _AT_ONCE):
+        chunk = points[start : start + _AT_ONCE]
+        answers += await client.call(f"{valve}.{estimator}", "Predict", chunk)
+    rows = [answers[k : k + POINTS_DP] for k in range(0, len(answers), POINTS_DP)]
+    columns = {
+        name: [[float(answer[k]) for answer in row] for row in rows]
+        for k, name in enumerate(("Q", "Std", "Status"))
+    }
+    return {"U": U, "Dp": dp, **columns}
+
+
+def _span(axis: object, otherwise: tuple[float, float]) -> tuple[float, float]:
+    if isinstance(axis, list) and len(axis) > 1 and axis[0] < axis[-1]:
+        return axis[0], axis[-1]
+    return otherwise
+
+
+def _axis(span: Sequence[float], n: int) -> list[float]:
+    low, high = span
+    return [low + (high - low) * k / (n - 1) for k in range(n)]

@@ -1,0 +1,270 @@
+"""Who looks at the page: what each watches, and what of it is new to them.
+
+A viewer that reads slowly gets fewer and newer values, never a queue: what waits for it is the
+store itself. One that reads nothing for long is hung up on.
+"""
+
+import asyncio
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from valvemap.errors import ValvemapError
+from valvemap.page.layout import Valve
+from valvemap.page.messages import pack_rows, pack_text
+from valvemap.page.observer import Observer
+from valvemap.page.packing import Packing
+from valvemap.page.ports import Wanted
+from valvemap.page.rates import TokenBucket
+
+_SLOW_READER_S = 10.0  # for one message to leave
+_MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
+_POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
+
+
+class Senseless(Exception):  # noqa: N818 - it says what came
+    """A viewer sent something that is no request of ours."""
+
+
+@dataclass(eq=False)
+class Viewer:
+    """One open page.
+
+    ``watched`` is the valve that is in view, ``estimator`` the one whose map is, ``overview``
+    whether all valves are. What it has seen is known by revision and number.
+    """
+
+    socket: WebSocket
+    watched: str | None = None
+    estimator: str | None = None
+    overview: bool = False
+    seen: int = 0
+    events_seen: int = 0
+    names_seen: int = 0
+    greeted: tuple[int, str, str] | None = None
+    rows_seen: dict[int, Any] = field(default_factory=dict)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Viewers:
+    """All open pages.
+
+    Parameters
+    ----------
+    most
+        So many at once.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._open: set[Viewer] = set()
+        self._packing = Packing()
+        self.refused = 0
+        self.senseless = 0
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def wake(self) -> None:
+        """Let everybody look what has changed."""
+        for viewer in self._open:
+            viewer.changed.set()
+
+    def wanted(self, valves: tuple[Valve, ...]) -> Wanted:
+        """What is in view anywhere."""
+        numbers = {valve.name: number for number, valve in enumerate(valves)}
+        wanted = Wanted()
+        for viewer in self._open:
+            number = numbers.get(viewer.watched or "")
+            if number is None:
+                continue
+            wanted.live.add(number)
+            if viewer.estimator in valves[number].estimators:
+                wanted.maps.add((number, viewer.estimator))
+        return wanted
+
+    async def serve(self, socket: WebSocket, observer: Observer) -> None:
+        """Talk with one page until it goes."""
+        if len(self._open) >= self._most:
+            self.refused += 1
+            await socket.close(_TRY_AGAIN_LATER)
+            return
+        await socket.accept()
+        viewer = Viewer(socket)
+        viewer.changed.set()
+        self._open.add(viewer)
+        sending = asyncio.create_task(self._send_for_ever(viewer, observer))
+        listening = asyncio.create_task(self._listen(viewer, observer))
+        try:
+            done, _ = await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            self._open.discard(viewer)
+            for task in (sending, listening):
+                task.cancel()
+            await asyncio.gather(sending, listening, return_exceptions=True)
+            if socket.client_state is WebSocketState.CONNECTED:
+                with suppress(RuntimeError, OSError):
+                    await socket.close(_POLICY_VIOLATION)
+
+    async def _listen(self, viewer: Viewer, observer: Observer) -> None:
+        bucket = TokenBucket(_MESSAGES_PER_S, _BURST)
+        with suppress(WebSocketDisconnect):
+            while True:
+                message = await viewer.socket.receive()
+                if message["type"] == "websocket.disconnect":
+                    return
+                try:
+                    request = _request(message.get("text") if bucket.take() else None)
+                    await self._answer(viewer, observer, request)
+                except Senseless:
+                    self.senseless += 1
+                    return
+
+    async def _answer(self, viewer: Viewer, observer: Observer, request: dict[str, Any]) -> None:
+        match request:
+            case {
+                "watch": {
+                    "valve": str() | None as valve,
+                    "estimator": str() | None as estimator,
+                    "overview": bool() as overview,
+                }
+            }:
+                if valve != viewer.watched or estimator != viewer.estimator:
+                    viewer.seen = 0
+                viewer.watched, viewer.estimator = valve, estimator
+                viewer.overview = overview
+                viewer.rows_seen.clear()
+                viewer.changed.set()
+            case {
+                "ask": int() as number,
+                "invert": str() as valve,
+                "Q": float() | int() as Q,
+                "dp": float() | int() as dp,
+            }:
+                await self._invert(viewer, observer, number, valve, float(Q), float(dp))
+            case _:
+                raise Senseless
+
+    async def _invert(
+        self, viewer: Viewer, observer: Observer, number: int, name: str, Q: float, dp: float
+    ) -> None:
+        """Ask the service which voltage a flow demands; nothing is written."""
+        if name not in (valve.name for valve in observer.valves):
+            raise Senseless
+        try:
+            arguments = [(Q, dp, float("nan"))]
+            ((U, lower, upper, status),) = await observer.client.call(
+                f"{name}.Inverse", "Invert", arguments
+            )
+        except ValvemapError as error:
+            answer: dict[str, Any] = {"error": str(error)}
+        else:
+            answer = {"U": U, "lower": lower, "upper": upper, "status": status}
+        await self._send(viewer, pack_text({"answer": number, "Q": Q, "dp": dp, **answer}))
+
+    async def _send_for_ever(self, viewer: Viewer, observer: Observer) -> None:
+        with suppress(WebSocketDisconnect, RuntimeError, OSError, TimeoutError):
+            while True:
+                await viewer.changed.wait()
+                viewer.changed.clear()
+                for message in self._unseen(viewer, observer):
+                    await self._send(viewer, message)
+
+    async def _send(self, viewer: Viewer, message: str | bytes) -> None:
+        async with asyncio.timeout(_SLOW_READER_S):
+            if isinstance(message, str):
+                await viewer.socket.send_text(message)
+            else:
+                await viewer.socket.send_bytes(message)
+
+    def _unseen(self, viewer: Viewer, observer: Observer) -> Iterator[str | bytes]:
+        """What this viewer has not seen of what it watches."""
+        greeting = (observer.generation, observer.link.value, observer.link_text)
+        if viewer.greeted != greeting:
+            if viewer.greeted is None or viewer.greeted[0] != greeting[0]:
+                viewer.seen = 0
+                viewer.rows_seen.clear()
+            viewer.greeted = greeting
+            yield pack_text(_greeting(observer))
+        events = observer.time_line.after(viewer.events_seen)
+        if events:
+            viewer.events_seen = events[-1].number
+            yield pack_text(
+                {
+                    "events": [
+                        [e.number, e.t / 1e6, e.valve, e.kind, int(e.severity), e.text]
+                        for e in events
+                    ]
+                }
+            )
+        if viewer.overview:
+            yield from self._new_rows(viewer, observer)
+        numbers = {valve.name: number for number, valve in enumerate(observer.valves)}
+        number = numbers.get(viewer.watched or "")
+        if number is not None:
+            yield from self._new_values(viewer, observer, number)
+
+    def _new_rows(self, viewer: Viewer, observer: Observer) -> Iterator[bytes]:
+        new = [
+            (number, row)
+            for number, row in observer.rows.items()
+            if viewer.rows_seen.get(number) is not row
+        ]
+        if new:
+            viewer.rows_seen.update(new)
+            yield pack_rows(
+                [number for number, _ in new],
+                [
+                    (
+                        r.reason.severity,
+                        r.reason,
+                        r.since / 1e6,
+                        r.rmse,
+                        r.noise,
+                        r.samples,
+                        r.silent_s,
+                        r.predicted,
+                    )
+                    for _, r in new
+                ],
+            )
+
+    def _new_values(self, viewer: Viewer, observer: Observer, number: int) -> Sequence[str | bytes]:
+        packed = self._packing.values(observer.store, number, viewer.seen, viewer.names_seen)
+        viewer.seen, viewer.names_seen = observer.store.revision, self._packing.names
+        return packed
+
+
+def _greeting(observer: Observer) -> dict[str, Any]:
+    return {
+        "link": observer.link.value,
+        "text": observer.link_text,
+        "since": observer.link_since / 1e6,
+        "url": observer.client.url,
+        "generation": observer.generation,
+        "valves": [
+            {"name": valve.name, "estimators": valve.estimators, "primary": valve.primary}
+            for valve in observer.valves
+        ],
+    }
+
+
+def _request(text: str | None) -> dict[str, Any]:
+    """A request as JSON; what is none is senseless."""
+    try:
+        request = json.loads(text or "", parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        raise Senseless from None
+    if not isinstance(request, dict):
+        raise Senseless
+    return request
+
+
+def _refuse(_constant: str) -> None:
+    raise ValueError

@@ -1,0 +1,162 @@
+"""The page as a web application: static files, one WebSocket, log-in, health, metrics."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket
+
+from valvemap.clock import Clock
+from valvemap.errors import ValvemapError
+from valvemap.page.commands import carry_out
+from valvemap.page.guard import Guard
+from valvemap.page.log_ins import Clients, LogIns
+from valvemap.page.metrics import CONTENT_TYPE, Metrics
+from valvemap.page.observer import Link, Observer
+from valvemap.page.ports import Client
+from valvemap.page.settings import PageSettings
+from valvemap.page.viewers import Viewers
+
+STATIC = Path(__file__).parent / "static"
+_COOKIE = "valvemap"
+_BODY_S = 5.0  # for a request's body to arrive
+
+
+class Page:
+    """Everything that one page process is.
+
+    Parameters
+    ----------
+    client
+        The page's own client of the service.
+    clients
+        Makes the clients of who logs in.
+    settings
+        Where and for whom.
+    clock
+        Time.
+    rig
+        The URL of a demo's rig; None where there is none.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        clients: Clients,
+        settings: PageSettings,
+        clock: Clock,
+        rig: str | None = None,
+    ) -> None:
+        self.settings = settings
+        self.viewers = Viewers(settings.viewers)
+        self.observer = Observer(
+            client,
+            clock,
+            lambda: self.viewers.wanted(self.observer.valves),
+            self.viewers.wake,
+        )
+        self.log_ins = LogIns(clients, settings, clock)
+        self._has_rig = rig is not None
+        self.guard = Guard(self._application(), settings)
+        self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins)
+
+    def _application(self) -> Starlette:
+        return Starlette(
+            routes=[
+                WebSocketRoute("/live", self._live),
+                Route("/livez", self._livez),
+                Route("/readyz", self._readyz),
+                Route("/metrics", self._show_metrics),
+                Route("/user", self._user),
+                Route("/log-in", self._log_in, methods=["POST"]),
+                Route("/log-out", self._log_out, methods=["POST"]),
+                Route("/command", self._command, methods=["POST"]),
+                Mount("/", _Files(directory=STATIC, html=True)),
+            ]
+        )
+
+    async def _live(self, socket: WebSocket) -> None:
+        await self.viewers.serve(socket, self.observer)
+
+    async def _livez(self, _request: Request) -> Response:
+        return PlainTextResponse("alive\n")
+
+    async def _readyz(self, _request: Request) -> Response:
+        if self.observer.link is Link.UP:
+            return PlainTextResponse("ready\n")
+        return PlainTextResponse(f"{self.observer.link}: {self.observer.link_text}\n", 503)
+
+    async def _show_metrics(self, _request: Request) -> Response:
+        await self.observer.look_at_figures()
+        return Response(self._metrics.exposition(), media_type=CONTENT_TYPE)
+
+    async def _user(self, request: Request) -> Response:
+        """Who is logged in, and what is to be had here."""
+        log_in = self.log_ins.find(request.cookies.get(_COOKIE))
+        return _answer(
+            user=log_in.user if log_in else None,
+            mayLogIn=self.settings.may_log_in,
+            hasRig=self._has_rig,
+        )
+
+    async def _log_in(self, request: Request) -> Response:
+        if not self.settings.may_log_in:
+            return _answer(403, error="a password would travel in the clear: https is needed")
+        match await _body(request):
+            case {"user": str() as user, "password": str() as password} if user and password:
+                try:
+                    secret = await self.log_ins.log_in(user, password)
+                except ValvemapError as error:
+                    return _answer(403, error=str(error))
+            case _:
+                return _answer(400, error="user and password are needed")
+        answer = _answer(user=user)
+        answer.set_cookie(
+            _COOKIE, secret, httponly=True, samesite="strict", secure=self.settings.is_encrypted
+        )
+        return answer
+
+    async def _log_out(self, request: Request) -> Response:
+        await self.log_ins.log_out(request.cookies.get(_COOKIE))
+        answer = _answer(user=None)
+        answer.delete_cookie(_COOKIE, httponly=True, samesite="strict")
+        return answer
+
+    async def _command(self, request: Request) -> Response:
+        log_in = self.log_ins.find(request.cookies.get(_COOKIE))
+        if log_in is None:
+            return _answer(401, error="log in first")
+        try:
+            await carry_out(log_in, await _body(request))
+        except ValvemapError as error:
+            return _answer(409, error=str(error))
+        return _answer()
+
+
+class _Files(StaticFiles):
+    """The page's files; asked for anew after an update, otherwise kept by the browser."""
+
+    def file_response(self, *args: Any, **kwargs: Any) -> Response:  # noqa: ANN401 - Starlette's
+        response = super().file_response(*args, **kwargs)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """A request's JSON object; an empty one if it is none, or does not arrive."""
+    try:
+        async with asyncio.timeout(_BODY_S):
+            body = json.loads(await request.body())
+    except (ValueError, RecursionError, TimeoutError, ClientDisconnect):
+        return {}
+    return body if isinstance(body, dict) else {}
+
+
+def _answer(status: int = 200, **content: Any) -> JSONResponse:  # noqa: ANN401 - any JSON
+    return JSONResponse(content, status, headers={"Cache-Control": "no-store"})

@@ -1,0 +1,451 @@
+"""Alarms of a valve: what is known of it after its samples, against limits. Pure.
+
+=============  ======================================================  =========================
+alarm          what is measured                                        limit by default
+=============  ======================================================  =========================
+Changed        size of a change of the flow that was found             0.25 % of the flow's range
+Residual       residuals, over what they usually are at these places   2.5
+Misfit         residuals of a structure that does not fit              1 % of the flow's range
+SensorLost     time without a sample that is of use                    2 s
+SensorFrozen   time that a sensor's value stands still, others move    10 s
+Unexcited      time that the inputs teach nothing                      a day
+Extrapolated   the standing demand is answered where nothing was       yes
+               measured
+SamplesLost    share of the samples that were lost lately              1 %
+LagFound       lag of a signal that was found                          0.1 s
+=============  ======================================================  =========================
+
+An alarm comes when its limit was exceeded for ``delay_s`` and goes when what is measured falls
+below the limit less the hysteresis. A change stays until somebody has acknowledged it. Time is that
+of the samples, so the same recording gives the same alarms. Changed, Misfit, SamplesLost, LagFound
+and Extrapolated are judged at the end of each batch, all others sample by sample.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.estimator import State, StateMismatchError
+from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Times, Trace
+from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
+from valvemap.pipeline.kernels import alarms as kernel
+from valvemap.pipeline.kernels.alarms import Senses, Watched
+from valvemap.pipeline.ports import AlarmReport, Remark
+
+LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
+ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
+SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # of a change, by residuals
+CLEAR_CHANGE = 2.5  # of the usual residual: a smaller change is one of the map
+LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # from so much on residuals are others than they were
+DAY_S = 86_400.0
+
+
+class Alarm(IntEnum):
+    """Alarms of a valve."""
+
+    CHANGED = 0
+    RESIDUAL = 1
+    MISFIT = 2
+    SENSOR_LOST = 3
+    SENSOR_FROZEN = 4
+    UNEXCITED = 5
+    EXTRAPOLATED = 6
+    SAMPLES_LOST = 7
+    LAG_FOUND = 8
+
+    @property
+    def title(self) -> str:
+        """Its name in configuration and node ids."""
+        return "".join(part.capitalize() for part in self.name.split("_"))
+
+
+class ServiceAlarm(IntEnum):
+    """Alarms of the service itself."""
+
+    CHECKPOINT = 0
+    CERTIFICATE = 1
+    LOAD = 2
+
+    @property
+    def title(self) -> str:
+        """Its name in configuration and node ids."""
+        return self.name.capitalize()
+
+
+ALARM_NAMES = tuple(alarm.title for alarm in Alarm)
+SERVICE_ALARM_NAMES = tuple(alarm.title for alarm in ServiceAlarm)
+
+
+RULES: Mapping[Alarm, AlarmRule] = {
+    Alarm.CHANGED: AlarmRule(limit=0.25, hysteresis=0.0, delay_s=0.0, severity=600),
+    Alarm.RESIDUAL: AlarmRule(limit=2.5, hysteresis=0.8, delay_s=2.0, severity=500),
+    Alarm.MISFIT: AlarmRule(limit=1.0, hysteresis=0.3, delay_s=60.0, severity=300),
+    Alarm.SENSOR_LOST: AlarmRule(limit=2.0, hysteresis=0.0, delay_s=0.0, severity=800),
+    Alarm.SENSOR_FROZEN: AlarmRule(limit=10.0, hysteresis=0.0, delay_s=0.0, severity=700),
+    Alarm.UNEXCITED: AlarmRule(limit=DAY_S, hysteresis=0.0, delay_s=0.0, severity=100),
+    Alarm.EXTRAPOLATED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=5.0, severity=300),
+    Alarm.SAMPLES_LOST: AlarmRule(limit=1.0, hysteresis=0.5, delay_s=0.0, severity=400),
+    Alarm.LAG_FOUND: AlarmRule(limit=0.1, hysteresis=0.02, delay_s=0.0, severity=300),
+}
+SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
+    ServiceAlarm.CHECKPOINT: AlarmRule(limit=60.0, hysteresis=0.0, delay_s=0.0, severity=700),
+    ServiceAlarm.CERTIFICATE: AlarmRule(limit=30.0, hysteresis=0.0, delay_s=0.0, severity=500),
+    ServiceAlarm.LOAD: AlarmRule(limit=0.9, hysteresis=0.2, delay_s=30.0, severity=600),
+}
+
+
+@dataclass(frozen=True)
+class _KeptOfService(State):
+    """The service's alarms as they go into a checkpoint."""
+
+    over: Any
+    since: Any
+    at: Any
+    active: Any
+    acked: Any
+    value: Any
+    detail: Any
+    causes: Any
+    came: Any
+    version: Any
+    confirmed: Any
+    remarks: Any
+
+
+@dataclass(frozen=True)
+class _Kept(_KeptOfService):
+    """One valve's: with what they are judged by."""
+
+    last: Any
+    still: Any
+    longest: Any
+    moves: Any
+    others: Any
+    weight: Any
+    bias: Any
+    square: Any
+    sums: Any
+    memory: Any
+    times: Any
+
+
+class Alarms:
+    """The alarms of M valves that share a plan; their state is written in place.
+
+    Parameters
+    ----------
+    M
+        How many valves.
+    rules
+        When each alarm comes and goes.
+    Q_span
+        Range of the flow, l/min.
+
+    Examples
+    --------
+    >>> alarms = Alarms(1, RULES, 200.0)
+    >>> alarms.overdue(np.array([0]), np.array([5_000_000_000]))
+    >>> [report.name for report in alarms.reports(0) if report.active]
+    ['SensorLost']
+    """
+
+    def __init__(self, M: int, rules: Mapping[Alarm, AlarmRule], Q_span: float) -> None:
+        by_number = [rules[alarm] for alarm in Alarm]
+        self._limits = _limits(by_number)
+        self._Q_span = Q_span
+        self._states = AlarmStates(M, ALARM_NAMES, by_number)
+        self._conditions = self._states.conditions
+        self._senses = _nothing_seen(M)
+        self._patient = np.zeros(M, np.bool_)
+
+    @property
+    def version(self) -> Times:
+        """How often anything changed of each valve's alarms (M,)."""
+        return self._conditions.version
+
+    def watch(self, samples: Samples, trace: Trace, segments: Segments) -> None:
+        """Take samples in, as judged by the gate, with what the watched estimator said of them."""
+        seen = Watched(
+            samples.t,
+            samples.U,
+            samples.p1,
+            samples.p2,
+            samples.Q,
+            samples.T,
+            samples.quality,
+            trace.predicted,
+            trace.residual,
+            trace.status,
+        )
+        shares = np.empty(kernel.CAUSES)
+        kernel.watch(
+            seen,
+            self._patient,
+            self._limits,
+            self._conditions,
+            self._senses,
+            segments,
+            self._Q_span,
+            shares,
+        )
+
+    def be_patient(self, chosen: Times, patient: Flags) -> None:
+        """Say whose signals come on change: their silence is no loss."""
+        self._patient[chosen] = patient
+
+    def note_changes(self, chosen: Times, counts: Times, t: Times, size: Floats) -> None:
+        """Take up how many changes of the flow were found of K valves, and the newest of each.
+
+        What changes while the map is new may be the map itself, and what residuals do not show
+        is a change of nothing but the estimator's mind.
+        """
+        memory, detail = self._senses.memory, self._conditions.detail
+        memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
+            memory[chosen, kernel.CHANGES_SEEN], counts
+        )
+        settled = memory[chosen, kernel.USUAL_N] >= kernel.SETTLED_BLOCKS
+        memory[chosen[~settled], kernel.CHANGES_SEEN] = counts[~settled]
+        unseen = counts > memory[chosen, kernel.CHANGES_SEEN]
+        times = self._senses.times[chosen]
+        shown = times[:, kernel.LARGE_UNTIL] >= t - SHOWN_BEFORE_NS
+        shown &= times[:, kernel.LARGE_SINCE] <= t + SHOWN_WITHIN_NS
+        shown &= size**2 >= CLEAR_CHANGE**2 * memory[chosen, kernel.USUAL_SQUARE]
+        unseen &= shown | self._conditions.active[chosen, Alarm.CHANGED]
+        detail[chosen, Alarm.CHANGED, 1] = counts
+        x = np.where(unseen, 100.0 * np.abs(size) / self._Q_span, 0.0)
+        came = self._move_on(chosen, Alarm.CHANGED, x, t)
+        if came.any():
+            detail[chosen[came], Alarm.CHANGED, 0] = size[came]
+            new = chosen[came]
+            shares = np.empty(kernel.CAUSES)
+            kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses, shares)
+
+    def note_lags(self, chosen: Times, lags: Floats) -> None:
+        """Take up the largest lag of K valves, s; NaN where none is looked for.
+
+        Where it moves, what residuals usually are is found anew: the map may start anew, too.
+        """
+        before = self._senses.memory[chosen, kernel.LAG_BEFORE]
+        moved = np.abs(lags - before) > np.maximum(LAG_MOVED_S, LAG_MOVED_SHARE * before)
+        self._senses.memory[chosen, kernel.LAG_BEFORE] = lags
+        for m in chosen[moved].tolist():
+            self._forget_usual(m)
+        self._move_on(chosen, Alarm.LAG_FOUND, lags)
+
+    def note_misfit(self, chosen: Times, adaptation: Codes, rmse: Floats) -> None:
+        """Take up what the watched estimator of K valves makes of its residuals, l/min."""
+        misfits = adaptation == Adaptation.MISFIT
+        x = np.where(misfits, 100.0 * rmse / self._Q_span, 0.0)
+        self._move_on(chosen, Alarm.MISFIT, x)
+
+    def note_losses(self, chosen: Times, lost: Times, taken: Times) -> None:
+        """Take up how many samples of K valves were lost, and how many came, since the start."""
+        memory, times = self._senses.memory[chosen], self._senses.times[chosen]
+        now, before = times[:, kernel.NEWEST], times[:, kernel.LOSS_TIME]
+        first = before == kernel.NEVER
+        before = np.where(first, now, before)
+        share = np.exp(-np.clip((now - before) * 1e-9, 0.0, 1e6) / LOSS_MEMORY_S)
+        for sum_, last, count in (
+            (kernel.LOST, kernel.LOST_BEFORE, lost),
+            (kernel.TAKEN, kernel.TAKEN_BEFORE, taken),
+        ):
+            new = np.where(first, 0.0, np.maximum(count - memory[:, last], 0.0))
+            memory[:, sum_] = share * memory[:, sum_] + new
+            memory[:, last] = count
+        self._senses.memory[chosen] = memory
+        self._senses.times[chosen, kernel.LOSS_TIME] = now
+        total = memory[:, kernel.LOST] + memory[:, kernel.TAKEN]
+        known = total >= ENOUGH_SAMPLES
+        x = np.where(known, 100.0 * memory[:, kernel.LOST] / np.maximum(total, 1.0), 0.0)
+        self._move_on(chosen, Alarm.SAMPLES_LOST, x)
+
+    def note_answers(self, chosen: Times, guessed: Floats) -> None:
+        """Take up whether K valves' standing demands are answered where nothing was measured."""
+        self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
+
+    def overdue(self, chosen: Times, now: Times) -> None:
+        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
+        usable = self._senses.times[chosen, kernel.USABLE]
+        began = np.where(usable == kernel.NEVER, 0, usable)
+        waited = np.where(usable == kernel.NEVER, np.inf, (now - began) * 1e-9)
+        began = np.where(usable == kernel.NEVER, now, began)
+        self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
+
+    def acknowledge(self, m: int, alarm: Alarm, remark: Remark) -> bool:
+        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        taken = self._states.acknowledge(m, alarm, remark)
+        if taken and alarm is Alarm.CHANGED:
+            conditions = self._conditions
+            seen = conditions.detail[m, alarm, 1]
+            self._senses.memory[m, kernel.CHANGES_SEEN] = seen
+            conditions.active[m, alarm], conditions.over[m, alarm] = False, 0
+        return taken
+
+    def confirm(self, m: int, alarm: Alarm, remark: Remark) -> bool:
+        """Note that it was dealt with; False if there was nothing to confirm."""
+        return self._states.confirm(m, alarm, remark)
+
+    def remark(self, m: int, alarm: Alarm, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        self._states.remark(m, alarm, remark)
+
+    def was_away(self) -> None:
+        """Take up that nobody listened: silence until now is no loss, and no standstill."""
+        times = self._senses.times
+        times[:, [kernel.NEWEST, kernel.USABLE, kernel.LOSS_TIME]] = kernel.NEVER
+
+    def forget_map(self, m: int) -> None:
+        """Forget what residuals usually are: the map they are of is forgotten, too."""
+        self._forget_usual(m)
+        self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
+
+    def _forget_usual(self, m: int) -> None:
+        fresh = _nothing_seen(1)
+        kept = [kernel.T_USUAL, kernel.CHANGES_SEEN, kernel.LAG_BEFORE, *_LOSSES]
+        fresh.memory[0, kept] = self._senses.memory[m, kept]
+        for name in ("memory", "weight", "bias", "square", "sums"):
+            getattr(self._senses, name)[m] = getattr(fresh, name)[0]
+        self._move_on(np.array([m]), Alarm.RESIDUAL, np.zeros(1))
+
+    def reports(self, m: int) -> tuple[AlarmReport, ...]:
+        """How every alarm of one valve stands, in words."""
+        return self._states.reports(m)
+
+    def to_bytes(self, m: int) -> bytes:
+        """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
+        kept = {name: array[m].copy() for name, array in self._arrays().items()}
+        kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
+        return _Kept(**kept, remarks=self._states.remarks_to_bytes(m)).to_bytes(_KEY)
+
+    def from_bytes(self, m: int, data: bytes) -> None:
+        """Unpack it.
+
+        Raises
+        ------
+        StateMismatchError
+            if the bytes are damaged, or of other alarms than there are today.
+        """
+        kept = _Kept.from_bytes(data, _KEY)
+        arrays = self._arrays()
+        for name, array in arrays.items():
+            new = getattr(kept, name)
+            if new.shape != array[m].shape or new.dtype != array.dtype:
+                raise StateMismatchError(f"alarms are kept in another way today: {name}")
+        self._states.remarks_from_bytes(m, kept.remarks)
+        for name, array in arrays.items():
+            array[m] = getattr(kept, name)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All that the alarms are and rest on, each (M, …): the arrays themselves."""
+        return {**self._arrays(), "patient": self._patient}
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {**self._states.arrays(), **self._senses._asdict()}
+
+    def _move_on(self, chosen: Times, alarm: Alarm, x: Floats, began: Times | None = None) -> Flags:
+        t = np.maximum(self._senses.times[chosen, kernel.NEWEST], 0)
+        return self._step(chosen, alarm, x, t, t if began is None else began)
+
+    def _step(self, chosen: Times, alarm: Alarm, x: Floats, t: Times, began: Times) -> Flags:
+        x = np.ascontiguousarray(x, np.float64)
+        came = np.empty(len(x), np.bool_)
+        kernel.move_on(chosen, t, began, x, int(alarm), self._limits, self._conditions, came)
+        return came
+
+
+class ServiceAlarms:
+    """The alarms of the service itself."""
+
+    def __init__(self, rules: Mapping[ServiceAlarm, AlarmRule] = SERVICE_RULES) -> None:
+        by_number = [rules[alarm] for alarm in ServiceAlarm]
+        self._limits = _limits(by_number)
+        falls = self._limits[ServiceAlarm.CERTIFICATE]
+        hysteresis = falls[0] - falls[1]
+        falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # it comes when too few are left
+        self._states = AlarmStates(1, SERVICE_ALARM_NAMES, by_number)
+        self._conditions = self._states.conditions
+
+    @property
+    def version(self) -> int:
+        """How often anything changed."""
+        return int(self._conditions.version[0])
+
+    def note(self, now: int, checkpoint_age_s: float, days_left: float, load: float) -> None:
+        """Take up how the service stands; NaN is not known, and changes nothing."""
+        for alarm, x in (
+            (ServiceAlarm.CHECKPOINT, checkpoint_age_s),
+            (ServiceAlarm.CERTIFICATE, -days_left),
+            (ServiceAlarm.LOAD, load),
+        ):
+            t, one, value = np.array([now]), np.zeros(1, np.int64), np.array([x], np.float64)
+            limits, conditions, came = self._limits, self._conditions, np.empty(1, np.bool_)
+            kernel.move_on(one, t, t, value, int(alarm), limits, conditions, came)
+
+    def acknowledge(self, alarm: ServiceAlarm, remark: Remark) -> bool:
+        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        return self._states.acknowledge(0, alarm, remark)
+
+    def confirm(self, alarm: ServiceAlarm, remark: Remark) -> bool:
+        """Note that it was dealt with; False if there was nothing to confirm."""
+        return self._states.confirm(0, alarm, remark)
+
+    def remark(self, alarm: ServiceAlarm, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        self._states.remark(0, alarm, remark)
+
+    def reports(self) -> tuple[AlarmReport, ...]:
+        """How every alarm stands, in words."""
+        return self._states.reports(0)
+
+    def to_bytes(self) -> bytes:
+        """Pack them."""
+        kept = {name: array[0] for name, array in self._states.arrays().items()}
+        remarks = self._states.remarks_to_bytes(0)
+        return _KeptOfService(**kept, remarks=remarks).to_bytes(_KEY_OF_SERVICE)
+
+    def from_bytes(self, data: bytes) -> None:
+        """Unpack them.
+
+        Raises
+        ------
+        StateMismatchError
+        """
+        kept = _KeptOfService.from_bytes(data, _KEY_OF_SERVICE)
+        self._states.remarks_from_bytes(0, kept.remarks)
+        for name, array in self._states.arrays().items():
+            array[0] = getattr(kept, name)
+
+
+_LOSSES = [kernel.LOST, kernel.TAKEN, kernel.LOST_BEFORE, kernel.TAKEN_BEFORE]
+_KEY = f"alarms 2: {' '.join(ALARM_NAMES)}"
+_KEY_OF_SERVICE = f"alarms 2: {' '.join(SERVICE_ALARM_NAMES)}"
+
+
+def _limits(rules: list[AlarmRule]) -> Floats:
+    return np.array([(r.limit, r.limit - r.hysteresis, 1e9 * r.delay_s) for r in rules])
+
+
+def _nothing_seen(M: int) -> Senses:
+    signals, places = (M, kernel.SIGNALS), (M, kernel.CELLS_U * kernel.CELLS_S)
+    memory = np.zeros((M, kernel.MEMORY))
+    memory[:, kernel.CELL] = -1.0
+    memory[:, [kernel.T_USUAL, kernel.Q_BEFORE]] = np.nan
+    sums = kernel.DIRECTIONS + 1
+    return Senses(
+        last=np.full(signals, np.nan),
+        still=np.zeros(signals, np.int64),
+        longest=np.zeros(signals, np.int64),
+        moves=np.zeros(signals, np.int64),
+        others=np.zeros(signals, np.int64),
+        weight=np.zeros(places, np.float32),
+        bias=np.zeros(places, np.float32),
+        square=np.zeros(places, np.float32),
+        sums=np.zeros((M, sums, sums)),
+        memory=memory,
+        times=np.full((M, kernel.TIMES), kernel.NEVER),
+    )

@@ -1,0 +1,129 @@
+"""The alarms of all valves and of the service: how they stand, and what people do about them."""
+
+from collections.abc import Mapping
+
+from valvemap.errors import CommandRejected
+from valvemap.model.samples import Times
+from valvemap.pipeline.alarm_states import AlarmRule
+from valvemap.pipeline.alarms import (
+    ALARM_NAMES,
+    SERVICE_ALARM_NAMES,
+    Alarm,
+    ServiceAlarm,
+    ServiceAlarms,
+)
+from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.ports import AlarmReport, Remark
+
+OF_SERVICE = "Service"  # no valve is called so
+
+
+class AllAlarms:
+    """Finds the alarm that is meant: of a valve, by its name, or (None) of the service.
+
+    Parameters
+    ----------
+    valves
+        Their fleets judge the valves' alarms.
+    rules
+        When each alarm of the service comes and goes.
+
+    Attributes
+    ----------
+    of_service : ServiceAlarms
+    """
+
+    def __init__(self, valves: AllValves, rules: Mapping[ServiceAlarm, AlarmRule]) -> None:
+        self._valves = valves
+        self.of_service = ServiceAlarms(rules)
+
+    def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that somebody has seen an alarm.
+
+        Raises
+        ------
+        CommandRejected
+            if there is nothing to be seen.
+        """
+        if valve is None:
+            taken = self.of_service.acknowledge(_of_service(alarm), remark)
+        else:
+            fleet, m = self._valves.named(valve)
+            taken = fleet.alarms.acknowledge(m, _of_valve(alarm), remark)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
+
+    def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note that an alarm that was acknowledged was dealt with.
+
+        Raises
+        ------
+        CommandRejected
+            if there is nothing that was to be dealt with.
+        """
+        if valve is None:
+            taken = self.of_service.confirm(_of_service(alarm), remark)
+        else:
+            fleet, m = self._valves.named(valve)
+            taken = fleet.alarms.confirm(m, _of_valve(alarm), remark)
+        if not taken:
+            raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to confirm")
+
+    def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
+        """Note what somebody said of an alarm."""
+        if valve is None:
+            self.of_service.remark(_of_service(alarm), remark)
+        else:
+            fleet, m = self._valves.named(valve)
+            fleet.alarms.remark(m, _of_valve(alarm), remark)
+
+    def alarmed(self) -> list[str]:
+        """The valves of which any alarm ever came."""
+        versions = [fleet.alarms.version for fleet in self._valves.fleets]
+        kind, places = self._valves.kind, self._valves.places
+        return [
+            plan.name
+            for valve, plan in enumerate(self._valves.plans)
+            if versions[kind(valve)][places[valve]]
+        ]
+
+    def reports(self, valve: str | None) -> tuple[AlarmReport, ...]:
+        """How all alarms of a valve, or (None) of the service, stand."""
+        if valve is None:
+            return self.of_service.reports()
+        fleet, m = self._valves.named(valve)
+        return fleet.alarms.reports(m)
+
+    def was_away(self) -> None:
+        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        for fleet in self._valves.fleets:
+            fleet.alarms.was_away()
+
+    def say_overdue(self, valves: Times, now: Times) -> list[int]:
+        """Some valves (M,) have sent nothing until ``now`` (M,), UTC ns by their sources' clocks.
+
+        Returns those of which that is an alarm only now.
+        """
+        new: list[int] = []
+        for fleet, chosen in self._valves.by_fleet(valves):
+            own, alarms = valves[chosen], fleet.alarms
+            places = self._valves.places[own]
+            before = alarms.version[places]
+            alarms.overdue(places, now[chosen])
+            new += own[alarms.version[places] != before].tolist()
+        return new
+
+    def watch_service(
+        self, now: int, checkpoint_age_s: float, days_left: float, load: float
+    ) -> tuple[AlarmReport, ...]:
+        """Judge how the service itself stands: age of what is kept, certificate, share of time."""
+        self.of_service.note(now, checkpoint_age_s, days_left, load)
+        return self.of_service.reports()
+
+
+def _of_valve(alarm: str) -> Alarm:
+    return Alarm(ALARM_NAMES.index(alarm))
+
+
+def _of_service(alarm: str) -> ServiceAlarm:
+    return ServiceAlarm(SERVICE_ALARM_NAMES.index(alarm))

@@ -1,0 +1,158 @@
+"""All valves of one service: what is planned for each, in which fleet it is, and how it stands.
+
+This is the ground that the parts of :class:`~valvemap.pipeline.identification.Identification`
+stand on.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.estimator import key_of
+from valvemap.model.samples import Times
+from valvemap.model.sensor_accuracy import SensorAccuracy
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.quality_gate import SENSORS
+from valvemap.pipeline.timing import Timing
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, ValvePlan, ValveState
+
+R = TypeVar("R")
+
+
+class AllValves:
+    """V valves, those that are treated alike in one fleet.
+
+    A valve is known by its number, 0 <= number < V, or by its name; its place is its number in its
+    fleet.
+
+    Parameters
+    ----------
+    plans
+        What is done with the samples of each.
+    timing
+        How their signals come, and with that how far they may move without being written.
+
+    Attributes
+    ----------
+    numbers : dict
+        Of the valves, by name.
+    fleets : list of Fleet
+    places : int64
+        Of each valve in its fleet, (V,).
+    """
+
+    def __init__(self, plans: Sequence[ValvePlan], timing: Timing) -> None:
+        self.plans = tuple(plans)
+        self.numbers = {plan.name: number for number, plan in enumerate(self.plans)}
+        self.fleets, self._fleet_of, self.places = _fleets(self.plans)
+        self._timing = timing
+        self._keys = [
+            {name: key_of(estimator) for name, estimator in fleet.plan.estimators.items()}
+            for fleet in self.fleets
+        ]
+
+    def at(self, valve: int) -> tuple[Fleet, int]:
+        """The fleet of a valve, and its place there."""
+        return self.fleets[self._fleet_of[valve]], int(self.places[valve])
+
+    def named(self, valve: str) -> tuple[Fleet, int]:
+        """The same, by the valve's name."""
+        return self.at(self.numbers[valve])
+
+    def kind(self, valve: int) -> int:
+        """Number of the fleet of a valve: valves of one kind are treated alike."""
+        return int(self._fleet_of[valve])
+
+    def one_of_each_kind(self) -> list[int]:
+        """The first of the valves that are treated alike, for every kind there is."""
+        found: list[int] = np.unique(self._fleet_of, return_index=True)[1].tolist()
+        return found
+
+    def by_fleet(self, valves: Times) -> Iterator[tuple[Fleet, NDArray[np.intp]]]:
+        """Every fleet that some valves (M,) are in, and which of the M are in it."""
+        fleets = self._fleet_of[valves]
+        for number in np.unique(fleets):
+            yield self.fleets[number], np.flatnonzero(fleets == number)
+
+    def estimator_keys(self, valve: int) -> dict[str, str]:
+        """Hash of the hyper-parameters of each of a valve's estimators, by name."""
+        return self._keys[self.kind(valve)]
+
+    def lane(self, valve: str, estimator: str) -> Lane:
+        """One estimator as it stands."""
+        fleet, m = self.named(valve)
+        return replace(fleet.lane(m, estimator), accuracy=self.accuracy(self.numbers[valve]))
+
+    def put(self, valve: str, estimator: str, lane: Lane) -> None:
+        """Have an estimator stand otherwise, see :meth:`Fleet.put`."""
+        fleet, m = self.named(valve)
+        fleet.put(m, estimator, lane)
+
+    def state(self, valve: int) -> ValveState:
+        """One valve as it stands."""
+        fleet, m = self.at(valve)
+        state, accuracy = fleet.state(m), self.accuracy(valve)
+        if accuracy == fleet.plan.accuracy:
+            return state
+        lanes = {n: replace(lane, accuracy=accuracy) for n, lane in state.lanes.items()}
+        return replace(state, lanes=lanes)
+
+    def state_of(self, valve: int, estimator: str) -> ValveState:
+        """One valve as it stands, with one of its estimators: whole states are large."""
+        fleet, m = self.at(valve)
+        return fleet.state(m, [estimator])
+
+    def inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
+        """What the inverse of a valve's map is made from."""
+        plan = self.plans[valve]
+        return plan, self.state_of(valve, plan.inverse)
+
+    def accuracy(self, valve: int) -> SensorAccuracy:
+        """What the sensors may be off by, and within what their signals may move unseen."""
+        stated, found = self.plans[valve].accuracy, self._timing.valves[valve].found
+        if found is None or not found.deadband.any():
+            return stated
+        return stated.beside(*found.deadband[: len(SENSORS)].tolist())
+
+    def T_or_last(self, valve: str, T: float) -> float:
+        """A temperature, °C, or where that is NaN the last one measured at a valve."""
+        fleet, m = self.named(valve)
+        return fleet.last_T(m) if np.isnan(T) else T
+
+
+def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
+    """The same function, called once for each estimator: valves of one kind share theirs."""
+    known: dict[int, R] = {}
+
+    def cached(estimator: AnyEstimator) -> R:
+        if id(estimator) not in known:
+            known[id(estimator)] = of(estimator)
+        return known[id(estimator)]
+
+    return cached
+
+
+def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
+    """Fleets of the valves that are treated alike; of each valve its fleet and its place there."""
+    numbers: dict[str, int] = {}
+    first: list[ValvePlan] = []
+    sizes: list[int] = []
+    places = np.zeros((2, len(plans)), np.int64)
+    keys = once_each(key_of)
+    for valve, plan in enumerate(plans):
+        estimators = [(name, keys(e)) for name, e in plan.estimators.items()]
+        ranges = valve_state.nothing_seen(plan).ranges.tolist()
+        watched = plan.inverse, sorted(plan.alarms.items())
+        key = repr((plan.gate, estimators, ranges, plan.accuracy, watched))
+        number = numbers.setdefault(key, len(numbers))
+        if number == len(first):
+            first.append(plan)
+            sizes.append(0)
+        places[:, valve] = number, sizes[number]
+        sizes[number] += 1
+    fleets = [Fleet(plan, M) for plan, M in zip(first, sizes, strict=True)]
+    return fleets, places[0], places[1]

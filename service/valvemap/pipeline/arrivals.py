@@ -1,0 +1,216 @@
+"""Data changes of many valves on their way into samples: timing first, then alignment. Pure."""
+
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.estimator import State, StateMismatchError, key_of
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.kernels import waiting as slots
+from valvemap.pipeline.kernels.waiting import NEVER, Waiting
+from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
+from valvemap.pipeline.valve_timing import ALIKE, IN_SCANS, LISTENING
+from valvemap.pipeline.waiting import waited_for
+
+_BY_SLOT: Final = ("slots", "values", "status")
+_DIGEST_BYTES: Final = 4
+_MISSING: Final = COUNTER_NAMES.index("missing")
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    """What waits at all valves."""
+
+    slots: Any
+    values: Any
+    status: Any
+    held_value: Any
+    held_status: Any
+    held_time: Any
+    lost: Any
+    left: Any
+    order: Any
+    counters: Any
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What it depends on how changes become samples."""
+
+    names: tuple[str, ...]
+    alignment: AlignmentSettings
+    has_T: tuple[bool, ...]
+    has_sequence: tuple[bool, ...]
+    timing: TimingSettings | None
+
+
+class Arrivals:
+    """Makes samples of changes; what is under way can be kept, to the bit.
+
+    Parameters
+    ----------
+    names
+        Of the valves.
+    alignment, timing
+        How their signals find together, and how it is found in what way they come (None: it is
+        configured).
+
+    Attributes
+    ----------
+    finds_timing : bool
+        Whether it is found in what way the signals come.
+
+    Examples
+    --------
+    >>> arrivals = Arrivals(["V1"], Alignment(AlignmentSettings(), has_T=(False,)))
+    >>> len(arrivals.take(DataChanges.empty()))
+    0
+    """
+
+    def __init__(
+        self, names: Sequence[str], alignment: Alignment, timing: Timing | None = None
+    ) -> None:
+        self.names = tuple(names)
+        self.alignment = alignment
+        self.finds_timing = timing is not None
+        self.timing = timing or Timing(TimingSettings(), alignment.has_T, fixed=True)
+        self._waiting = alignment.initial_state()
+
+    def take(self, changes: DataChanges) -> ByValve:
+        """Take changes in; return the samples that they completed."""
+        return self._align(self.timing.take(changes))
+
+    def waits(self) -> NDArray[np.bool_]:
+        """Which valves have samples that wait for earlier ones."""
+        return self.alignment.waits(self._waiting) | (self.timing.pending > 0)
+
+    def pending(self) -> Times:
+        """How many samples of each valve wait for signals or for earlier samples, (V,)."""
+        return self.alignment.pending(self._waiting) + self.timing.pending
+
+    def wait_no_longer(self, valves: Times) -> ByValve:
+        """What waits for earlier samples, without them."""
+        unfinished = self.timing.flush(valves)
+        if len(unfinished):
+            return self._align(unfinished)
+        return self._flush(valves)
+
+    def begin_source_anew(self, valves: Times) -> ByValve:
+        """The source of some valves was restarted: its running numbers begin anew."""
+        self._waiting, samples = self.alignment.begin_anew(self._waiting, valves)
+        return samples
+
+    def finish(self) -> list[ByValve]:
+        """All that waits, whatever for."""
+        every = np.arange(len(self.names))
+        return [self._align(self.timing.flush(every)), self._flush(every)]
+
+    def counts(self, valves: Times) -> Times:
+        """What was aligned and lost of some valves, a column for each of ``COUNTER_NAMES``."""
+        counts: Times = self._waiting.counters[valves]
+        counts[:, _MISSING] += self.timing.not_made(valves)
+        return counts
+
+    def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """Which signals keep a valve's samples from being made, and what would help."""
+        timing, has_T = self.timing.valves[valve], self.alignment.has_T[valve]
+        newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
+        if timing.stands == IN_SCANS:
+            return (*timing.words.losses(nodes), *timing.words.still(nodes))
+        said = waited_for(newest, self.alignment.settings, has_T=has_T, nodes=nodes)
+        if timing.stands == LISTENING and (newest[: 4 + has_T] != NEVER).all():
+            return ("how the signals come is not found yet: it takes some seconds of changes",)
+        return said
+
+    def stand_still(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """Which of a valve's signals, written on change, have not moved for long."""
+        return self.timing.valves[valve].words.still(nodes)
+
+    def how_signals_come(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
+        """How each of a valve's signals comes, in words."""
+        return self.timing.valves[valve].words.sentences(nodes)
+
+    def of(self, valve: int) -> Waiting:
+        """Copies of what waits at one valve, see :meth:`Alignment.of`."""
+        return self.alignment.of(self._waiting, valve)
+
+    def put(self, valve: int, one: Waiting) -> None:
+        """Have copies of `of` wait at a valve.
+
+        Raises
+        ------
+        StateMismatchError
+            if more wait than the alignment lets.
+        """
+        self._waiting = self.alignment.put(self._waiting, valve, one)
+
+    def to_bytes(self) -> bytes:
+        """Pack what is under way."""
+        size = int(self._waiting.order[:, slots.SIZE].max(initial=0))
+        arrays = {
+            name: array[:, :size] if name in _BY_SLOT else array
+            for name, array in self._waiting._asdict().items()
+        }
+        waiting = _Kept(**arrays).to_bytes(self._key)
+        special = [
+            (number, valve.state.to_bytes(self._key))
+            for number, valve in enumerate(self.timing.valves)
+            if valve.stands != ALIKE
+        ]
+        head = json.dumps([len(waiting), [(n, len(packed)) for n, packed in special]]).encode()
+        body = b"".join((head, b"\n", waiting, *(packed for _, packed in special)))
+        return zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") + body
+
+    def resume(self, packed: bytes) -> None:
+        """Go on from what was under way.
+
+        Raises
+        ------
+        StateMismatchError
+            if it is damaged, or of valves that are configured otherwise; nothing is changed then.
+        """
+        digest, body = packed[:_DIGEST_BYTES], packed[_DIGEST_BYTES:]
+        if zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") != digest:
+            raise StateMismatchError("damaged")
+        head, _, rest = body.partition(b"\n")
+        size, special = json.loads(head)
+        kept = _Kept.from_bytes(rest[:size], self._key)
+        waiting = Waiting(*(getattr(kept, name) for name in Waiting._fields))
+        states, at = {}, size
+        for number, length in special:
+            states[number] = TimingState.from_bytes(rest[at : at + length], self._key)
+            at += length
+        for number in range(len(self.names)):
+            self.put(number, self.alignment.of(waiting, number))
+            self.timing.put(number, states.get(number, _ALIKE))
+
+    @cached_property
+    def _key(self) -> str:
+        return key_of(
+            _Key(
+                self.names,
+                self.alignment.settings,
+                self.alignment.has_T,
+                self.alignment.has_sequence,
+                self.timing.settings if self.finds_timing else None,
+            )
+        )
+
+    def _align(self, changes: DataChanges) -> ByValve:
+        self._waiting, samples = self.alignment.take(self._waiting, changes)
+        return samples
+
+    def _flush(self, valves: Times) -> ByValve:
+        self._waiting, samples = self.alignment.flush(self._waiting, valves)
+        return samples
+
+
+_ALIKE: Final = Timing(TimingSettings(), (False,), fixed=True).valves[0].state

@@ -1,0 +1,166 @@
+"""The map of a valve as it was new: approved, kept, compared with, gone back to. Pure."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from valvemap.model.estimator import State, StateMismatchError
+from valvemap.model.samples import Status
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.valve_state import Lane, ValvePlan
+
+KEY: Final = "baseline 1"  # the form in which baselines are kept
+_GRID_U, _GRID_DP = 21, 15  # points at which maps are compared
+_DIGITS = 12  # of the hash, in a version's name
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """An approved version of all that a valve's estimators knew.
+
+    Attributes
+    ----------
+    number
+        How many were approved before it, and this one.
+    t
+        Source time of the newest sample behind it, UTC ns.
+    digest
+        SHA-256 of the states, hexadecimal.
+    states
+        By estimator: its state as `lane_to_bytes` packs it.
+    keys
+        By estimator: the hash of its hyper-parameters.
+    """
+
+    number: int
+    t: int
+    digest: str
+    states: Mapping[str, bytes]
+    keys: Mapping[str, str]
+
+    @property
+    def version(self) -> str:
+        """Name of the version: its number, and how its hash begins."""
+        return f"{self.number}-{self.digest[:_DIGITS]}"
+
+    @classmethod
+    def none(cls, number: int) -> "Baseline":
+        """There is none any more; so many were approved."""
+        return cls(number, 0, _digest(0, {}), {}, {})
+
+    @classmethod
+    def of(
+        cls, number: int, t: int, lanes: Mapping[str, Lane], keys: Mapping[str, str]
+    ) -> "Baseline":
+        """Of a valve's estimators as they stand."""
+        states = {name: valve_state.lane_to_bytes(lane, keys[name]) for name, lane in lanes.items()}
+        return cls(number, t, _digest(t, states), states, dict(keys))
+
+    def lane(self, name: str, configured: valve_state.AnyEstimator) -> Lane:
+        """One estimator as it was.
+
+        Raises
+        ------
+        StateMismatchError
+            if it was not there, or is configured otherwise today.
+        """
+        if name not in self.states:
+            raise StateMismatchError(f"{name} was not there")
+        return valve_state.lane_from_bytes(
+            self.states[name], configured, None, frozen=False, t=self.t
+        )
+
+    def to_bytes(self) -> bytes:
+        """Pack it."""
+        names = list(self.states)
+        return _Kept(
+            number=np.array(self.number),
+            t=np.array(self.t),
+            digest=np.array(self.digest),
+            names=np.array(names),
+            keys=np.array([self.keys[name] for name in names]),
+            sizes=np.array([len(self.states[name]) for name in names]),
+            states=np.frombuffer(b"".join(self.states.values()), np.uint8),
+        ).to_bytes(KEY)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "Baseline":
+        """Unpack it.
+
+        Raises
+        ------
+        StateMismatchError
+            if the bytes are damaged, or their hash is another.
+        """
+        kept = _Kept.from_bytes(data, KEY)
+        try:
+            ends = np.cumsum(kept.sizes)
+            whole = kept.states.tobytes()
+            states = {
+                str(name): whole[end - size : end]
+                for name, size, end in zip(kept.names, kept.sizes, ends, strict=True)
+            }
+            keys = dict(zip(map(str, kept.names), map(str, kept.keys), strict=True))
+            found = cls(int(kept.number), int(kept.t), str(kept.digest), states, keys)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise StateMismatchError(f"not a baseline: {error}") from error
+        fits = sum(map(len, states.values())) == len(whole) and found.number >= 0
+        if not fits or _digest(found.t, states) != found.digest:
+            raise StateMismatchError("the baseline's hash is another")
+        return found
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much a map has moved away from another, l/min, over where both were measured.
+
+    ``largest`` is found at ``U`` (%) and ``dp`` (bar); ``points`` of the grid could be compared,
+    the figures are NaN where none could.
+    """
+
+    mean: float
+    largest: float
+    U: float
+    dp: float
+    points: int
+
+
+def difference(plan: ValvePlan, now: Lane, then: Lane, T: float) -> Difference:
+    """Compare a map with an earlier one: now less then."""
+    U, dp = np.meshgrid(
+        np.linspace(*plan.U_range, _GRID_U), np.linspace(0.0, max(plan.map_dp), _GRID_DP)
+    )
+    points = U.ravel(), dp.ravel(), np.full(U.size, T)
+    (Q, _, status), (Q_then, _, status_then) = (
+        valve_state.predicted(lane, *points) for lane in (now, then)
+    )
+    off = Q - Q_then
+    good = np.isfinite(off)
+    good &= (status != Status.EXTRAPOLATING) & (status_then != Status.EXTRAPOLATING)
+    if not good.any():
+        return Difference(np.nan, np.nan, np.nan, np.nan, 0)
+    k = int(np.argmax(np.where(good, np.abs(off), -1.0)))
+    mean, largest = float(off[good].mean()), float(off[k])
+    return Difference(mean, largest, float(points[0][k]), float(points[1][k]), int(good.sum()))
+
+
+@dataclass(frozen=True)
+class _Kept(State):
+    number: Any
+    t: Any
+    digest: Any
+    names: Any
+    keys: Any
+    sizes: Any
+    states: Any
+
+
+def _digest(t: int, states: Mapping[str, bytes]) -> str:
+    hashed = hashlib.sha256(str(t).encode())
+    for name, state in sorted(states.items()):
+        hashed.update(name.encode())
+        hashed.update(state)
+    return hashed.hexdigest()

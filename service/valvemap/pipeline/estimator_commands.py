@@ -1,0 +1,98 @@
+"""What people do to a valve's estimators and its standing demand, and what they ask of its maps."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from valvemap.errors import CommandRejected
+from valvemap.model.inversion import Inversion
+from valvemap.model.samples import Status
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.valve_state import Forgetful, Required
+
+
+class EstimatorCommands:
+    """Carries out commands on estimators and maps, see :class:`valvemap.pipeline.ports.Operator`.
+
+    Parameters
+    ----------
+    valves
+        Whose estimators.
+    """
+
+    def __init__(self, valves: AllValves) -> None:
+        self._valves = valves
+
+    def reset(self, valve: str, estimator: str) -> None:
+        """Forget all samples; what the operator set stays set."""
+        lane = self._valves.lane(valve, estimator)
+        fresh = valve_state.fresh_lane(lane.estimator, lane.support.forgotten())
+        self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
+        fleet, m = self._valves.named(valve)
+        if estimator == fleet.plan.inverse:
+            fleet.alarms.forget_map(m)
+
+    def freeze(self, valve: str, estimator: str) -> None:
+        """Stop adaptation."""
+        lane = self._valves.lane(valve, estimator)
+        self._valves.put(valve, estimator, replace(lane, frozen=True))
+
+    def resume(self, valve: str, estimator: str) -> None:
+        """Adapt again."""
+        lane = self._valves.lane(valve, estimator)
+        self._valves.put(valve, estimator, replace(lane, frozen=False))
+
+    def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
+        """Use another forgetting factor from the next sample on.
+
+        Raises
+        ------
+        CommandRejected
+            if it is out of range, or the estimator has none.
+        """
+        lane = self._valves.lane(valve, estimator)
+        if not 0.0 < lam <= 1.0:
+            raise CommandRejected(f"forgetting factor {lam:g}: allowed is 0 < lam <= 1")
+        if not isinstance(lane.estimator, Forgetful):
+            raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
+        try:
+            other = valve_state.with_forgetting(lane, lam)
+        except ValueError as error:
+            raise CommandRejected(f"{valve}.{estimator}: {error}") from None
+        self._valves.put(valve, estimator, other)
+
+    def predict(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, Status]:
+        """Q (l/min), its standard deviation and status at one point."""
+        lane = self._valves.lane(valve, estimator)
+        point = (np.array([x], np.float64) for x in (U, dp, self._valves.T_or_last(valve, T)))
+        (Q,), (std,), (status,) = valve_state.predicted(lane, *point)
+        return float(Q), float(std), Status(int(status))
+
+    def predict_measurement(
+        self, valve: str, estimator: str, U: float, dp: float, T: float
+    ) -> tuple[float, float, float, Status]:
+        """Q, the 95 % interval of a new measurement (l/min), and status."""
+        lane = self._valves.lane(valve, estimator)
+        point = (np.array([x], np.float64) for x in (U, dp, self._valves.T_or_last(valve, T)))
+        (Q,), (half,), (status,) = valve_state.predicted_measurement(lane, *point)
+        return float(Q), float(Q - half), float(Q + half), Status(int(status))
+
+    def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
+        """U for a demanded flow at a pressure drop."""
+        plan, state = self._valves.inverted(self._valves.numbers[valve])
+        return valve_state.demanded(plan, state, Q, dp, T)
+
+    def demand(self, valve: str, Q: float, dp: float) -> None:
+        """Set the standing demand; NaN takes it back."""
+        fleet, m = self._valves.named(valve)
+        fleet.demand(m, Q, dp)
+
+    def required(self, valve: int) -> tuple[Required, Status]:
+        """The answer to a valve's standing demand, and how its estimator stands."""
+        plan, state = self._valves.inverted(valve)
+        status = state.lanes[plan.inverse].status
+        answer = valve_state.required(plan, state)
+        return answer, Status.WARMING_UP if status is None else status

@@ -1,0 +1,199 @@
+"""The states of one estimator on M valves: stacked as arrays where it can, else one by one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.auto import Auto
+from valvemap.model.change import Change, FindsChanges
+from valvemap.model.estimator import State
+from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.pipeline.valve_state import AnyEstimator
+
+CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)])  # see `Change`
+
+
+def states_of(estimator: AnyEstimator, M: int) -> "Stacked | Listed":
+    """M initial states, kept as the estimator can take them."""
+    return Stacked(estimator, M) if isinstance(estimator, ManyModels) else Listed(estimator, M)
+
+
+class Stacked:
+    """As a structure of arrays, for an estimator that takes many models at once."""
+
+    def __init__(self, estimator: ManyModels[Any], M: int) -> None:
+        self._estimator = estimator
+        self._all = repeated(estimator.initial_state(), M)
+        self._changes: list[Change | None] = [None] * M
+        self._newest_changes = np.zeros(M, CHANGE)
+        self._changed = np.zeros(M, np.int64)  # how often, when `_changes` was made; -1: unknown
+
+    def update(self, samples: Samples, segments: Segments) -> Trace:
+        """Learn the samples of each segment's valve; what was made of each."""
+        return self._estimator.update_many(self._all, samples, segments)
+
+    def get(self, m: int) -> State:
+        """The state of valve ``m``, a copy."""
+        one: State = copied(member(self._all, m))
+        return one
+
+    def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
+        """``theta`` and its standard deviation of some valves (K, n)."""
+        return self._estimator.parameters_many(members(self._all, chosen))
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        """The newest change of some valves that was found."""
+        self._look_for_changes(chosen)
+        return [self._changes[m] for m in chosen]
+
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        self._look_for_changes(chosen)
+        return self._newest_changes[chosen]
+
+    def _look_for_changes(self, chosen: Times) -> None:
+        if not isinstance(self._estimator, FindsChanges):
+            return
+        counts = self._estimator.change_counts(self._all)[chosen]
+        for m in chosen[counts != self._changed[chosen]]:
+            self._changes[m] = found = self._estimator.last_change(member(self._all, m))
+            self._newest_changes[m] = (found.count, found.t, found.size) if found else 0
+        self._changed[chosen] = counts
+
+    def structures(self, chosen: Times) -> Sequence[str | None]:
+        """What shape some valves were found to have; None where that is not looked for."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.describe_many(self._all, chosen)
+        return [None] * len(chosen)
+
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
+        """Of U and Q of some valves, s; None where they are not looked for."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.lags_many(self._all, chosen)
+        return [None] * len(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        """The larger of the two, s; NaN where they are not looked for (K,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.largest_lags(self._all)[chosen]
+        return np.full(len(chosen), np.nan)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        """What is made of the residuals of some valves (K,)."""
+        return self._estimator.adaptation_many(members(self._all, chosen))
+
+    def too_fast(self, M: int) -> Times:
+        """How many samples moved too fast for the lags of their signals (M,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.too_fast(self._all)
+        return np.zeros(M, np.int64)
+
+    def began(self) -> Times:
+        """After how many samples each map began anew (M,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.began(self._all)
+        return np.zeros_like(self._changed)
+
+    def samples_since(self) -> Times:
+        """How many samples each map rests on, of those that may begin anew (M,)."""
+        if isinstance(self._estimator, Auto):
+            return self._estimator.samples_since(self._all)
+        return np.zeros_like(self._changed)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """All states as named arrays, the first axis over valves."""
+        return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
+
+    def take_up(self, _written: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what was written of `columns`."""
+        self._changed[:] = -1
+
+    def put(self, m: int, state: State) -> None:
+        """Give valve ``m`` another state."""
+        self._changed[m] = -1
+        for f in fields(state):
+            getattr(self._all, f.name)[m] = getattr(state, f.name)
+
+
+class Listed:
+    """One by one, for an estimator with much to do and to remember at each."""
+
+    def __init__(self, estimator: AnyEstimator, M: int) -> None:
+        self._estimator = estimator
+        self._all: list[State] = [estimator.initial_state()] * M
+
+    def update(self, samples: Samples, segments: Segments) -> Trace:
+        """Learn the samples of each segment's valve; what was made of each."""
+        N = len(samples)
+        predicted, residual, early = np.empty((3, N))
+        trace = Trace(predicted, residual, early, np.empty(N, np.uint8))
+        for m, start, stop in zip(*segments, strict=True):
+            rows = slice(start, stop)
+            self._all[m], said = self._estimator.update(self._all[m], samples[rows])
+            for f in fields(Trace):
+                getattr(trace, f.name)[rows] = getattr(said, f.name)
+        return trace
+
+    def get(self, m: int) -> State:
+        """The state of valve ``m``, a copy."""
+        return self._all[m]
+
+    def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
+        """``theta`` and its standard deviation of some valves (K, n)."""
+        found = [self._estimator.parameters(self._all[m]) for m in chosen]
+        theta, std = zip(*found, strict=True)
+        return np.stack(theta), np.stack(std)
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        """The newest change of some valves that was found."""
+        return [None] * len(chosen)
+
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        return np.zeros(len(chosen), CHANGE)
+
+    def structures(self, chosen: Times) -> Sequence[str | None]:
+        """What shape some valves were found to have; None where that is not looked for."""
+        return [None] * len(chosen)
+
+    def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
+        """Of U and Q of some valves, s; None where they are not looked for."""
+        return [None] * len(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        """The larger of the two, s; NaN where they are not looked for (K,)."""
+        return np.full(len(chosen), np.nan)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        """What is made of the residuals of some valves (K,)."""
+        return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
+
+    def too_fast(self, M: int) -> Times:
+        """How many samples moved too fast for the lags of their signals (M,)."""
+        return np.zeros(M, np.int64)
+
+    def began(self) -> Times:
+        """After how many samples each map began anew (M,)."""
+        return np.zeros(len(self._all), np.int64)
+
+    def samples_since(self) -> Times:
+        """How many samples each map rests on, of those that may begin anew (M,)."""
+        return np.zeros(len(self._all), np.int64)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """All states as named arrays, the first axis over valves."""
+        stacked = stack(self._all)
+        return {f.name: getattr(stacked, f.name) for f in fields(stacked)}
+
+    def take_up(self, written: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what was written of `columns`."""
+        stacked = type(self._all[0])(**written)
+        self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
+
+    def put(self, m: int, state: State) -> None:
+        """Give valve ``m`` another state."""
+        self._all[m] = state

@@ -1,0 +1,320 @@
+"""Feed-forward that may be trusted: whether the answer to a demand is written to its valve. Pure.
+
+Once armed, the valve is led: first to where it stands, from there on by the answer, within range
+and slew. While the answer may not be written the configured fallback acts. The source sees a
+heartbeat as long as the valve is led; that it stands still, or is 0, hands the valve back.
+
+::
+
+                 armed, fresh sample              a reason, fallback = hand_back
+    not led  ───────────────────────────▶  led  ───────────────────────────────▶  not led
+                write U as measured               or disarmed, or writes refused
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+from typing import Final, Self, assert_never
+
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.samples import Status
+
+MOST_STEP_S: Final = 0.2  # of slew in one command, however long ago the last one was
+HEARTBEAT_S: Final = 0.08  # asked every 0.1 s, that is at least five in a second
+STALLED_S: Final = 0.4  # without a heartbeat of ours, the source may have dropped the command
+RETRY_S: Final = 0.08  # a refused command is written again; asked every 0.1 s
+GIVE_UP_S: Final = 0.2  # refused for so long, the fallback acts: 0.5 s later the source's own
+RESTART_S: Final = 2.0  # handed back because of a refusal, the valve is asked for again
+MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
+
+
+class FeedForwardStatus(IntEnum):
+    """Whether the answer is written to the valve, and if not, why."""
+
+    WRITING = 0
+    NOT_CONFIGURED = 1
+    DISARMED = 2
+    SOURCE_LOST = 3
+    REFUSED = 4
+    STALE = 5
+    BAD_SAMPLE = 6
+    NO_DEMAND = 7
+    MAP_NOT_GOOD = 8
+    EXTRAPOLATED = 9
+    ABOVE_REACH = 10
+    OUT_OF_RANGE = 11
+    TOO_UNSURE = 12
+
+    @property
+    def sentence(self) -> str:
+        """A sentence for the operator."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    FeedForwardStatus.WRITING: "RequiredU is written to the valve, no faster than the slew.",
+    FeedForwardStatus.NOT_CONFIGURED: "nodes.required_U is not configured.",
+    FeedForwardStatus.DISARMED: "Nobody has called Arm since the start or the last Disarm.",
+    FeedForwardStatus.SOURCE_LOST: "There is no connection to the source.",
+    FeedForwardStatus.REFUSED: "The source refuses the command or the heartbeat.",
+    FeedForwardStatus.STALE: "The newest sample is older than max_age_s.",
+    FeedForwardStatus.BAD_SAMPLE: "The newest sample is Bad or was rejected.",
+    FeedForwardStatus.NO_DEMAND: "Flow, pressure drop or temperature is not known.",
+    FeedForwardStatus.MAP_NOT_GOOD: "The map is not identified there, or falls with U.",
+    FeedForwardStatus.EXTRAPOLATED: "Nothing was measured near what is demanded.",
+    FeedForwardStatus.ABOVE_REACH: "The valve cannot pass so much at this pressure drop.",
+    FeedForwardStatus.OUT_OF_RANGE: "RequiredU is outside range_percent.",
+    FeedForwardStatus.TOO_UNSURE: "The 95 % interval of RequiredU is wider than max_width_percent.",
+}
+
+
+class Fallback(Enum):
+    """What is done while the answer may not be written."""
+
+    HOLD = "hold"
+    RAMP = "ramp"
+    HAND_BACK = "hand_back"
+
+
+@dataclass(frozen=True)
+class FeedForward:
+    """How one valve may be led.
+
+    Attributes
+    ----------
+    U_range : (float, float)
+        What is ever written, %.
+    slew_percent_per_s : float
+        Fastest change of what is written.
+    fallback : Fallback
+        HOLD keeps the last command, RAMP goes to ``fallback_U`` (%) at the slew, HAND_BACK writes
+        nothing and lets the heartbeat stand.
+    max_age_s : float
+        Oldest sample to go by: since it arrived, and by the clocks of source and service.
+    max_width_percent : float
+        Widest 95 % interval of the answer.
+    has_heartbeat : bool
+        Whether the source watches one.
+    """
+
+    U_range: tuple[float, float] = (0.0, 100.0)
+    slew_percent_per_s: float = 100.0
+    fallback: Fallback = Fallback.HOLD
+    fallback_U: float = 0.0
+    max_age_s: float = 0.5
+    max_width_percent: float = 10.0
+    has_heartbeat: bool = False
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What is known at one moment.
+
+    ``U`` (%) is what the newest sample shows, ``age_s`` its age, ``map`` what the estimator did
+    with it; ``required_U``, ``width`` (both %) and ``answer`` are the answer to the demand.
+    """
+
+    armed: bool
+    connected: bool
+    age_s: float = math.inf
+    U: float = math.nan
+    map: Status = Status.WARMING_UP
+    required_U: float = math.nan
+    width: float = math.nan
+    answer: InverseStatus = InverseStatus.NOT_FINITE
+
+
+@dataclass(frozen=True)
+class Refusals:
+    """Since when a write has been refused without a break, and when last; s."""
+
+    since: float = math.inf
+    last: float = -math.inf
+
+    def lasted(self, now: float) -> float:
+        """How long that has been, s; -inf where nothing is refused."""
+        return now - self.since
+
+    def again(self, now: float) -> Self:
+        """After another one."""
+        return replace(self, since=min(self.since, now), last=now)
+
+
+@dataclass(frozen=True)
+class FeedForwardState:
+    """What is remembered of one valve.
+
+    ``U`` (%) is the command that the source has taken, NaN while the valve is not led; ``t`` when
+    it was last known to hold; ``heartbeat`` the last one that was taken, ``beaten`` when.
+    """
+
+    status: FeedForwardStatus = FeedForwardStatus.DISARMED
+    U: float = math.nan
+    t: float = -math.inf
+    heartbeat: int = 0
+    beaten: float = -math.inf
+    refused_U: Refusals = Refusals()
+    refused_heartbeat: Refusals = Refusals()
+
+    @property
+    def is_led(self) -> bool:
+        """Whether the source goes by our command."""
+        return not math.isnan(self.U)
+
+    def has_stalled(self, now: float) -> bool:
+        """Whether the last heartbeat is so long ago that the source may have its valve back."""
+        return math.isfinite(self.beaten) and now - self.beaten > STALLED_S
+
+    def since_refusal(self, now: float) -> float:
+        """Time since the last refusal, s."""
+        return now - max(self.refused_U.last, self.refused_heartbeat.last)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is to be written now, ``U`` (%) before ``heartbeat``; None is nothing."""
+
+    U: float | None = None
+    heartbeat: int | None = None
+
+
+def decide(
+    settings: FeedForward, state: FeedForwardState, situation: Situation, now: float
+) -> tuple[FeedForwardState, Command]:
+    """What is to be written at ``now`` (s); :func:`written` says afterwards what became of it.
+
+    To be asked with every batch of samples, and at least every 0.1 s.
+
+    Examples
+    --------
+    >>> settings = FeedForward(slew_percent_per_s=10.0)
+    >>> good = Situation(True, True, 0.0, 40.0, Status.OK, 60.0, 1.0, InverseStatus.OK)
+    >>> state, command = decide(settings, FeedForwardState(), good, now=0.0)
+    >>> command.U  # begins where the valve is
+    40.0
+    >>> state = written(state, command, 0.0)
+    >>> state, command = decide(settings, state, good, now=0.1)
+    >>> command.U, state.status.name
+    (41.0, 'WRITING')
+    """
+    reason = _reason(settings, situation)
+    if not (situation.armed and situation.connected):
+        fresh = replace(state, refused_U=Refusals(), refused_heartbeat=Refusals())
+        return _handed_back(fresh, reason, connected=situation.connected)
+    given_up = max(state.refused_U.lasted(now), state.refused_heartbeat.lasted(now)) >= GIVE_UP_S
+    status = FeedForwardStatus.REFUSED if given_up else reason
+    writes = reason is FeedForwardStatus.WRITING
+    if state.has_stalled(now):
+        state = replace(state, U=math.nan, beaten=-math.inf)
+    if not state.is_led:
+        pause = RESTART_S if given_up and settings.fallback is not Fallback.HOLD else RETRY_S
+        waits = state.since_refusal(now) < pause
+        blind = reason in {FeedForwardStatus.STALE, FeedForwardStatus.BAD_SAMPLE}
+        leads = writes or settings.fallback is not Fallback.HAND_BACK
+        begins = leads and not (waits or blind)
+        U = _clipped(situation.U, settings.U_range) if begins else None
+        return replace(state, status=status), Command(U)
+    match settings.fallback:
+        case Fallback.HAND_BACK if given_up or not writes:
+            return _handed_back(state, status, connected=True)
+        case Fallback.RAMP if given_up:  # where no command is taken, no ramp is
+            return _handed_back(state, status, connected=True)
+        case Fallback.RAMP:
+            otherwise = settings.fallback_U
+        case Fallback.HOLD | Fallback.HAND_BACK:
+            otherwise = state.U
+        case _:
+            assert_never(settings.fallback)
+    target = situation.required_U if writes else otherwise
+    return _led(settings, replace(state, status=status), target, now)
+
+
+def written(
+    state: FeedForwardState,
+    command: Command,
+    now: float,
+    *,
+    U_refused: bool = False,
+    heartbeat_refused: bool = False,
+) -> FeedForwardState:
+    """What is remembered once the source has answered, at ``now`` (s)."""
+    if command.U is not None:
+        if U_refused:
+            state = replace(state, refused_U=state.refused_U.again(now))
+        else:
+            heartbeat = state.refused_heartbeat if state.is_led else Refusals()
+            state = replace(
+                state, U=command.U, t=now, refused_U=Refusals(), refused_heartbeat=heartbeat
+            )
+    if command.heartbeat:
+        if heartbeat_refused:
+            state = replace(state, refused_heartbeat=state.refused_heartbeat.again(now))
+        else:
+            n = command.heartbeat
+            state = replace(state, heartbeat=n, beaten=now, refused_heartbeat=Refusals())
+    return state
+
+
+def _led(
+    settings: FeedForward, state: FeedForwardState, target: float, now: float
+) -> tuple[FeedForwardState, Command]:
+    """One step towards ``target``, and the heartbeat when it is due."""
+    most = settings.slew_percent_per_s * min(now - state.t, MOST_STEP_S)
+    U = _clipped(target, (state.U - most, state.U + most))
+    U = _clipped(U, settings.U_range)
+    command = Command()
+    if U == state.U:
+        state = replace(state, t=now)
+    elif now - state.refused_U.last >= RETRY_S:
+        command = Command(U)
+    due = min(now - state.beaten - HEARTBEAT_S, now - state.refused_heartbeat.last - RETRY_S) >= 0
+    if settings.has_heartbeat and due:
+        command = replace(command, heartbeat=state.heartbeat % MOST_HEARTBEAT + 1)
+    return state, command
+
+
+def _handed_back(
+    state: FeedForwardState, status: FeedForwardStatus, *, connected: bool
+) -> tuple[FeedForwardState, Command]:
+    """The valve is the source's own again; said at once where a heartbeat was written."""
+    says = connected and math.isfinite(state.beaten)
+    after = replace(state, status=status, U=math.nan, beaten=-math.inf)
+    return after, Command(heartbeat=0 if says else None)
+
+
+def _clipped(U: float, bounds: tuple[float, float]) -> float:
+    return min(max(U, bounds[0]), bounds[1])
+
+
+def _reason(settings: FeedForward, situation: Situation) -> FeedForwardStatus:
+    """WRITING, or the first reason why not."""
+    low, high = settings.U_range
+    bad = situation.map is Status.REJECTED or not math.isfinite(situation.U)
+    of_answer = _OF_ANSWER[situation.answer]
+    for reason, holds in (
+        (FeedForwardStatus.DISARMED, not situation.armed),
+        (FeedForwardStatus.SOURCE_LOST, not situation.connected),
+        (FeedForwardStatus.STALE, not situation.age_s <= settings.max_age_s),
+        (FeedForwardStatus.BAD_SAMPLE, bad),
+        (FeedForwardStatus.MAP_NOT_GOOD, situation.map in _MAP_NOT_GOOD),
+        (FeedForwardStatus.EXTRAPOLATED, situation.map is Status.EXTRAPOLATING),
+        (of_answer, of_answer is not FeedForwardStatus.WRITING),
+        (FeedForwardStatus.OUT_OF_RANGE, not low <= situation.required_U <= high),
+        (FeedForwardStatus.TOO_UNSURE, not situation.width <= settings.max_width_percent),
+    ):
+        if holds:
+            return reason
+    return FeedForwardStatus.WRITING
+
+
+_MAP_NOT_GOOD = {Status.WARMING_UP, Status.HELD}  # UNEXCITED is: a constant flow teaches nothing
+_OF_ANSWER = {
+    InverseStatus.OK: FeedForwardStatus.WRITING,
+    InverseStatus.BELOW_REACH: FeedForwardStatus.WRITING,  # who demands nothing wants it closed
+    InverseStatus.ABOVE_REACH: FeedForwardStatus.ABOVE_REACH,
+    InverseStatus.NOT_MONOTONE: FeedForwardStatus.MAP_NOT_GOOD,
+    InverseStatus.UNIDENTIFIED: FeedForwardStatus.MAP_NOT_GOOD,
+    InverseStatus.NOT_FINITE: FeedForwardStatus.NO_DEMAND,
+    InverseStatus.OUTSIDE: FeedForwardStatus.EXTRAPOLATED,
+    InverseStatus.EXTRAPOLATING: FeedForwardStatus.EXTRAPOLATED,
+}

@@ -1,0 +1,253 @@
+"""What is kept of all valves as checkpoints, and taken up again where the configuration fits."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from valvemap.model.estimator import StateMismatchError, key_of
+from valvemap.model.samples import Status
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.alignment import AlignmentSettings
+from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
+from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.approved_maps import ApprovedMaps
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.baseline import Baseline
+from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
+from valvemap.pipeline.ports import Checkpoint
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.timing import TimingSettings, TimingState
+from valvemap.pipeline.valve_memory import ValveMemory
+from valvemap.pipeline.valve_state import ValveState
+
+MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
+TIMING = "Signals"  # nor so: how its signals come
+BASELINE = "Baseline"  # nor so: the map that was approved as new
+ALARMS = "Alarms"  # nor so: how its alarms stand
+
+
+class KeptStates:
+    """Packs what the parts know of valves, and gives it back to them.
+
+    Parameters
+    ----------
+    valves
+        Of these.
+    arrivals, approved, alarms
+        What is kept beside the estimators' states.
+    maps
+        Made anew of what is taken up.
+    """
+
+    def __init__(
+        self,
+        valves: AllValves,
+        arrivals: Arrivals,
+        approved: ApprovedMaps,
+        alarms: AllAlarms,
+        maps: MapsAndSurveys,
+    ) -> None:
+        self._valves = valves
+        self._arrivals = arrivals
+        self._approved = approved
+        self._alarms = alarms
+        self._maps = maps
+        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # a valve's fleet, T, numbers
+        self._timing_keys: dict[int, str] = {}  # both made when first asked for: 0.5 ms each
+
+    def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that is kept of some valves, or of all: `checkpoints` and `memories`."""
+        estimators, beside = [], []
+        for valve in self._chosen(valves):
+            state = self._as_kept(valve)
+            estimators += self._checkpoints_of(valve, state)
+            beside += self._memories_of(valve, state)
+        return [*estimators, *beside, *self._of_service()]
+
+    def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """Every estimator's state as bytes, of some valves or of all."""
+        chosen = self._chosen(valves)
+        return [c for valve in chosen for c in self._checkpoints_of(valve, self._as_kept(valve))]
+
+    def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that some valves, or all, remember beside their estimators' states."""
+        chosen = self._chosen(valves)
+        found = [c for valve in chosen for c in self._memories_of(valve, self._as_kept(valve))]
+        return found + self._of_service()
+
+    def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
+        """Take up what was kept, where the configuration still fits.
+
+        Returns
+        -------
+        restored, refused
+            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
+        """
+        restored: list[str] = []
+        refused: dict[str, str] = {}
+        takers = {
+            MEMORY: self._take_memory,
+            TIMING: self._take_timing,
+            BASELINE: self._take_baseline,
+            ALARMS: self._take_alarms,
+        }
+        known: set[int] = set()
+        for kept in sorted(checkpoints, key=lambda kept: kept.estimator == MEMORY):
+            name = f"{kept.valve}.{kept.estimator}"
+            try:
+                takers.get(kept.estimator, self._take_estimator)(kept)
+            except StateMismatchError as error:
+                refused[name] = str(error)
+            else:
+                restored.append(name)
+                if kept.valve in self._valves.numbers:
+                    known.add(self._valves.numbers[kept.valve])
+        for number in known:
+            self._maps.tabulate(number)
+        if known:
+            self._maps.refresh()
+        return restored, refused
+
+    def _chosen(self, valves: Iterable[int] | None) -> Iterable[int]:
+        return range(len(self._valves.plans)) if valves is None else valves
+
+    def _as_kept(self, valve: int) -> ValveState:
+        fleet, m = self._valves.at(valve)
+        return fleet.state(m)  # what sensors may be off by is not kept
+
+    def _checkpoints_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
+        keys = self._valves.estimator_keys(valve)
+        return [
+            Checkpoint(
+                valve=self._valves.plans[valve].name,
+                estimator=name,
+                key=keys[name],
+                t=lane.t,
+                state=valve_state.lane_to_bytes(lane, keys[name]),
+                lam=lane.lam,
+                frozen=lane.frozen,
+            )
+            for name, lane in state.lanes.items()
+        ]
+
+    def _memories_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
+        fleet, m = self._valves.at(valve)
+        memory = ValveMemory.of(state, self._arrivals.of(valve), dict(fleet.beyond(m)))
+        key, name = self._memory_key(valve), self._valves.plans[valve].name
+        found = [_beside(name, MEMORY, memory.to_bytes(key), state.t, key)]
+        found.append(_beside(name, ALARMS, fleet.alarms.to_bytes(m), state.t))
+        if self._arrivals.finds_timing:
+            key = self._timing_key(valve)
+            timing = self._arrivals.timing.valves[valve].state
+            found.append(_beside(name, TIMING, timing.to_bytes(key), state.t, key))
+        if self._approved.counts[valve]:
+            found.append(self._baseline_of(valve))
+        return found
+
+    def _of_service(self) -> list[Checkpoint]:
+        alarms = self._alarms.of_service
+        return [_beside(OF_SERVICE, ALARMS, alarms.to_bytes(), 0)] if alarms.version else []
+
+    def _baseline_of(self, valve: int) -> Checkpoint:
+        """The baseline, or, as ``frozen``, that there is none any more."""
+        found = self._approved.of(valve)
+        kept = found or Baseline.none(int(self._approved.counts[valve]))
+        name = self._valves.plans[valve].name
+        return replace(_beside(name, BASELINE, kept.to_bytes(), kept.t), frozen=found is None)
+
+    def _take_estimator(self, kept: Checkpoint) -> None:
+        plan = self._valves.plans[self._number(kept)]
+        configured = plan.estimators.get(kept.estimator)
+        if configured is None:
+            raise StateMismatchError("no such estimator is configured")
+        lane = valve_state.lane_from_bytes(
+            kept.state, configured, kept.lam, frozen=kept.frozen, t=kept.t
+        )
+        self._valves.put(kept.valve, kept.estimator, lane)
+
+    def _take_memory(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        fleet, m = self._valves.at(number)
+        memory = ValveMemory.from_bytes(
+            kept.state, self._memory_key(number), fleet.plan.gate, self._arrivals.alignment
+        )
+        self._arrivals.put(number, memory.waiting)
+        fleet.remember(m, memory.gate, memory.t, memory.T)
+        fleet.demand(m, *memory.demand)
+        for name, notes in memory.notes.items():
+            known = name in fleet.plan.estimators and notes.status in (-1, *Status)
+            if not known or not (lane := fleet.lane(m, name)).t:
+                continue  # it starts afresh
+            status = None if notes.status < 0 else Status(notes.status)
+            said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
+            fleet.put(m, name, said)
+            fleet.count_beyond(m, name, notes.beyond)
+
+    def _take_timing(self, kept: Checkpoint) -> None:
+        number = self._number(kept)
+        if not self._arrivals.finds_timing:
+            raise StateMismatchError("how signals come is configured")
+        state = TimingState.from_bytes(kept.state, self._timing_key(number))
+        self._arrivals.timing.put(number, state)
+
+    def _take_baseline(self, kept: Checkpoint) -> None:
+        number, found = self._number(kept), Baseline.from_bytes(kept.state)
+        self._approved.take_up(number, found, is_approved=not kept.frozen)
+
+    def _take_alarms(self, kept: Checkpoint) -> None:
+        if kept.valve == OF_SERVICE:
+            self._alarms.of_service.from_bytes(kept.state)
+        else:
+            fleet, m = self._valves.at(self._number(kept))
+            fleet.alarms.from_bytes(m, kept.state)
+
+    def _number(self, kept: Checkpoint) -> int:
+        number = self._valves.numbers.get(kept.valve)
+        if number is None:
+            raise StateMismatchError("no such valve is configured")
+        return number
+
+    def _memory_key(self, valve: int) -> str:
+        has_T, numbered = self._has(valve)
+        kind = self._valves.kind(valve), has_T, numbered
+        if kind not in self._memory_keys:
+            gate, settings = self._valves.plans[valve].gate, self._arrivals.alignment.settings
+            self._memory_keys[kind] = key_of(_Through(gate, settings, has_T, numbered))
+        return self._memory_keys[kind]
+
+    def _timing_key(self, valve: int) -> str:
+        if valve not in self._timing_keys:
+            settings, nodes = self._arrivals.timing.settings, self._valves.plans[valve].nodes
+            self._timing_keys[valve] = key_of(_Comes(settings, nodes, *self._has(valve)))
+        return self._timing_keys[valve]
+
+    def _has(self, valve: int) -> tuple[bool, bool]:
+        """Whether a valve has a temperature, and running numbers."""
+        alignment = self._arrivals.alignment
+        numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
+        return alignment.has_T[valve], numbered
+
+
+def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
+    """What is kept of a valve beside its estimators' states."""
+    return Checkpoint(valve, name, key, t, state, lam=None, frozen=False)
+
+
+# A key hashes its class's name as well: were one renamed, all that was kept would be refused.
+@dataclass(frozen=True)
+class _Through:
+    """What a valve's samples go through before they are learnt from."""
+
+    gate: QualityGate
+    alignment: AlignmentSettings
+    has_T: bool
+    has_sequence: bool
+
+
+@dataclass(frozen=True)
+class _Comes:
+    """What it depends on how a valve's signals come."""
+
+    settings: TimingSettings
+    nodes: Mapping[str, str]
+    has_T: bool
+    has_sequence: bool

@@ -1,0 +1,447 @@
+"""The loop that watches many valves sample by sample, and moves their alarms on.
+
+Times are source times, UTC ns; nothing depends on how the samples were cut into batches.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.kernels.compiled import inlined, lean_kernel
+from valvemap.model.kernels.prefetch import fetch
+from valvemap.model.samples import Flags, Floats, Segments, Times
+
+# Alarms of a valve, in the order of `streaming.alarms.Alarm`; those that are judged here.
+RESIDUAL, SENSOR_LOST, SENSOR_FROZEN, UNEXCITED = 1, 3, 4, 5
+
+SIGNALS = 5  # U, p1, p2, Q, T
+CELLS_U, CELLS_S = 10, 12
+WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar: the places by which residuals are compared
+BLOCK = 16.0  # residuals that are averaged: what stays, stands out against noise
+RECENT_BLOCKS = 32.0  # memory of what they are now: 5 s at 100 Hz
+USUAL_BLOCKS = 1_000.0  # memory of what they usually are: minutes
+ENOUGH_BLOCKS = 64.0  # from so many on it is known what is usual
+SETTLED_BLOCKS = 400.0  # from so many on residuals and changes are the valve's: minutes
+PLACE_MEMORY = 1_000.0  # samples of one place
+KNOWN_PLACE = 50.0  # samples from which on a place's usual residual is known
+OUTLIER = 25.0  # squares: more is not taken for usual
+LARGEST = 400.0  # squares: more does not count, or one spike would be an alarm for seconds
+NEGLIGIBLE = 0.0035  # of the flow's range: residuals that grew by less are no alarm
+CONFIRMED = 1.6  # times the usual: residuals that confirm a change
+USUAL_SAMPLES = 5_000.0  # memory of the usual mean square, over all places
+STILL_TIMES = 10.0  # so many times its longest standstill a signal stands still when it is dead
+ENOUGH_MOVES = 100  # changes of a signal, and of the others meanwhile, before it is called dead
+PAUSE_NS = 2_000_000_000  # between samples: nobody saw whether a signal stood still
+OIL_MEMORY_S = 1_800.0  # memory of the oil's usual temperature
+CAUSE_MEMORY = 1.0 - 1.0 / 1000.0  # of the sums by which causes are told apart, per sample
+AS_USUAL = 4.0  # times the usual squares: below, a block has nothing to say of causes
+HALF_FORGOTTEN = 0.5  # of the sums, at such a block: what was before a change blurs it
+LEAST_DP = 1.0  # bar
+
+# Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
+CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, DIRECTIONS = range(6)
+
+# What can be the cause, in the order of `streaming.alarm_words.Cause`.
+NO_CAUSE, EDGE, METER, SIGNAL, LAG, HOT_OIL, CAUSES = range(7)
+TELLING = 0.15  # share of the squares: two that differ by less explain the same
+RULED_OUT = 4.0  # times what the best leaves unexplained: who leaves more is not the cause
+LEFT = 0.1  # share of the squares that nobody explains: they are noise
+CLEAR = 0.1  # share that a lag must explain more to be named: what is constant looks like one
+LEAST_SHARE = 1e-6  # what an edge, a meter or an offset always may be
+OTHER_OIL_K = 3.0  # K: so far from usual the oil is named, whatever else explains the residual
+
+# Places in `Senses.memory` and `Senses.times`.
+CELL, KNOWN, BLOCK_SUM, BLOCK_N, RECENT, RECENT_N, USUAL, USUAL_N, T_USUAL, Q_BEFORE = range(10)
+SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN = range(10, 17)
+USUAL_SQUARE, USUAL_SQUARE_N, LAG_BEFORE, MEMORY = range(17, 21)
+NEWEST, USABLE, EXCITED, LOSS_TIME, LARGE_SINCE, LARGE_UNTIL, TIMES = range(7)
+NEVER = np.iinfo(np.int64).min
+
+
+class Conditions(NamedTuple):
+    """How A alarms of each of M valves stand, all (M, A) unless said otherwise.
+
+    ``over`` is since when the limit is exceeded, 0 while it is not; ``since`` since when the alarm
+    was there last, ``at`` when it last came, went or was acknowledged, both UTC ns; ``value`` the
+    largest that was measured meanwhile; ``detail`` (M, A, 2) and ``causes`` (M, A, 3) say more of
+    it; ``came`` how often it did; ``version`` (M,) counts what changed of any of them.
+    """
+
+    over: Times
+    since: Times
+    at: Times
+    active: Flags
+    acked: Flags
+    value: Floats
+    detail: Floats
+    causes: NDArray[np.uint8]
+    came: Times
+    version: Times
+
+
+class Senses(NamedTuple):
+    """What is remembered of M valves to judge them by.
+
+    ``last``, ``still``, ``longest``, ``moves``, ``others`` (M, 5): value of each signal, since when
+    it is the same, its longest standstill (ns), how often it moved, how often another one did
+    meanwhile; ``weight``, ``bias``, ``square`` (M, 120): samples of each place, mean and mean
+    square of the residuals there, l/min;
+    ``sums`` (M, 6, 6): products of the directions and, last, the residual.
+    """
+
+    last: Floats
+    still: Times
+    longest: Times
+    moves: Times
+    others: Times
+    weight: NDArray[np.float32]
+    bias: NDArray[np.float32]
+    square: NDArray[np.float32]
+    sums: Floats
+    memory: Floats
+    times: Times
+
+
+class Watched(NamedTuple):
+    """N samples as judged, and what the estimator said of them, all (N,)."""
+
+    t: Times
+    U: Floats
+    p1: Floats
+    p2: Floats
+    Q: Floats
+    T: Floats
+    quality: NDArray[np.uint8]
+    predicted: Floats
+    residual: Floats
+    status: NDArray[np.uint8]
+
+
+@lean_kernel
+def watch(
+    seen: Watched,
+    patient: Flags,
+    rules: Floats,
+    conditions: Conditions,
+    senses: Senses,
+    segments: Segments,
+    Q_span: float,
+    shares: Floats,
+) -> None:
+    """Take N samples in.
+
+    Parameters
+    ----------
+    Q_span
+        Range of the flow, l/min.
+    shares : (CAUSES,)
+        To calculate with.
+    patient : (M,)
+        Whose signals come on change: silence is no loss of theirs.
+    rules : (A, 3)
+        Limit, limit less hysteresis, delay (ns).
+    """
+    for s in range(len(segments.members)):
+        m = segments.members[s]
+        if s + 1 < len(segments.members):
+            fetch(conditions, segments.members[s + 1])
+            fetch(senses, segments.members[s + 1])
+        for i in range(segments.starts[s], segments.stops[s]):
+            before = senses.times[m, NEWEST]
+            _keep_time(m, seen.t[i], seen.T[i], conditions, senses)
+            if patient[m] and senses.times[m, USABLE] == before:
+                senses.times[m, USABLE] = seen.t[i]
+            _look_for_losses(m, i, seen, rules, conditions, senses)
+            _look_for_standstills(m, i, seen, rules, conditions, senses)
+            _look_at_excitation(m, i, seen, rules, conditions, senses)
+            _look_at_residual(m, i, seen, rules, conditions, senses, Q_span, shares)
+
+
+@lean_kernel
+def move_on(
+    valves: Times,
+    t: Times,
+    began: Times,
+    x: Floats,
+    alarm: int,
+    rules: Floats,
+    conditions: Conditions,
+    came: Flags,
+) -> None:
+    """Judge one alarm of K valves by what was measured, ``x`` (K,); write which ``came`` (K,)."""
+    for k in range(len(valves)):
+        came[k] = _step(valves[k], alarm, t[k], began[k], x[k], rules, conditions)
+
+
+@inlined
+def _step(
+    m: int, a: int, t: int, began: int, x: float, rules: Floats, conditions: Conditions
+) -> bool:
+    """Move one alarm on; True if it comes now. A measurement that is none changes nothing."""
+    limit, release, delay = rules[a, 0], rules[a, 1], rules[a, 2]
+    if np.isnan(x):
+        return False
+    if conditions.active[m, a]:
+        conditions.value[m, a] = max(conditions.value[m, a], x)
+        if x < release or (x <= limit and release == limit):
+            conditions.active[m, a] = False
+            conditions.over[m, a] = 0
+            conditions.at[m, a] = t
+            conditions.version[m] += 1
+        return False
+    if not x > limit:
+        conditions.over[m, a] = 0
+        return False
+    if conditions.over[m, a] == 0:
+        conditions.over[m, a] = began
+        conditions.value[m, a] = x
+    conditions.value[m, a] = max(conditions.value[m, a], x)
+    if t - conditions.over[m, a] < delay:
+        return False
+    conditions.active[m, a] = True
+    conditions.acked[m, a] = False
+    conditions.since[m, a] = conditions.over[m, a]
+    conditions.at[m, a] = t
+    conditions.came[m, a] += 1
+    conditions.version[m] += 1
+    return True
+
+
+@inlined
+def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses) -> None:
+    """Begin waiting anew where the clock went back, or nobody looked; follow the oil slowly."""
+    times, newest, memory = senses.times[m], senses.times[m, NEWEST], senses.memory[m]
+    first, back = newest == NEVER, t < newest
+    if np.isfinite(T):
+        known = np.isfinite(memory[T_USUAL]) and not (first or back)
+        share = min((t - newest) * 1e-9 / OIL_MEMORY_S, 1.0) if known else 1.0
+        memory[T_USUAL] = memory[T_USUAL] + share * (T - memory[T_USUAL]) if known else T
+    if first or back:
+        times[USABLE] = t
+        if back or times[EXCITED] == NEVER:
+            times[EXCITED] = t
+        for a in range(conditions.over.shape[1]):
+            if not conditions.active[m, a]:
+                conditions.over[m, a] = 0
+    if first or back or t - newest > PAUSE_NS:
+        senses.still[m, :] = t
+        senses.others[m, :] = 0
+    times[NEWEST] = t
+
+
+@inlined
+def _look_for_losses(
+    m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
+) -> None:
+    """How long no sample was of use, s; one that is ends it."""
+    t, usable = seen.t[i], senses.times[m, USABLE]
+    _step(m, SENSOR_LOST, t, usable, (t - usable) * 1e-9, rules, conditions)
+    if seen.quality[i] != 2:
+        senses.times[m, USABLE] = t
+        _step(m, SENSOR_LOST, t, t, 0.0, rules, conditions)
+
+
+@inlined
+def _look_for_standstills(
+    m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
+) -> None:
+    """How long a sensor's value has stood still to the last bit while others moved, s.
+
+    By its own measure: one that often stands still is not dead when it does. U is a command, and a
+    meter shows 0 for as long as nothing flows.
+    """
+    t = seen.t[i]
+    values = (seen.U[i], seen.p1[i], seen.p2[i], seen.Q[i], seen.T[i])
+    last, still = senses.last[m], senses.still[m]
+    was_dead = conditions.active[m, SENSOR_FROZEN]
+    moved = 0
+    for j in range(SIGNALS):
+        if values[j] == last[j] or np.isnan(values[j]):
+            continue
+        stood = t - still[j]
+        if stood > senses.longest[m, j] and not (was_dead and conditions.detail[m, 4, 0] == j):
+            senses.longest[m, j] = stood
+        last[j] = values[j]
+        still[j] = t
+        senses.moves[m, j] += 1
+        senses.others[m, j] = 0
+        moved += 1 if 0 < j < 4 else 0
+    longest, dead = 0.0, 0
+    for j in range(1, SIGNALS):
+        if still[j] == t:
+            continue
+        senses.others[m, j] += moved > 0
+        stood = t - still[j]
+        own = STILL_TIMES * senses.longest[m, j]
+        enough = min(senses.moves[m, j], senses.others[m, j]) >= ENOUGH_MOVES
+        if enough and last[j] != 0.0 and stood > own and stood * 1e-9 > longest:
+            longest, dead = stood * 1e-9, j
+    if _step(m, SENSOR_FROZEN, t, still[dead] if dead else t, longest, rules, conditions):
+        conditions.detail[m, SENSOR_FROZEN, 0] = dead
+
+
+@inlined
+def _look_at_excitation(
+    m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
+) -> None:
+    """How long the inputs have held still, s; a sample that is not used says nothing."""
+    t, times = seen.t[i], senses.times[m]
+    if seen.status[i] != 2:  # Status.UNEXCITED
+        times[EXCITED] = t
+    held = (t - times[EXCITED]) * 1e-9
+    _step(m, UNEXCITED, t, times[EXCITED], held, rules, conditions)
+
+
+@inlined
+def _look_at_residual(
+    m: int,
+    i: int,
+    seen: Watched,
+    rules: Floats,
+    conditions: Conditions,
+    senses: Senses,
+    Q_span: float,
+    shares: Floats,
+) -> None:
+    """How many times the residual, averaged over a few samples, is what it usually is.
+
+    Only where the valve has been before: what a map says of a new place is a guess.
+    """
+    t, e, predicted = seen.t[i], seen.residual[i], seen.predicted[i]
+    U, dp, status = seen.U[i], seen.p1[i] - seen.p2[i], seen.status[i]
+    if seen.quality[i] == 2 or not (abs(e) < 1e100 and np.isfinite(U) and np.isfinite(dp)):
+        return
+    if status > 2 and status != 4:  # Status: OK, WARMING_UP, UNEXCITED, FROZEN
+        return
+    memory, weight = senses.memory[m], senses.weight[m]
+    bias, square = senses.bias[m], senses.square[m]
+    _add_up(m, i, seen, senses)
+    memory[SQUARES] += (e * e - memory[SQUARES]) / (BLOCK * RECENT_BLOCKS)
+    row = min(max(U / WIDTH_U, 0.0), CELLS_U - 1.0)
+    column = min(np.sqrt(abs(dp)) / WIDTH_S, CELLS_S - 1.0)
+    c = int(row) * CELLS_S + int(column)
+    if c != memory[CELL]:
+        memory[CELL], memory[KNOWN] = c, weight[c] >= KNOWN_PLACE
+    usual_now = memory[RATIO] <= rules[RESIDUAL, 1]
+    if memory[KNOWN] and square[c] > 0.0:
+        memory[BLOCK_SUM] += (e - bias[c]) / np.sqrt(square[c])
+        memory[BLOCK_N] += 1.0
+        if memory[BLOCK_N] >= BLOCK:
+            if _take_block(memory, usual_now):
+                for j in range(DIRECTIONS + 1):
+                    for k in range(DIRECTIONS + 1):
+                        senses.sums[m, j, k] *= HALF_FORGOTTEN
+            enough = memory[USUAL_N] >= SETTLED_BLOCKS
+            ratio = np.sqrt(memory[RECENT] / memory[USUAL]) if enough else 0.0
+            times = senses.times[m]
+            if ratio > CONFIRMED:
+                times[LARGE_SINCE] = times[LARGE_SINCE] if memory[RATIO] > CONFIRMED else t
+                times[LARGE_UNTIL] = t
+            memory[RATIO] = ratio
+            more = memory[SQUARES] - memory[USUAL_SQUARE]
+            matters = more >= (NEGLIGIBLE * Q_span) ** 2
+            if _step(m, RESIDUAL, t, t, ratio if matters else 0.0, rules, conditions):
+                conditions.detail[m, RESIDUAL, 0] = np.sqrt(memory[SQUARES])
+                _name_causes(m, RESIDUAL, conditions, senses, shares)
+    if usual_now:
+        memory[USUAL_SQUARE_N] = min(memory[USUAL_SQUARE_N] + 1.0, USUAL_SAMPLES)
+        seldom = memory[USUAL_SQUARE_N] >= KNOWN_PLACE
+        new = min(e * e, OUTLIER * memory[USUAL_SQUARE]) if seldom else e * e
+        memory[USUAL_SQUARE] += (new - memory[USUAL_SQUARE]) / memory[USUAL_SQUARE_N]
+    if usual_now or weight[c] < KNOWN_PLACE:
+        weight[c] = min(weight[c] + 1.0, PLACE_MEMORY)
+        most = OUTLIER * square[c] if weight[c] >= KNOWN_PLACE else 1e30
+        bias[c] += (min(max(e, -np.sqrt(most)), np.sqrt(most)) - bias[c]) / weight[c]
+        square[c] += (min(e * e, most) - square[c]) / weight[c]
+    memory[Q_BEFORE] = predicted
+
+
+@inlined
+def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
+    """End a block: what residuals are now, and usually are; whether this one is as usual."""
+    mean = memory[BLOCK_SUM] / memory[BLOCK_N]
+    memory[BLOCK_SUM] = memory[BLOCK_N] = 0.0
+    new = mean * mean
+    if memory[USUAL_N] >= ENOUGH_BLOCKS:
+        new = min(new, LARGEST * memory[USUAL])
+    memory[RECENT_N] = min(memory[RECENT_N] + 1.0, RECENT_BLOCKS)
+    memory[RECENT] += (new - memory[RECENT]) / memory[RECENT_N]
+    if usual_now:
+        memory[USUAL_N] = min(memory[USUAL_N] + 1.0, USUAL_BLOCKS)
+        memory[USUAL] += (new - memory[USUAL]) / memory[USUAL_N]
+        memory[USUAL] = max(memory[USUAL], 1.0 / BLOCK)  # as if it were white noise
+    return bool(new < AS_USUAL * memory[USUAL])
+
+
+@inlined
+def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
+    """Sum up how the residual goes with what each cause would do to it."""
+    memory, sums = senses.memory[m], senses.sums[m]
+    e, Q, dp = seen.residual[i], seen.predicted[i], seen.p1[i] - seen.p2[i]
+    rate = Q - memory[Q_BEFORE] if np.isfinite(memory[Q_BEFORE]) else 0.0
+    row = (1.0, np.sqrt(max(dp, 0.0)), Q, Q / max(dp, LEAST_DP), rate, e)
+    for j in range(DIRECTIONS + 1):
+        for k in range(DIRECTIONS + 1):
+            sums[j, k] = CAUSE_MEMORY * sums[j, k] + row[j] * row[k]
+
+
+@lean_kernel
+def name_causes(
+    valves: Times, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
+) -> None:
+    """Say of K valves what could be the cause: the up to three that explain most of the residual.
+
+    Those that explain it nearly as well as the best cannot be told apart from it; ``shares``
+    (CAUSES,) is to calculate with.
+    """
+    for k in range(len(valves)):
+        _name_causes(valves[k], alarm, conditions, senses, shares)
+
+
+@inlined
+def _name_causes(
+    m: int, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
+) -> None:
+    sums, causes = senses.sums[m], conditions.causes[m, alarm]
+    shares[:] = 0.0
+    shares[EDGE] = _explained(sums, FLOW, ROOT_DP)
+    shares[METER] = _explained(sums, FLOW, CONSTANT)
+    shares[SIGNAL] = _explained(sums, ROOT_DP, FLOW_BY_DP)
+    shares[LAG] = _explained(sums, FLOW_RATE, FLOW_RATE)
+    if abs(shares[EDGE] - shares[METER]) < TELLING:  # 5 % less flow is 5 % less shown
+        shares[EDGE] = shares[METER] = max(shares[EDGE], shares[METER], LEAST_SHARE)
+    shares[SIGNAL] = max(shares[SIGNAL], LEAST_SHARE)
+    if shares[LAG] < CLEAR + max(shares[EDGE], shares[METER], shares[SIGNAL]):
+        shares[LAG] = 0.0
+    if abs(senses.last[m, 4] - senses.memory[m, T_USUAL]) > OTHER_OIL_K:
+        shares[HOT_OIL] = 2.0
+    causes[:] = NO_CAUSE
+    best = 0.0
+    for place in range(len(causes)):
+        chosen = NO_CAUSE
+        for cause in range(1, CAUSES):
+            if shares[cause] > shares[chosen]:
+                chosen = cause
+        share = min(shares[chosen], 1.0)
+        if chosen == NO_CAUSE or (place > 0 and 1.0 - share > LEFT + RULED_OUT * (1.0 - best)):
+            return
+        best = share if shares[chosen] <= 1.0 and best == 0.0 else best
+        causes[place] = chosen
+        shares[chosen] = 0.0
+
+
+@inlined
+def _explained(sums: Floats, j: int, k: int) -> float:
+    """Share of the residual's squares that two directions together explain."""
+    e, squares = DIRECTIONS, sums[DIRECTIONS, DIRECTIONS]
+    if not squares > 0.0:
+        return 0.0
+    first = sums[j, e] ** 2 / sums[j, j] if sums[j, j] > 0.0 else 0.0
+    second = sums[k, e] ** 2 / sums[k, k] if sums[k, k] > 0.0 else 0.0
+    determinant = sums[j, j] * sums[k, k] - sums[j, k] ** 2
+    if determinant <= 1e-9 * sums[j, j] * sums[k, k]:
+        return float(max(first, second) / squares)
+    both = sums[j, e] ** 2 * sums[k, k] + sums[k, e] ** 2 * sums[j, j]
+    both -= 2.0 * sums[j, e] * sums[k, e] * sums[j, k]
+    return float(both / determinant / squares)

@@ -1,0 +1,328 @@
+"""Samples in the order of their running number, each once, however their signals come.
+
+A sample is what has one source time. Once all its signals and its running number are there it is
+judged: it follows, it came before, or the source has begun anew. Where the numbers are contiguous
+it leaves at once; behind a hole it waits until other samples have spanned ``reorder`` ns.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.pipeline.kernels.compiled import inlined, inner
+from valvemap.pipeline.kernels.waiting import (
+    BASE,
+    BEFORE_FIRST,
+    BEGIN_ANEW,
+    CLOCK_STEPS,
+    DUPLICATES,
+    ELAPSED,
+    FILLED,
+    FIRST,
+    FIRST_TIME,
+    FLOOR,
+    FLUSH,
+    GAPS,
+    GAPS_KEPT,
+    GIVEN_UP,
+    HIGH,
+    LAST,
+    LAST_TIME,
+    LATE,
+    MAKE_ROOM,
+    MISSING,
+    NEVER,
+    NEWEST,
+    NO_NUMBER,
+    NUMBER,
+    OPENED,
+    PERIOD,
+    RESTARTS,
+    SEEN,
+    SEQUENCE,
+    SETTLE,
+    SIGNALS,
+    SINCE,
+    SIZE,
+    TIME,
+    ZERO,
+    Aligned,
+    Rules,
+    Waiting,
+    emit,
+    find,
+    keep_pace,
+    move,
+    open_slot,
+    severity,
+)
+
+_NUMBERED = 1 << SEQUENCE
+_GONE = 1 << 8  # a slot that has left, or is given up; swept away at once
+_NOT_YET = np.int64(2**62)  # later than any time
+_SLOW = 4  # usual steps; a longer one is a jump of the source's clock
+_SLACK_NS = 1e9  # how far a repeated sample may lie from the straight line of number over time …
+_SLACK = 0.5  # … and by how much of its distance from the newest
+
+
+@inlined
+def place_by_number(
+    w: Waiting, v: int, j: int, time: int, value: float, status: int, rules: Rules
+) -> int:
+    """Put a change where it belongs; return the place of the sample that it completes, or -1."""
+    order = w.order[v]
+    if j == SEQUENCE and (not np.isfinite(value) or severity(status) == 2):
+        return -1
+    if time == order[SEEN + j]:
+        w.counters[v, DUPLICATES] += j != SEQUENCE
+        return -1
+    order[SEEN + j] = time
+    if j != SEQUENCE and rules.hold[v, j] > 0:
+        if time >= w.held_time[v, j]:
+            w.held_value[v, j], w.held_status[v, j] = value, status
+            w.held_time[v, j] = time
+        return -1
+    k = find(w.slots[v], order[SIZE], time - rules.tolerance)
+    if k == order[SIZE] or w.slots[v, k, TIME] > time + rules.tolerance:
+        open_slot(w, v, k, time)
+    elif w.slots[v, k, FILLED] & (1 << j):
+        w.counters[v, DUPLICATES] += j != SEQUENCE
+        return -1
+    if j == SEQUENCE:
+        w.slots[v, k, NUMBER] = np.int64(value) & 0xFFFFFFFF
+    else:
+        w.values[v, k, j], w.status[v, k, j] = value, status
+        if _is_old(w.slots[v, k]):
+            w.counters[v, _late_or_twice(w, v, time)] += 1
+    w.slots[v, k, FILLED] |= 1 << j
+    return k if w.slots[v, k, FILLED] == rules.required[v] | _NUMBERED else -1
+
+
+@inlined
+def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
+    """Judge a complete sample by its number and time; return what is to be done."""
+    order, slot, time = w.order[v], w.slots[v, k], w.slots[v, k, TIME]
+    number = _unwrapped(order, slot[NUMBER])
+    last, of_before = order[LAST], order[FLOOR] != NEVER and time <= order[FLOOR]
+    came_before = of_before and (last == NO_NUMBER or number != last + 1)
+    if last != NO_NUMBER and number <= last and not came_before:
+        if time > order[HIGH] or not _is_known(order, number, time):
+            if _is_old(slot):
+                w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
+            slot[OPENED] = _NOT_YET  # it stays, whatever leaves before it
+            return BEGIN_ANEW
+        came_before = True
+    if came_before:
+        if not _is_old(slot):
+            late = of_before and (last == NO_NUMBER or number > last)
+            w.counters[v, LATE if late else DUPLICATES] += _signals(rules.required[v])
+        slot[FILLED] = _GONE
+        return SETTLE
+    if _is_old(slot):  # no, the source's clock was set back
+        w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
+        slot[OPENED] = _NOT_YET
+    slot[NUMBER] = number
+    order[BASE] = max(order[BASE], number)
+    step = time - order[NEWEST]
+    if order[NEWEST] == NEVER or _is_jump(order, step, rules.max_wait, rules.reorder[v]):
+        order[NEWEST] = time
+    elif step > 0:
+        order[ELAPSED] += step
+        order[NEWEST] = time
+    slot[SINCE] = order[ELAPSED]
+    return SETTLE
+
+
+@inlined
+def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int) -> int:
+    """Have all leave that may; return how many samples have left.
+
+    SETTLE: what follows, and what has waited for long enough. FLUSH: all that is complete, without
+    a number too. BEGIN_ANEW, MAKE_ROOM: all that is complete and has a number.
+    """
+    order, size = w.order[v], w.order[v, SIZE]
+    gone = 0
+    while True:
+        k = _next(w, v, command, rules)
+        if k < 0:
+            break
+        gone += 1
+        slot, last = w.slots[v, k], order[LAST]
+        number, time = slot[NUMBER], slot[TIME]
+        slot[FILLED] = _GONE
+        if last != NO_NUMBER and number <= last:  # the same number at two times
+            w.counters[v, DUPLICATES] += _signals(rules.required[v])
+            continue
+        if last == NO_NUMBER or number > last + 1:
+            _give_up(w, v, last, number, time)
+        n = emit(w, v, k, rules, out, n)
+        keep_pace(order, w.counters[v], time, 0 if last == NO_NUMBER else number - last)
+        if last == NO_NUMBER:
+            order[FIRST], order[FIRST_TIME], order[BEFORE_FIRST] = number, time, NEVER
+        else:
+            step = (time - order[LAST_TIME]) // (number - last)
+            w.counters[v, CLOCK_STEPS] += step <= 0
+            if step <= 0 or _is_jump(order, step, rules.max_wait, rules.reorder[v]):
+                order[FIRST], order[FIRST_TIME] = number, time
+                order[BEFORE_FIRST] = order[LAST_TIME]
+        order[LAST], order[LAST_TIME] = number, time
+        order[HIGH] = max(order[HIGH], time)
+        order[GIVEN_UP] = 0
+    if command == MAKE_ROOM and gone == 0 and size > 0:
+        first = w.slots[v, 0]
+        order[GIVEN_UP] += _is_missing(first)
+        first[SINCE] = _NOT_YET
+    if command == BEGIN_ANEW:
+        order[LAST] = order[BASE] = NO_NUMBER
+        order[FLOOR] = order[NEWEST] = NEVER
+        order[GIVEN_UP] = 0
+        w.counters[v, RESTARTS] += 1
+    _sweep(w, v, rules)
+    return n
+
+
+@inner
+def resume(order: NDArray[np.int64], slots: NDArray[np.int64], time: int) -> int:
+    """Return the place of the sample that another run of the source begins with."""
+    if time > order[HIGH]:
+        order[FLOOR] = order[HIGH]
+    else:
+        order[HIGH] = NEVER  # its clock was set back, too
+    return find(slots, order[SIZE], time)
+
+
+@inlined
+def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
+    """Place of the sample that leaves next, or -1."""
+    order, lowest, waited = w.order[v], -1, np.int64(-1)
+    for k in range(order[SIZE]):
+        slot = w.slots[v, k]
+        if slot[SINCE] == NEVER or slot[FILLED] == _GONE:
+            continue
+        waited = max(waited, order[ELAPSED] - slot[SINCE])
+        if lowest < 0 or slot[NUMBER] < w.slots[v, lowest, NUMBER]:
+            lowest = k
+    if lowest >= 0:
+        number, last = w.slots[v, lowest, NUMBER], order[LAST]
+        follows = number == 0 if last == NO_NUMBER else number <= last + 1
+        if follows or command != SETTLE or waited > rules.reorder[v]:
+            return lowest
+        return -1
+    if command == FLUSH:
+        for k in range(order[SIZE]):
+            slot = w.slots[v, k]
+            if slot[FILLED] == rules.required[v] and slot[TIME] > order[HIGH]:
+                slot[NUMBER] = order[LAST] + (order[LAST] != NO_NUMBER)
+                return k
+    return -1
+
+
+@inner
+def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
+    """The running number (UInt32) as one that never wraps."""
+    base: int = order[BASE]
+    if base == NO_NUMBER:
+        return raw
+    step = (raw - base) & 0xFFFFFFFF
+    return base + (step if step < 0x80000000 else step - 0x100000000)
+
+
+@inner
+def _is_known(order: NDArray[np.int64], number: int, time: int) -> bool:
+    """Whether number and time fit the course of the source's clock so far, or the one before."""
+    step = np.float64(order[PERIOD])
+    if order[LAST] > order[FIRST] and order[LAST_TIME] > order[FIRST_TIME]:
+        step = (order[LAST_TIME] - order[FIRST_TIME]) / (order[LAST] - order[FIRST])
+    last, last_time = order[LAST], order[LAST_TIME]
+    for _ in range(2):
+        behind = np.float64(last - number) * step
+        if abs(np.float64(last_time) - behind - np.float64(time)) <= _SLACK_NS + _SLACK * behind:
+            return True
+        if number >= order[FIRST] or order[BEFORE_FIRST] == NEVER:
+            return False
+        last, last_time = order[FIRST] - 1, order[BEFORE_FIRST]
+    return False
+
+
+@inner
+def _is_jump(order: NDArray[np.int64], step: int, max_wait: int, reorder: int) -> bool:
+    """Whether so many ns from one sample to the next mean that the source's clock was set."""
+    longest = max(max_wait, reorder)
+    return bool(step > max(longest, _SLOW * order[PERIOD]) or step < -longest)
+
+
+@inner
+def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
+    """Give up what lies between two numbers: incomplete samples are missing, the rest gaps."""
+    order = w.order[v]
+    given_up = order[GIVEN_UP]
+    for k in range(order[SIZE]):
+        slot = w.slots[v, k]
+        if slot[FILLED] == _GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
+            continue
+        if last == NO_NUMBER:  # before the first sample nothing can be missed
+            if order[HIGH] == NEVER or slot[TIME] > order[HIGH]:
+                slot[FILLED] = _GONE
+            continue
+        known = slot[FILLED] & _NUMBERED != 0
+        if known and not last < _unwrapped(order, slot[NUMBER]) < number:
+            continue
+        if not known and slot[TIME] <= order[HIGH]:
+            continue
+        given_up += 1
+        w.counters[v, MISSING] += 1
+        slot[FILLED] = _GONE
+    if last != NO_NUMBER:
+        w.counters[v, GAPS] += max(np.int64(0), number - last - 1 - given_up)
+        row = w.lost[v, order[GAPS_KEPT] % w.lost.shape[1]]
+        row[0], row[1] = order[LAST_TIME], time
+        order[GAPS_KEPT] += 1
+
+
+@inlined
+def _sweep(w: Waiting, v: int, rules: Rules) -> None:
+    """Take away what is gone, and what has been passed by for so long that it stays incomplete."""
+    order, kept = w.order[v], ZERO
+    high = order[HIGH]
+    for k in range(order[SIZE]):
+        slot = w.slots[v, k]
+        if slot[FILLED] == _GONE:
+            continue
+        opened, since = slot[OPENED], slot[SINCE]
+        passed = since == NEVER and high != NEVER and slot[TIME] <= high
+        if since == _NOT_YET or (passed and (opened == NEVER or high - opened > rules.max_wait)):
+            w.counters[v, MISSING] += _is_missing(slot)
+            continue
+        if kept != k:
+            move(w, v, k, kept)
+        kept += 1
+    order[SIZE] = kept
+
+
+@inner
+def _is_missing(slot: NDArray[np.int64]) -> bool:
+    """Whether an incomplete sample was never counted: not before the first, nor given up before."""
+    return bool(slot[OPENED] != NEVER and slot[TIME] > slot[OPENED])
+
+
+@inner
+def _is_old(slot: NDArray[np.int64]) -> bool:
+    """Whether a newer sample had left when this one began to arrive."""
+    return bool(slot[TIME] <= slot[OPENED] < _NOT_YET)
+
+
+@inner
+def _late_or_twice(w: Waiting, v: int, time: int) -> int:
+    """The counter of a signal that is older than what has left: it was given up, or it came."""
+    for row in range(min(w.order[v, GAPS_KEPT], w.lost.shape[1])):
+        if w.lost[v, row, 0] < time < w.lost[v, row, 1]:
+            return LATE
+    return DUPLICATES
+
+
+@inner
+def _signals(filled: int) -> int:
+    """How many signals a slot holds, its number not counted."""
+    count = 0
+    for m in range(SIGNALS):
+        count += (filled >> m) & 1
+    return count

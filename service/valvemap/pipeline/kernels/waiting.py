@@ -1,0 +1,212 @@
+"""What waits for its fellows, and the loops that both ways of ordering samples share."""
+
+from typing import NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.pipeline.kernels.compiled import inlined, inner
+
+SIGNALS = 5
+SEQUENCE = 5
+STRIDE = 6
+
+(
+    LATE,
+    MISSING,
+    DUPLICATES,
+    CLOCK_STEPS,
+    GAPS,
+    EMITTED,
+    LOST_BY_TIME,
+    RESTARTS,
+    COUNTERS,
+) = range(9)
+
+ZERO = cast("int", np.int64(0))  # for the literal 0 numba compiles what is called with it anew
+NEVER = np.iinfo(np.int64).min
+NO_NUMBER = np.int64(-(2**62))  # no running number was ever so low
+
+# What a slot holds beside values: time, a bit per signal (SEQUENCE too), running number, ELAPSED
+# when it was complete, newest time that had left when it began.
+TIME, FILLED, NUMBER, SINCE, OPENED, SLOT_FIELDS = range(6)
+
+# The fields of a valve's row of ``order``.
+(
+    SIZE,  # slots in use
+    LAST,  # running number, unwrapped, of the last sample that left; NO_NUMBER: none of this run
+    BASE,  # the highest running number seen, to unwrap the next by
+    LAST_TIME,  # time of the last sample that left
+    HIGH,  # newest time that left
+    FLOOR,  # newest time of the run before, where this one began later
+    NEWEST,  # time of the last sample that was complete
+    ELAPSED,  # ns of the source's time that complete samples have spanned, jumps left out
+    FIRST,  # running number and time where the present course of the source's clock began …
+    FIRST_TIME,
+    BEFORE_FIRST,  # … and the time of the sample before
+    GIVEN_UP,  # samples given up singly since the last sample that left
+    GAPS_KEPT,  # rows of ``lost`` written
+    PERIOD,  # usual time from sample to sample, ns; 0: unknown
+    REGULAR,  # how far that can be relied on, up to ENOUGH
+    DOUBTFUL,  # samples that seem lost by time; the next sample decides
+    LONG_STEPS,  # steps in a row that made them so
+    TIMES_KEPT,  # columns of ``left`` written
+    SEEN,  # newest time of every signal, the running number's last
+) = range(19)
+ORDER_FIELDS = SEEN + STRIDE
+
+NOTHING, JUDGE, SETTLE, FLUSH, BEGIN_ANEW, MAKE_ROOM = range(6)  # what is to be done with a valve
+
+ENOUGH = 8  # regular steps, after which a long one is a loss
+NEW_PACE = 4  # long steps in a row: the source has become slower
+
+
+class Changes(NamedTuple):
+    """Data changes, all (N,): see :class:`valvemap.pipeline.data_changes.DataChanges`."""
+
+    item: NDArray[np.int32]
+    value: NDArray[np.float64]
+    status: NDArray[np.uint32]
+    source_time: NDArray[np.int64]
+
+
+class Rules(NamedTuple):
+    """How the signals of V valves find together; times in ns.
+
+    ``required`` (V,) has a bit for every signal that a sample must have, ``hold`` (V, 5) the time
+    for which a signal's last value serves, ``numbered`` (V,) tells who has a running number,
+    ``reorder`` (V,) how long a sample waits for an earlier one.
+    """
+
+    required: NDArray[np.uint8]
+    hold: NDArray[np.int64]
+    numbered: NDArray[np.bool_]
+    reorder: NDArray[np.int64]
+    tolerance: int
+    max_wait: int
+
+
+class Waiting(NamedTuple):
+    """What waits, and what is remembered; the first axis of every array is the valve (V).
+
+    One row of ``slots`` (V, K, SLOT_FIELDS), ``values`` (V, K, 5) and ``status`` (V, K, 5) holds
+    the samples of a valve that have not left, in the order of their time; the first SIZE count.
+    ``held_value``, ``held_status`` and ``held_time`` (V, 5) are the last of each signal that may be
+    held, ``lost`` (V, LOST_KEPT, 2) the times before and after the last stretches given up,
+    ``left`` (V, R) the last times that left where there is no running number, ``order``
+    (V, ORDER_FIELDS) see above, ``counters`` (V, COUNTERS) counts since the start.
+    """
+
+    slots: NDArray[np.int64]
+    values: NDArray[np.float64]
+    status: NDArray[np.uint32]
+    held_value: NDArray[np.float64]
+    held_status: NDArray[np.uint32]
+    held_time: NDArray[np.int64]
+    lost: NDArray[np.int64]
+    left: NDArray[np.int64]
+    order: NDArray[np.int64]
+    counters: NDArray[np.int64]
+
+
+class Aligned(NamedTuple):
+    """Room for the samples that leave: ``valve``, ``time``, ``quality`` (N,), ``values`` (N, 5)."""
+
+    valve: NDArray[np.int64]
+    time: NDArray[np.int64]
+    values: NDArray[np.float64]
+    quality: NDArray[np.uint8]
+
+
+@inlined
+def find(slots: NDArray[np.int64], size: int, time: int) -> int:
+    """Position of the first of a valve's slots not before ``time``."""
+    low, high = 0, size
+    while low < high:
+        middle = (low + high) // 2
+        if slots[middle, TIME] < time:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inner
+def move(w: Waiting, v: int, here: int, there: int) -> None:
+    """Copy a slot, element by element: whole rows take numba seconds to compile."""
+    for f in range(SLOT_FIELDS):
+        w.slots[v, there, f] = w.slots[v, here, f]
+    for m in range(SIGNALS):
+        w.values[v, there, m] = w.values[v, here, m]
+        w.status[v, there, m] = w.status[v, here, m]
+
+
+@inner
+def open_slot(w: Waiting, v: int, k: int, time: int) -> None:
+    """Insert an empty slot at place ``k``."""
+    for n in range(w.order[v, SIZE], k, -1):
+        move(w, v, n - 1, n)
+    slot = w.slots[v, k]
+    slot[TIME], slot[FILLED] = time, 0
+    slot[NUMBER], slot[SINCE] = NO_NUMBER, NEVER
+    slot[OPENED] = w.order[v, HIGH]
+    w.order[v, SIZE] += 1
+
+
+@inner
+def severity(status: int) -> int:
+    """0 Good, 1 Uncertain, 2 Bad: the top two bits of a StatusCode (Part 4, 7.39)."""
+    return min(status >> 30, 2)
+
+
+@inlined
+def emit(w: Waiting, v: int, k: int, rules: Rules, out: Aligned, n: int) -> int:
+    """Write slot ``k`` as sample ``n``; its quality is that of its worst signal."""
+    worst, time = 0, w.slots[v, k, TIME]
+    for m in range(SIGNALS):
+        out.values[n, m] = np.nan
+        hold = rules.hold[v, m]
+        if rules.required[v] & (1 << m):
+            out.values[n, m] = w.values[v, k, m]
+            worst = max(worst, severity(w.status[v, k, m]))
+        elif hold > 0:
+            if w.held_time[v, m] == NEVER or time - w.held_time[v, m] > hold:
+                worst = 2
+            else:
+                out.values[n, m] = w.held_value[v, m]
+                worst = max(worst, severity(w.held_status[v, m]))
+    out.valve[n] = v
+    out.time[n] = time
+    out.quality[n] = worst
+    w.counters[v, EMITTED] += 1
+    return n + 1
+
+
+@inlined
+def keep_pace(
+    order: NDArray[np.int64], counters: NDArray[np.int64], time: int, numbers: int
+) -> None:
+    """Learn the usual step from sample to sample, and count what is lost by it.
+
+    ``numbers`` is how far the running number went on; 0 where none tells. A long step counts once
+    the sample after it comes at the usual pace: several in a row are a slower source.
+    """
+    if order[LAST_TIME] == NEVER or time <= order[LAST_TIME]:
+        return
+    step = (time - order[LAST_TIME]) // max(numbers, 1)
+    period = order[PERIOD]
+    if period > 0 and 4 * abs(step - period) <= period:
+        order[PERIOD] += (step - period) // 8
+        order[REGULAR] = min(order[REGULAR] + 1, ENOUGH)
+        counters[LOST_BY_TIME] += order[DOUBTFUL]
+        order[DOUBTFUL] = order[LONG_STEPS] = 0
+    elif numbers == 0 and order[REGULAR] == ENOUGH and 2 * step >= 3 * period:
+        order[DOUBTFUL] += (step + period // 2) // period - 1
+        order[LONG_STEPS] += 1
+        if order[LONG_STEPS] == NEW_PACE:
+            order[DOUBTFUL] = order[LONG_STEPS] = 0
+            order[PERIOD], order[REGULAR] = step, 1
+    else:
+        order[REGULAR] -= 1
+        if order[REGULAR] <= 0:
+            order[PERIOD], order[REGULAR] = step, 1

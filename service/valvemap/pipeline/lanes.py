@@ -1,0 +1,296 @@
+"""Lanes: one estimator on M valves, with what was made of its residuals and what its maps rest on.
+
+A lane whose estimator an operator froze, or gave another ``lam``, goes its own way, one valve at a
+time; all others learn in one call.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.change import Change
+from valvemap.model.estimator import key_of
+from valvemap.model.extrapolation import U_range_of
+from valvemap.model.residual_spread import ResidualSpread, noise_std
+from valvemap.model.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Status,
+    Times,
+    Trace,
+)
+from valvemap.model.sensor_accuracy import SensorAccuracy
+from valvemap.model.support import Support
+from valvemap.pipeline.estimator_states import states_of
+from valvemap.pipeline.kernels import lanes as kernel
+from valvemap.pipeline.kernels import score as score_kernel
+from valvemap.pipeline.kernels.lanes import NO_STATUS
+from valvemap.pipeline.ports import EstimatorResults
+from valvemap.pipeline.score import Score, recent_rmse
+from valvemap.pipeline.shared_support import SharedSupport
+from valvemap.pipeline.valve_columns import Columns
+from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
+
+ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
+
+
+class Lanes:
+    """One estimator on M valves.
+
+    Parameters
+    ----------
+    estimator
+        The plan's.
+    M
+        How many valves.
+    rests
+        Where its maps' samples lay.
+    accuracy
+        Of the valves' sensors.
+    """
+
+    def __init__(
+        self, estimator: AnyEstimator, M: int, rests: "SharedRests", accuracy: SensorAccuracy
+    ) -> None:
+        self._estimator = estimator
+        self._states = states_of(estimator, M)
+        self._scores = np.tile(Score.none().sums, (M, 1))
+        self._spread = ResidualSpread.none().of_many(M)
+        self._rests = rests
+        self._accuracy = accuracy
+        self._key = key_of(_LaneKey(key_of(estimator), accuracy))
+        self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
+        self._frozen = np.zeros(M, bool)
+        self._lam = np.full(M, np.nan)  # what an operator set
+        self._notes = kernel.nothing(M)
+
+    def take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
+        """Learn; what was made of samples, and on which of them the maps rest."""
+        beyond, began = self._beyond_range(samples, segments), self._states.began()
+        if beyond is None:
+            trace = self._learn(samples, segments)
+        else:
+            quality = np.where(beyond, np.uint8(Quality.BAD), samples.quality)
+            trace = self._learn(replace(samples, quality=quality), segments)
+            trace.status[beyond] = Status.EXTRAPOLATING
+        score_kernel.accumulate(trace.residual, samples.Q, self._scores, segments)
+        self._spread.learn(samples, trace, segments)
+        kernel.note(samples.t, trace.predicted, trace.residual, trace.status, self._notes, segments)
+        return trace, self._of_this_map(began, trace.status, segments)
+
+    def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
+        """What is remembered, as named arrays over valves."""
+        spread = self._spread
+        return Columns(
+            f"{name} {self._key}",
+            valves,
+            {
+                **{f"state_{n}": array for n, array in self._states.columns().items()},
+                **{f"note_{n}": array for n, array in self._notes._asdict().items()},
+                "scores": self._scores,
+                "cells": spread.cells,
+                "stamps": spread.stamps,
+                "ages": spread.ages,
+                "overall": spread.overall,
+                **self._rests.columns(),
+                "beyond": self.beyond,
+                "frozen": self._frozen,
+                "lam": self._lam,
+            },
+        )
+
+    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what was written of `columns`."""
+        self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
+        self._rests.take_up(arrays)
+
+    def changes(self, chosen: Times) -> Sequence[Change | None]:
+        """The newest change of some valves that was found."""
+        return self._states.changes(chosen)
+
+    def newest_changes(self, chosen: Times) -> NDArray[Any]:
+        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        return self._states.newest_changes(chosen)
+
+    def largest_lags(self, chosen: Times) -> Floats:
+        """The larger of the two lags that were found at some valves, s."""
+        return self._states.largest_lags(chosen)
+
+    def adaptations(self, chosen: Times) -> Codes:
+        """What the estimator makes of its residuals at some valves."""
+        return self._states.adaptations(chosen)
+
+    def recent_rmse(self, chosen: Times) -> Floats:
+        """Root mean square of the last residuals of some valves, l/min."""
+        return recent_rmse(self._scores[chosen])
+
+    def too_fast(self) -> Times:
+        """How many samples moved too fast for the lags of their signals (M,)."""
+        return self._states.too_fast(len(self.beyond))
+
+    def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
+        """Which samples have a U that the estimator cannot describe (N,); they are counted."""
+        low, high = U_range_of(self._estimator)
+        beyond = (low - ABOUT_CLOSED > samples.U) | (high + ABOUT_CLOSED < samples.U)
+        beyond &= samples.quality != Quality.BAD
+        if not beyond.any():
+            return None
+        for m, start, stop in zip(*segments, strict=True):
+            self.beyond[m] += beyond[start:stop].sum()
+        return beyond
+
+    def _of_this_map(self, before: Times, status: Codes, segments: Segments) -> Segments:
+        """From where on the samples are those that the maps rest on; ``before``: `began` then.
+
+        Where a map began anew meanwhile, the places of the one before are forgotten.
+        """
+        anew = np.flatnonzero((self._states.began() != before)[segments.members])
+        if not len(anew):
+            return segments
+        starts, since = segments.starts.copy(), self._states.samples_since()
+        for k in anew:
+            m, stop = segments.members[k], segments.stops[k]
+            learnt = starts[k] + np.flatnonzero(status[starts[k] : stop] <= Status.UNEXCITED)
+            starts[k] = [*learnt, stop][len(learnt) - since[m]]
+            self._rests.put(int(m), self._rests.one(int(m)).forgotten())
+        return Segments(segments.members, starts, segments.stops)
+
+    def _learn(self, samples: Samples, segments: Segments) -> Trace:
+        own_way = self._frozen[segments.members] | np.isfinite(self._lam[segments.members])
+        trace = self._states.update(samples, segments.of(~own_way))
+        for m, start, stop in zip(*segments.of(own_way), strict=True):
+            rows = slice(start, stop)
+            said = self._take_own_way(int(m), samples[rows])
+            for f in fields(Trace):
+                getattr(trace, f.name)[rows] = getattr(said, f.name)
+        return trace
+
+    def get(self, m: int) -> Lane:
+        """All about valve ``m``, a copy."""
+        count, t, predicted, residual, status = (array[m] for array in self._notes)
+        lane = Lane(
+            estimator=self._estimator,
+            state=self._states.get(m),
+            score=Score(self._scores[m].copy()),
+            spread=self._spread.one(m),
+            support=self._rests.one(m),
+            accuracy=self._accuracy,
+            frozen=bool(self._frozen[m]),
+            count=int(count),
+            t=int(t),
+            predicted=float(predicted),
+            residual=float(residual),
+            status=None if status == NO_STATUS else Status(int(status)),
+        )
+        lam = float(self._lam[m])
+        return lane if np.isnan(lam) else with_forgetting(lane, lam)
+
+    def results(self, chosen: Times) -> EstimatorResults:
+        """What is published of some valves."""
+        notes, said = self._notes, self._notes.status[chosen]
+        theta, std = self._states.parameters(chosen)
+        status = np.where(said == NO_STATUS, Status.WARMING_UP, said).astype(np.uint8)
+        return EstimatorResults(
+            t=notes.t[chosen],
+            quality=_QUALITY[status],
+            theta=theta,
+            std=std,
+            predicted=notes.predicted[chosen],
+            residual=notes.residual[chosen],
+            residual_rmse=recent_rmse(self._scores[chosen]),
+            sample_count=notes.learnt[chosen],
+            status=status,
+            noise_std=noise_std(self._spread.overall[chosen]),
+            survey=[None] * len(chosen),
+            change=self._states.changes(chosen),
+            structure=self._states.structures(chosen),
+            lags=self._states.lags(chosen),
+            adaptation=self._states.adaptations(chosen),
+            systematic_std=np.full(len(chosen), np.nan),
+        )
+
+    def put(self, m: int, lane: Lane) -> None:
+        """Have valve ``m`` go on from another lane."""
+        self._states.put(m, lane.state)
+        self._scores[m] = lane.score.sums
+        self._spread.put(m, lane.spread)
+        self._rests.put(m, lane.support)
+        self._frozen[m] = lane.frozen
+        self._lam[m] = np.nan if lane.lam is None else lane.lam
+        status = NO_STATUS if lane.status is None else int(lane.status)
+        notes = self._notes
+        notes.learnt[m], notes.t[m], notes.status[m] = lane.count, lane.t, status
+        notes.predicted[m], notes.residual[m] = lane.predicted, lane.residual
+
+    def _take_own_way(self, m: int, samples: Samples) -> Trace:
+        lane = self.get(m)
+        if lane.frozen:
+            return _prediction_only(lane, samples)
+        state, trace = lane.estimator.update(lane.state, samples)
+        self._states.put(m, state)
+        return trace
+
+
+@dataclass(frozen=True)
+class SharedRests:
+    """What one estimator's maps rest on: its part of what all share."""
+
+    shared: SharedSupport
+    number: int
+
+    def one(self, m: int) -> Support:
+        """What the map of valve ``m`` rests on, a copy."""
+        return self.shared.one(self.number, m)
+
+    def put(self, m: int, support: Support) -> None:
+        """Have the map of valve ``m`` rest on other samples."""
+        self.shared.put(self.number, m, support)
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """The same of all valves, as named arrays."""
+        return self.shared.columns(self.number)
+
+    def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what was written of `columns`."""
+        self.shared.take_up(self.number, arrays)
+
+
+@dataclass(frozen=True)
+class _LaneKey:
+    """What a lane's memory belongs to."""
+
+    estimator: str
+    accuracy: SensorAccuracy
+
+
+_QUALITY = np.zeros(max(Status) + 1, np.uint8)
+for _status, _quality in {
+    Status.OK: Quality.GOOD,
+    Status.FROZEN: Quality.GOOD,
+    Status.WARMING_UP: Quality.UNCERTAIN,
+    Status.UNEXCITED: Quality.UNCERTAIN,
+    Status.HELD: Quality.UNCERTAIN,
+    Status.EXTRAPOLATING: Quality.UNCERTAIN,
+    Status.REJECTED: Quality.BAD,
+}.items():
+    _QUALITY[_status] = _quality
+
+
+def _prediction_only(lane: Lane, samples: Samples) -> Trace:
+    Q_hat: Floats
+    Q_hat, _ = lane.estimator.predict(lane.state, samples.U, samples.dp, samples.T)
+    usable = samples.quality != Quality.BAD
+    Q_hat = np.where(usable, Q_hat, np.nan)
+    residual = samples.Q - Q_hat
+    return Trace(
+        predicted=Q_hat,
+        residual=residual,
+        early=residual,
+        status=np.where(usable, Status.FROZEN, Status.REJECTED).astype(np.uint8),
+    )

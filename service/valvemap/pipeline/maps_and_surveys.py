@@ -1,0 +1,89 @@
+"""Inverse tables of all valves and surveys of all maps: computed in turns, for they are slow."""
+
+import math
+from collections.abc import Mapping
+
+from valvemap.model.samples import Floats
+from valvemap.model.survey import Survey
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.sample_intake import SampleIntake
+
+MAPS_AT_ONCE = 100  # 2 ms each
+SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
+
+
+class MapsAndSurveys:
+    """The newest inverse table of each valve, and the newest survey of each estimator's map.
+
+    Parameters
+    ----------
+    valves
+        Whose.
+    intake
+        Judges a valve's signals anew whenever its table is made anew.
+
+    Attributes
+    ----------
+    tables : list
+        Of each valve the voltage, %, of shape (len(map_Q), len(map_dp)).
+    surveys : list
+        Of each valve its surveys, by estimator; none before the first `refresh`.
+    """
+
+    def __init__(self, valves: AllValves, intake: SampleIntake) -> None:
+        self._valves = valves
+        self._intake = intake
+        self.tables = self._first_tables()
+        self.surveys: list[Mapping[str, Survey]] = [{} for _ in valves.plans]
+        self._next_survey = self._next_map = 0
+
+    def refresh(self, share: float = 1.0) -> None:
+        """Compute the next tables and surveys anew, or a ``share`` of as many."""
+        V = len(self._valves.plans)
+        for _ in range(math.ceil(share * min(MAPS_AT_ONCE, V))):
+            self._refresh_table(self._next_map % V)
+            self._next_map += 1
+        lanes = self._all_lanes()
+        for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
+            self._refresh_survey(*lanes[self._next_survey % len(lanes)])
+            self._next_survey += 1
+
+    def refresh_all(self) -> None:
+        """Compute every table and survey anew."""
+        for valve in range(len(self._valves.plans)):
+            self._refresh_table(valve)
+        for valve, name in self._all_lanes():
+            self._refresh_survey(valve, name)
+
+    def tabulate(self, valve: int) -> None:
+        """Compute the table of one valve anew."""
+        self.tables[valve] = self._table(valve)
+
+    def _first_tables(self) -> list[Floats]:
+        """Tables before the first sample: the same for valves treated alike."""
+        found: dict[tuple[object, ...], Floats] = {}
+        tables = []
+        for valve, plan in enumerate(self._valves.plans):
+            key = (self._valves.kind(valve), plan.inverse, plan.map_Q, plan.map_dp)
+            if key not in found:
+                found[key] = self._table(valve)
+            tables.append(found[key])
+        return tables
+
+    def _table(self, valve: int) -> Floats:
+        return valve_state.inverse_map(*self._valves.inverted(valve))
+
+    def _all_lanes(self) -> list[tuple[int, str]]:
+        return [
+            (valve, name) for valve, p in enumerate(self._valves.plans) for name in p.estimators
+        ]
+
+    def _refresh_table(self, valve: int) -> None:
+        self.tabulate(valve)
+        self._intake.judge(valve)
+
+    def _refresh_survey(self, valve: int, name: str) -> None:
+        plan, state = self._valves.plans[valve], self._valves.state_of(valve, name)
+        found = valve_state.survey_of(plan, state, name)
+        self.surveys[valve] = {**self.surveys[valve], name: found}

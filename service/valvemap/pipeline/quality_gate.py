@@ -1,0 +1,144 @@
+"""The quality gate: which samples may teach the estimators."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from valvemap.model.samples import Samples, Segments, Times
+from valvemap.pipeline.data_changes import Signal
+from valvemap.pipeline.kernels import gate as kernel
+from valvemap.pipeline.kernels.gate import Limits, Memory
+
+COUNTER_NAMES = ("bad_status", "not_finite", "out_of_range", "frozen", "too_fast", "spike")
+SENSORS = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
+
+# Beyond these no valve's sensor can be: what is outside is a broken number, not a measurement.
+PLAUSIBLE: Mapping[Signal, tuple[float, float]] = {
+    Signal.U: (-1_000.0, 1_000.0),
+    Signal.P1: (-10.0, 10_000.0),
+    Signal.P2: (-10.0, 10_000.0),
+    Signal.Q: (-100_000.0, 100_000.0),
+    Signal.T: (-100.0, 500.0),
+}
+
+
+@dataclass(frozen=True)
+class SignalLimits:
+    """Limits of one signal, in its own unit; every check but the range is off unless given.
+
+    Attributes
+    ----------
+    low, high : float
+        Range outside of which a value is no measurement.
+    frozen_s : float
+        A value that stays the same, to the last bit, for longer is a dead sensor; 0 = off.
+    max_rate_per_s : float
+        Steepest change from one sample to the next; inf = off.
+    spike : float
+        Largest distance from the median of the last five values; inf = off.
+    """
+
+    low: float
+    high: float
+    frozen_s: float = 0.0
+    max_rate_per_s: float = np.inf
+    spike: float = np.inf
+
+
+@dataclass(frozen=True)
+class GateState:
+    """What the gate remembers of M valves; all arrays of constant size, ``bad_status`` (M,)."""
+
+    memory: Memory
+    bad_status: Times
+
+    def of(self, valves: slice) -> "GateState":
+        """Copies of what is remembered of some valves."""
+        memory = Memory._make(array[valves].copy() for array in self.memory)
+        return GateState(memory, self.bad_status[valves].copy())
+
+    def put(self, m: int, other: "GateState") -> None:
+        """Remember of valve ``m`` what is remembered of another's first."""
+        for own, array in zip(self.memory, other.memory, strict=True):
+            own[m] = array[0]
+        self.bad_status[m] = other.bad_status[0]
+
+    def counts(self) -> Times:
+        """Rejections (M, reasons) since the start; a sample may count under several reasons."""
+        return np.column_stack((self.bad_status, self.memory.counters.sum(axis=1)))
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """The same of the first valve by name, for who has only one."""
+        return dict(zip(COUNTER_NAMES, self.counts()[0].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class QualityGate:
+    """Judges the samples of valves: status, NaN and inf, range; frozen, rate, spike on demand.
+
+    Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD. A
+    temperature that is NaN is no reading rather than a wrong one: maps without T do not mind.
+
+    Examples
+    --------
+    >>> gate = QualityGate()
+    >>> samples = Samples.of(
+    ...     t=[0, 1], U=[50, np.nan], p1=[200, 200], p2=[0, 0], Q=[150, 150], T=[40, 40]
+    ... )
+    >>> state, judged = gate.update(gate.initial_state(), samples)
+    >>> judged.quality.tolist(), state.counters["not_finite"]
+    ([0, 2], 1)
+    """
+
+    limits: Mapping[Signal, SignalLimits] = field(
+        default_factory=lambda: {s: SignalLimits(*PLAUSIBLE[s]) for s in SENSORS}
+    )
+    use_uncertain: bool = False
+
+    def initial_state(self, valves: int = 1) -> GateState:
+        """No sample seen yet."""
+        n = valves, kernel.SIGNALS
+        return GateState(
+            Memory(
+                last=np.full(n, np.nan),
+                last_time=np.zeros(n, np.int64),
+                still_since=np.zeros(n, np.int64),
+                window=np.full((*n, kernel.WINDOW), np.nan),
+                counters=np.zeros((*n, kernel.REASONS), np.int64),
+            ),
+            np.zeros(valves, np.int64),
+        )
+
+    def update(self, state: GateState, samples: Samples) -> tuple[GateState, Samples]:
+        """Judge N samples of one valve; nothing but their quality changes."""
+        after = state.of(slice(None))
+        return after, self.judge(after, samples, Segments.one(len(samples)))
+
+    def judge(self, state: GateState, samples: Samples, segments: Segments) -> Samples:
+        """Judge N samples of many valves; ``state`` is written in place."""
+        quality = samples.quality.copy()
+        kernel.judge_samples(
+            samples.t,
+            np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1),
+            self._limits,
+            state.memory,
+            quality,
+            state.bad_status,
+            self.use_uncertain,
+            segments,
+        )
+        return replace(samples, quality=quality)
+
+    @cached_property
+    def _limits(self) -> Limits:
+        limits = [self.limits[signal] for signal in SENSORS]
+        return Limits(
+            low=np.array([limit.low for limit in limits], np.float64),
+            high=np.array([limit.high for limit in limits], np.float64),
+            frozen_ns=np.array([limit.frozen_s * 1e9 for limit in limits]).astype(np.int64),
+            max_rate=np.array([limit.max_rate_per_s for limit in limits], np.float64),
+            spike=np.array([limit.spike for limit in limits], np.float64),
+        )

@@ -1,0 +1,233 @@
+"""What is published of valves: arrays over those treated alike, and what they are called."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.auto import Auto
+from valvemap.model.inversion import InverseStatus
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Codes, Floats, Quality, Times
+from valvemap.pipeline import valve_state
+from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
+from valvemap.pipeline.all_valves import AllValves, once_each
+from valvemap.pipeline.approved_maps import ApprovedMaps
+from valvemap.pipeline.armed_valves import ArmedValves
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.fleet import COUNTER_NAMES as NOT_LEARNT
+from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
+from valvemap.pipeline.ports import (
+    SIGNALS,
+    AlarmResults,
+    EstimatorDescription,
+    EstimatorResults,
+    InverseResults,
+    Results,
+    ValveDescription,
+    ValveResult,
+)
+from valvemap.pipeline.sample_intake import SampleIntake
+from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, ValvePlan
+
+COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
+
+_GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
+
+
+class ResultTables:
+    """Gathers results from all parts that have some.
+
+    Parameters
+    ----------
+    valves
+        Of these.
+    arrivals, intake
+        What is made of their signals.
+    maps
+        Tables and surveys, as they were made last.
+    approved
+        What their results build on.
+    armed
+        How their feed-forward stands.
+    """
+
+    def __init__(
+        self,
+        valves: AllValves,
+        arrivals: Arrivals,
+        intake: SampleIntake,
+        maps: MapsAndSurveys,
+        approved: ApprovedMaps,
+        armed: ArmedValves,
+    ) -> None:
+        self._valves = valves
+        self._arrivals = arrivals
+        self._intake = intake
+        self._maps = maps
+        self._approved = approved
+        self._armed = armed
+
+    def results(
+        self,
+        valves: Sequence[int],
+        lost: NDArray[np.bool_] | None = None,
+        old: NDArray[np.bool_] | None = None,
+    ) -> Iterator[Results]:
+        """What is published of some valves, those treated alike together.
+
+        All of it is BAD where ``lost``, an array over all valves, says that the sensors are, and
+        at best UNCERTAIN where ``old`` says that the newest sample is.
+        """
+        chosen = np.array(valves, np.int64)
+        for fleet, rows in self._valves.by_fleet(chosen):
+            own = chosen[rows]
+            at_best = np.full(len(own), np.uint8(Quality.GOOD))
+            if old is not None:
+                at_best[old[own]] = Quality.UNCERTAIN
+            if lost is not None:
+                at_best[lost[own]] = Quality.BAD
+            yield self._of_fleet(fleet, own, at_best)
+
+    def result(self, valve: int) -> ValveResult:
+        """The same of one valve."""
+        (results,) = self.results([valve])
+        return results.one(0)
+
+    def counters(self, valve: int) -> Mapping[str, int]:
+        """What was aligned, lost and rejected of one valve since the start."""
+        fleet, _ = self._valves.at(valve)
+        (counts,) = self._counts(fleet, np.array([valve])).tolist()
+        return dict(zip(COUNTERS, counts, strict=True))
+
+    def _of_fleet(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
+        places, is_old = self._valves.places[valves], at_best == Quality.UNCERTAIN
+        estimators = {
+            name: replace(
+                found,
+                quality=np.maximum(found.quality, at_best),
+                old=is_old if is_old.any() else None,
+                survey=[self._maps.surveys[valve].get(name) for valve in valves],
+                systematic_std=self._systematic_std(fleet, valves, name),
+            )
+            for name, found in fleet.results(places).items()
+        }
+        return Results(
+            valves=valves,
+            estimators=estimators,
+            inverse=self._inverse_results(fleet, valves, estimators),
+            counters=self._counts(fleet, valves),
+            counter_names=COUNTERS,
+            signals=self._intake.signals(valves, at_best),
+            baselines=[self._approved.of(int(valve)) for valve in valves],
+            alarms=AlarmResults(
+                fleet.alarms.version[places],
+                lambda m: fleet.alarms.reports(int(places[m])),
+            ),
+            timing=[
+                self._arrivals.how_signals_come(valve, self._valves.plans[valve].nodes)
+                for valve in valves.tolist()
+            ],
+            waiting=self._waiting(valves, at_best),
+        )
+
+    def _waiting(self, valves: Times, at_best: Codes) -> list[tuple[str, ...]]:
+        """Why nothing is learnt of some valves (M,); of others, which signals stand still."""
+        plans, idle = self._valves.plans, at_best == Quality.BAD
+        idle |= self._intake.implausible[valves]
+        return [
+            self._reasons(valve)
+            if is_idle
+            else self._arrivals.stand_still(valve, plans[valve].nodes)
+            for valve, is_idle in zip(valves.tolist(), idle.tolist(), strict=True)
+        ]
+
+    def _reasons(self, valve: int) -> tuple[str, ...]:
+        if self._intake.implausible[valve]:
+            return tuple(finding.sentence for finding in self._intake.findings(valve))
+        return self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
+
+    def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
+        """What the sensors' errors make of the flow at the newest sample of each valve, l/min."""
+        found = np.full(len(valves), np.nan)
+        stated, timing = fleet.plan.accuracy.is_stated, self._arrivals.timing
+        for k, valve in enumerate(valves):
+            if not stated and timing.valves[valve].found is None:
+                continue
+            accuracy = self._valves.accuracy(int(valve))
+            if not accuracy.is_stated:
+                continue
+            newest = dict(zip(SIGNALS, self._intake.newest.values[valve], strict=True))
+            point = (np.array([newest[signal]]) for signal in ("U", "dp", "T"))
+            lane = replace(fleet.lane(int(self._valves.places[valve]), name), accuracy=accuracy)
+            (found[k],) = valve_state.systematic(lane, *point)
+        return found
+
+    def _inverse_results(
+        self, fleet: Fleet, valves: Times, estimators: Mapping[str, EstimatorResults]
+    ) -> InverseResults:
+        M, places = len(valves), self._valves.places[valves]
+        t, quality = np.zeros(M, np.int64), np.zeros(M, np.uint8)
+        for name, found in estimators.items():
+            own = np.array([self._valves.plans[valve].inverse == name for valve in valves])
+            t[own], quality[own] = found.t[own], found.quality[own]
+        U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
+        demanded = np.isfinite(fleet.demands(places)).all(axis=1)
+        for k in np.flatnonzero(demanded):
+            U[k], _, status[k] = valve_state.required(*self._valves.inverted(int(valves[k])))
+        guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
+        fleet.alarms.note_answers(places, guessed)
+        return InverseResults(
+            t=t,
+            quality=quality,
+            required_U=U,
+            status=status,
+            map_U=[self._maps.tables[valve] for valve in valves],
+            armed=self._armed.armed[valves],
+            feed_forward=self._armed.status[valves],
+        )
+
+    def _counts(self, fleet: Fleet, valves: Times) -> Times:
+        rejected = fleet.rejections()[self._valves.places[valves]]
+        return np.column_stack((self._arrivals.counts(valves), rejected))
+
+
+def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
+    """What a results server must know of valves before it can show results of theirs."""
+    described = once_each(_description)
+    return tuple(
+        ValveDescription(
+            name=plan.name,
+            estimators=tuple(
+                replace(described(estimator), name=name)
+                for name, estimator in plan.estimators.items()
+            ),
+            Q_range=(min(plan.map_Q), max(plan.map_Q)),
+            dp_range=(0.0, max(plan.map_dp)),
+            map_Q=plan.map_Q,
+            map_dp=plan.map_dp,
+            counters=COUNTERS,
+            nameplate=plan.nameplate,
+        )
+        for plan in plans
+    )
+
+
+def _description(estimator: AnyEstimator) -> EstimatorDescription:
+    return EstimatorDescription(
+        name="",
+        description=_first_line(estimator),
+        parameter_names=estimator.parameter_names,
+        has_forgetting_factor=isinstance(estimator, Forgetful),
+        finds_changes=valve_state.finds_changes(estimator),
+        chooses_structure=isinstance(estimator, Auto),
+        finds_lags=isinstance(estimator, Auto),
+        has_named_parameters=isinstance(estimator, RecursiveLeastSquares | MaximumLikelihood),
+    )
+
+
+def _first_line(thing: object) -> str:
+    return (type(thing).__doc__ or type(thing).__name__).strip().splitlines()[0]

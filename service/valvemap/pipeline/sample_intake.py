@@ -1,0 +1,140 @@
+"""Samples on their way to what learns from them: the newest are noted, impossible ones refused."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Codes, Samples, Segments, Times, Trace
+from valvemap.pipeline.alignment import COUNTER_NAMES, ByValve
+from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.plausibility import Finding, Kind, Plausibility, refuse
+from valvemap.pipeline.ports import SIGNALS, SignalResults
+
+_CONTRADICTED = (
+    "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
+)
+_LOST = [COUNTER_NAMES.index(name) for name in ("missing", "gaps", "lost_by_time")]
+_ALIGNED = COUNTER_NAMES.index("aligned")
+
+
+class SampleIntake:
+    """Has all valves learn from what arrives.
+
+    Parameters
+    ----------
+    valves
+        Who learns.
+    arrivals
+        Makes samples of data changes.
+
+    Attributes
+    ----------
+    newest : SignalResults
+        The newest sample of each of the V valves, as it came.
+    refuted : bool
+        Which valves' signals (V,) contradict each other: not learnt from until a restart.
+    plausibility : Plausibility
+        What was seen that speaks for or against that.
+    """
+
+    def __init__(self, valves: AllValves, arrivals: Arrivals) -> None:
+        self._valves = valves
+        self._arrivals = arrivals
+        V = len(valves.plans)
+        self.newest = SignalResults(
+            t=np.zeros(V, np.int64),
+            quality=np.zeros(V, np.uint8),
+            values=np.full((V, len(SIGNALS)), np.nan),
+        )
+        self.plausibility = Plausibility(V)
+        self.refuted = np.zeros(V, np.bool_)
+        self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
+
+    def take(self, changes: DataChanges) -> ByValve:
+        """Take data changes in; return the samples they completed, by valve."""
+        return self.learn(self._arrivals.take(changes))
+
+    def wait_no_longer(self, valves: Times) -> ByValve:
+        """Take what waits for earlier samples without them; return it as `take` does."""
+        return self.learn(self._arrivals.wait_no_longer(valves))
+
+    def begin_source_anew(self, valves: Times) -> ByValve:
+        """The source of some valves was restarted: its running numbers begin anew."""
+        return self.learn(self._arrivals.begin_source_anew(valves))
+
+    def learn(self, arrived: ByValve) -> ByValve:
+        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
+        self._note_newest(arrived)
+        arrived = self._without_implausible(arrived)
+        valves, starts, stops = arrived.segments
+        for fleet, own in self._valves.by_fleet(valves):
+            rows, first, last = _rows(starts[own], stops[own])
+            segments = Segments(self._valves.places[valves[own]], first, last)
+            fleet.take(arrived.samples[rows], segments)
+            self._note_losses(fleet, valves[own])
+        return arrived
+
+    def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
+        """Take samples of one valve in; return them as judged, and what every estimator said."""
+        if len(samples) == 0:
+            return samples, {}
+        fleet, m = self._valves.at(valve)
+        return fleet.take(samples, Segments.one(len(samples))._replace(members=np.array([m])))
+
+    @property
+    def implausible(self) -> NDArray[np.bool_]:
+        """Which valves (V,) are not learnt from: their signals cannot be what they are called."""
+        return self.refuted | (self.plausibility.refused() & ~self._insists)
+
+    def findings(self, valve: int) -> list[Finding]:
+        """What speaks against a valve's signals being what they are called."""
+        found = self.plausibility.findings(valve)
+        if self.refuted[valve] and all(finding.kind is Kind.HINT for finding in found):
+            return [Finding(Kind.REFUSED, _CONTRADICTED), *found]
+        return found
+
+    def judge(self, valve: int) -> None:
+        """Refuse a valve's samples from now on if its signals contradict each other."""
+        self.refuted[valve] |= not self._insists[valve] and self.plausibility.is_refuted(valve)
+
+    def signals(self, valves: Times, at_best: Codes) -> SignalResults:
+        """The newest sample of some valves (M,), of a quality no better than ``at_best`` (M,)."""
+        newest = self.newest
+        quality = np.maximum(newest.quality[valves], at_best)
+        return SignalResults(newest.t[valves], quality, newest.values[valves])
+
+    def _note_newest(self, arrived: ByValve) -> None:
+        valves, _, stops = arrived.segments
+        last, newest = arrived.samples[stops - 1], self.newest
+        newest.t[valves], newest.quality[valves] = last.t, last.quality
+        columns = (getattr(last, name) for name in SIGNALS)
+        newest.values[valves] = np.stack(list(columns), axis=1)
+
+    def _without_implausible(self, arrived: ByValve) -> ByValve:
+        """The same samples; those that cannot be what they are called are BAD."""
+        refused = self.plausibility.count(arrived.samples, arrived.segments)
+        valves, starts, stops = arrived.segments
+        for k in np.flatnonzero(self._insists[valves]):
+            refused[starts[k] : stops[k]] = False
+        for k in np.flatnonzero(self.refuted[valves]):
+            refused[starts[k] : stops[k]] = True
+        return replace(arrived, samples=refuse(arrived.samples, refused))
+
+    def _note_losses(self, fleet: Fleet, valves: Times) -> None:
+        counts, places = self._arrivals.counts(valves), self._valves.places[valves]
+        fleet.alarms.note_losses(places, counts[:, _LOST].sum(axis=1), counts[:, _ALIGNED])
+        fleet.alarms.be_patient(places, self._arrivals.timing.holds[valves])
+
+
+def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times, Times]:
+    """Which rows the segments have, and where the segments are among those alone."""
+    if (starts[1:] == stops[:-1]).all():
+        return slice(starts[0], stops[-1]), starts - starts[0], stops - starts[0]
+    rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])
+    last = np.cumsum(stops - starts)
+    return rows, last - (stops - starts), last

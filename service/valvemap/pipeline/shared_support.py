@@ -1,0 +1,163 @@
+"""What the maps of a valve's estimators rest on: kept once for all that have learnt the same.
+
+Samples lie where they lie, whoever learns from them. So a valve's estimators share one memory of
+that, until one of them learns from other samples, is reset, or goes on from another state: then it
+has one of its own. That is found by what was learnt and by the bits that are kept, so it changes
+none of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Codes, Flags, Samples, Segments, Status
+from valvemap.model.support import Support, SupportOfMany
+
+SPARE = 8  # one row more for so many, where all are taken
+
+
+class SharedSupport:
+    """What the maps of E estimators of M valves rest on.
+
+    Parameters
+    ----------
+    nothing
+        What all of them rest on before the first sample.
+    E, M
+        How many estimators and valves.
+
+    Examples
+    --------
+    >>> shared = SharedSupport(Support.none(), E=4, M=1)
+    >>> U, status = np.full(8, 50.0), np.zeros(8, np.uint8)
+    >>> samples, rows = Samples.of(np.arange(8), U, U, 0 * U, U), Segments.one(8)
+    >>> shared.learn(samples, [(status, rows)] * 4, rows)
+    >>> shared.rows
+    1
+    >>> shared.put(1, 0, Support.none())
+    >>> shared.rows
+    2
+    >>> len(shared.one(0, 0).boxes), len(shared.one(1, 0).boxes)
+    (1, 0)
+    """
+
+    def __init__(self, nothing: Support, E: int, M: int) -> None:
+        self._kept = nothing.of_many(M)
+        self._of = np.tile(np.arange(M), (E, 1))  # in which row each is, (E, M)
+        self._users = np.full(M, E)  # of each row
+        self._free: list[int] = []  # rows that nobody uses
+
+    @property
+    def rows(self) -> int:
+        """How many differ."""
+        return len(self._users) - len(self._free)
+
+    def learn(
+        self, samples: Samples, said: Sequence[tuple[Codes, Segments]], segments: Segments
+    ) -> None:
+        """Take in where samples lay, as far as they were learnt from.
+
+        Parameters
+        ----------
+        samples
+            N samples.
+        said
+            Of each estimator, what it did with each of them (N,), and those its maps rest on:
+            ``segments``, of which some may begin later.
+        segments
+            Whose samples are whose.
+        """
+        if len(said) > 1:
+            learnt = np.stack([_learnt(status, own, segments) for status, own in said])
+            if (learnt != learnt[0]).any():
+                self._part(learnt, segments)
+        for e, (status, own) in enumerate(said):
+            rows = self._of[e, own.members]
+            first = ~(self._of[:e, own.members] == rows).any(axis=0)
+            if first.any():
+                chosen = own._replace(members=rows).of(first)
+                self._kept.learn(samples, status, chosen)
+
+    def one(self, e: int, m: int) -> Support:
+        """A copy of what one estimator's map rests on."""
+        return self._kept.one(self._of[e, m])
+
+    def put(self, e: int, m: int, support: Support) -> None:
+        """Have it be otherwise."""
+        others = np.delete(self._of[:, m], e)
+        for row in others.tolist():
+            if _is_same(self._kept.one(row), support):
+                self._move(e, m, row)
+                return
+        if self._of[e, m] in others:
+            self._move(e, m, self._spare_row())
+        self._kept.put(self._of[e, m], support)
+
+    def columns(self, e: int) -> Mapping[str, NDArray[Any]]:
+        """Copies of what one estimator's maps rest on, (M, …)."""
+        kept, rows = self._kept, self._of[e]
+        return {"seen": kept.cells[rows], "fit": kept.fit[rows], "ranges": kept.ranges[rows]}
+
+    def take_up(self, e: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Have one estimator's maps rest on what somebody has written into such columns."""
+        every = SupportOfMany(columns["seen"], columns["fit"], columns["ranges"])
+        for m in range(self._of.shape[1]):
+            self.put(e, m, every.one(m))
+
+    def _part(self, learnt: Flags, segments: Segments) -> None:
+        """Have those that shared a row, and learnt (E, N) other samples now, share it no more."""
+        differ = np.concatenate([[0], np.cumsum((learnt != learnt[0]).any(axis=0))])
+        apart = differ[segments.stops] > differ[segments.starts]
+        for m, start, stop in zip(*segments.of(apart), strict=True):
+            for row in np.unique(self._of[:, m]):
+                alike: dict[bytes, list[int]] = {}
+                for e in np.flatnonzero(self._of[:, m] == row):
+                    alike.setdefault(learnt[e, start:stop].tobytes(), []).append(int(e))
+                for parted in list(alike.values())[1:]:
+                    copied = self._kept.one(row)
+                    spare = self._spare_row()
+                    for who in parted:
+                        self._move(who, int(m), spare)
+                    self._kept.put(spare, copied)
+
+    def _spare_row(self) -> int:
+        """Take a row that nobody uses; there is always one more to be had."""
+        if not self._free:
+            size = len(self._users)
+            more = size // SPARE + 1
+            self._kept = SupportOfMany(
+                *(_longer(getattr(self._kept, field.name), more) for field in fields(SupportOfMany))
+            )
+            self._users = _longer(self._users, more)
+            self._free = list(range(size, size + more))
+        return self._free.pop()
+
+    def _move(self, e: int, m: int, row: int) -> None:
+        """Have one estimator of a valve use another row, which is taken already."""
+        before = self._of[e, m]
+        self._of[e, m] = row
+        self._users[row] += 1
+        self._users[before] -= 1
+        if not self._users[before]:
+            self._free.append(int(before))
+
+
+def _learnt(status: Codes, own: Segments, segments: Segments) -> Flags:
+    """Which samples (N,) a map rests on from now on."""
+    learnt = status <= Status.UNEXCITED
+    for k in np.flatnonzero(own.starts > segments.starts):
+        learnt[segments.starts[k] : own.starts[k]] = False
+    return np.asarray(learnt)
+
+
+def _is_same(one: Support, other: Support) -> bool:
+    """Whether two are the same to the bit."""
+    pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(Support))
+    return all(a.tobytes() == np.asarray(b, a.dtype).tobytes() for a, b in pairs)
+
+
+def _longer(array: NDArray[Any], more: int) -> NDArray[Any]:
+    return np.concatenate([array, np.zeros((more, *array.shape[1:]), array.dtype)])

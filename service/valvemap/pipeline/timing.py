@@ -1,0 +1,143 @@
+"""Timing: a source's way of writing, found at the start and fixed; before all alignment."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Times
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.kernels.scans import Changed
+from valvemap.pipeline.scan_search import Comes
+from valvemap.pipeline.valve_timing import (
+    ALIKE,
+    IN_SCANS,
+    NOTHING,
+    TimingSettings,
+    TimingState,
+    ValveTiming,
+)
+
+__all__ = ["Timing", "TimingSettings", "TimingState"]
+
+
+class Timing:
+    """How the signals of V valves come; ``fixed`` ones are taken as they are stamped.
+
+    Examples
+    --------
+    >>> timing = Timing(TimingSettings(), has_T=(False,))
+    >>> len(timing.take(DataChanges.empty()))
+    0
+    """
+
+    def __init__(
+        self,
+        settings: TimingSettings,
+        has_T: Sequence[bool],
+        has_sequence: Sequence[bool] = (),
+        *,
+        fixed: bool = False,
+    ) -> None:
+        numbered = has_sequence or [False] * len(has_T)
+        self.settings = settings
+        self.valves = [
+            ValveTiming(settings, has_T=T, has_sequence=number)
+            for T, number in zip(has_T, numbered, strict=True)
+        ]
+        self._special = np.full(len(self.valves), not fixed)
+        self._new: list[int] = []
+        if fixed:
+            for valve in self.valves:
+                valve.stands = ALIKE
+
+    def take(self, changes: DataChanges) -> DataChanges:
+        """Take changes in; return what may be aligned now."""
+        if not self._special.any() or not len(changes):
+            return changes
+        valve = changes.item // SIGNALS_PER_VALVE
+        special = self._special[valve]
+        if not special.any():
+            return changes
+        parts = [changes[~special]]
+        for number in np.unique(valve[special]).tolist():
+            own, before = changes[valve == number], self.valves[number].stands
+            out = self.valves[number].take(
+                Changed(
+                    (own.item % SIGNALS_PER_VALVE).astype(np.int64),
+                    own.value,
+                    own.status,
+                    own.source_time,
+                )
+            )
+            parts.append(_as_changes(number, out))
+            if before != IN_SCANS and self.valves[number].stands == IN_SCANS:
+                self._new.append(number)
+            self._special[number] = self.valves[number].stands != ALIKE
+        return DataChanges.concatenate(parts)
+
+    def flush(self, valves: Times) -> DataChanges:
+        """Have what waits to become scans leave as it is."""
+        parts = [
+            _as_changes(number, self.valves[number].take(NOTHING, flush=True))
+            for number in valves.tolist()
+            if self.valves[number].stands == IN_SCANS
+        ]
+        return DataChanges.concatenate(parts)
+
+    @property
+    def pending(self) -> Times:
+        """Changes of each valve on their way into scans, (V,)."""
+        if not self._special.any():
+            return np.zeros(len(self.valves), np.int64)
+        return np.array([valve.pending for valve in self.valves], np.int64)
+
+    def not_made(self, valves: Times) -> Times:
+        """Scans of some valves that were no sample, (M,)."""
+        found = np.zeros(len(valves), np.int64)
+        for k in np.flatnonzero(self._special[valves]):
+            found[k] = self.valves[valves[k]].not_made
+        return found
+
+    def newly_found(self) -> list[int]:
+        """Valves that were found to come in scans since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Which valves (V,) have signals that come on change: silence is no loss of theirs."""
+        held = np.zeros(len(self.valves), np.bool_)
+        for number in np.flatnonzero(self._special).tolist():
+            found = self.valves[number].found
+            held[number] = found is not None and bool((found.comes == Comes.HELD).any())
+        return held
+
+    def found_by(self, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """What was found of the valves, by name, whose signals carry no common time."""
+        return {
+            name: {
+                "signals": valve.words.sentences({}),
+                "offset_ms": (valve.found.offset * 1e-6).tolist(),
+                "period_ms": valve.found.period * 1e-6,
+                "window_ms": valve.found.window * 1e-6,
+            }
+            for name, valve in zip(names, self.valves, strict=True)
+            if valve.found is not None
+        }
+
+    def put(self, valve: int, state: TimingState) -> None:
+        """Have one valve go on from a state that was kept.
+
+        Raises
+        ------
+        StateMismatchError
+        """
+        self.valves[valve].put(state)
+        self._special[valve] = self.valves[valve].stands != ALIKE
+
+
+def _as_changes(valve: int, out: Changed) -> DataChanges:
+    item = (valve * SIGNALS_PER_VALVE + out.signal).astype(np.int32)
+    return DataChanges(item, out.value, out.status, out.time)

@@ -1,0 +1,63 @@
+"""Why no sample is made of a valve's signals: which is waited for, and what would help. Pure."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from valvemap.model.samples import Times
+from valvemap.pipeline.alignment import AlignmentSettings
+from valvemap.pipeline.data_changes import Signal
+from valvemap.pipeline.kernels.waiting import NEVER
+
+SENSORS: Final = ((Signal.U, "U"), (Signal.P1, "p1"), (Signal.P2, "p2"), (Signal.Q, "Q"))
+TEMPERATURE: Final = (Signal.T, "T")
+SELDOM_NS: Final = 500_000_000  # behind the others by more: it comes on change, or no more
+
+
+def waited_for(
+    newest: Times,
+    settings: AlignmentSettings,
+    *,
+    has_T: bool,
+    nodes: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[str, ...]:
+    """A sentence for each signal that keeps samples from being made.
+
+    Parameters
+    ----------
+    newest : (5,)
+        Source time of each signal's newest value, UTC ns; ``NEVER`` before the first.
+    settings
+        How the signals find together.
+    has_T
+        Whether there is a temperature sensor.
+    nodes
+        What to call the signals: name and node, where that is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> newest = np.array([5_000_000, 5_000_000, 2_000_000, 5_000_000, NEVER])
+    >>> waited_for(newest, AlignmentSettings(), has_T=False)
+    ('p2 is stamped 3 ms before the others: alignment.tolerance_ms = 6',)
+    """
+    signals = (*SENSORS, TEMPERATURE) if has_T else SENSORS
+    if all(newest[signal] == NEVER for signal, _ in signals):
+        return ("no signal has sent a value: does the source publish?",)
+    latest = max(int(newest[signal]) for signal, _ in signals)
+    found = []
+    for signal, name in signals:
+        behind, said = latest - int(newest[signal]), nodes.get(name, name)
+        if newest[signal] == NEVER:
+            found.append(f"{said} has sent no value: is nodes.{name} the right node?")
+        elif behind > max(SELDOM_NS, settings.hold_ns.get(signal, 0)):
+            found.append(
+                f"{said} sent its last value {behind * 1e-9:.1f} s before the others: if it comes "
+                f"on change, alignment.hold_s = {{ {name} = {max(10.0, behind * 5e-9):.0f} }}"
+            )
+        elif behind > settings.tolerance_ns and signal not in settings.hold_ns:
+            found.append(
+                f"{said} is stamped {behind * 1e-6:.3g} ms before the others: "
+                f"alignment.tolerance_ms = {-(-2 * behind // 1_000_000)}"
+            )
+    return tuple(found)

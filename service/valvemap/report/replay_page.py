@@ -1,0 +1,134 @@
+"""What a replay found, as one HTML page that stands alone: pictures inside."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+
+from rich.table import Table
+
+from valvemap.errors import StorageError
+
+PAGE = "index.html"
+_KINDS = {
+    "agreement": "Predicted over measured flow: the fit is good along the line",
+    "residuals": "Residuals over time",
+    "map": "The map, and where it was measured",
+}
+
+
+def write_page(
+    folder: Path,
+    title: str,
+    tables: Iterable[Table],
+    notes: Sequence[str],
+    pictures: Sequence[Path],
+) -> Path:
+    """Write the page.
+
+    Parameters
+    ----------
+    folder
+        Where it goes, as ``index.html``.
+    title
+        What was replayed.
+    tables
+        As they stand in the terminal.
+    notes
+        Sentences about the data.
+    pictures
+        PNG files; they are copied into the page.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    StorageError
+        naming the file.
+    """
+    file = folder / PAGE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = "\n".join(_figure(picture) for picture in pictures)
+        file.write_text(
+            _PAGE.substitute(
+                title=escape(title),
+                tables="\n".join(map(_table, tables)),
+                notes="\n".join(f"<li>{escape(note)}</li>" for note in notes),
+                figures=figures,
+            ),
+            encoding="utf-8",
+        )
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    return file
+
+
+def _table(table: Table) -> str:
+    heads = "".join(f"<th{_side(c.justify)}>{escape(str(c.header))}</th>" for c in table.columns)
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    body = "\n".join(
+        "<tr>"
+        + "".join(
+            f"<td{_side(column.justify)}>{escape(str(cell))}</td>"
+            for column, cell in zip(table.columns, row, strict=True)
+        )
+        + "</tr>"
+        for row in rows
+    )
+    caption = escape(str(table.title or ""))
+    return (
+        f"<table><caption>{caption}</caption><thead><tr>{heads}</tr></thead>"
+        f"<tbody>{body}</tbody></table>"
+    )
+
+
+def _side(justify: str) -> str:
+    return " class=number" if justify == "right" else ""
+
+
+def _figure(picture: Path) -> str:
+    image = base64.b64encode(picture.read_bytes()).decode("ascii")
+    valve, _, what = picture.stem.rpartition("-map-")
+    kind = "map" if valve else picture.stem.rpartition("-")[2]
+    whose = f"{valve}, {what}" if valve else picture.stem.rpartition("-")[0]
+    caption = escape(f"{whose}. {_KINDS.get(kind, '')}")
+    return (
+        f'<figure><img alt="{caption}" src="data:image/png;base64,{image}">'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )
+
+
+_PAGE = Template("""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>$title</title>
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem;
+  color: #1c2329; background: #fff }
+table { border-collapse: collapse; margin: 1.5rem 0; font-variant-numeric: tabular-nums }
+caption { text-align: left; font-weight: 600; padding-bottom: .4rem }
+th, td { text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px solid #d5dade;
+  vertical-align: bottom; white-space: pre-line }
+.number { text-align: right }
+figure { margin: 2rem 0 }
+figcaption { color: #4d5963 }
+img { max-width: 100%; height: auto }
+</style>
+</head>
+<body>
+<h1>$title</h1>
+$tables
+<ul>
+$notes
+</ul>
+$figures
+</body>
+</html>
+""")

@@ -1,0 +1,1 @@
+"""The running service: connections, sources, publishing and checkpoints, on asyncio."""

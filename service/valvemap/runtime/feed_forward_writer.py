@@ -1,0 +1,116 @@
+"""The answers to standing demands, written to the valves that are armed for it."""
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Sequence
+
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+
+from valvemap.clock import Clock
+from valvemap.errors import SourceRejected
+from valvemap.model.samples import Times
+from valvemap.pipeline.feedforward import (
+    FeedForwardState,
+    FeedForwardStatus,
+    Refusals,
+    Situation,
+    decide,
+    written,
+)
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import AllSources
+
+AGAIN_S = 0.05  # it goes on without samples; with them it has just been asked
+
+log = structlog.get_logger(__name__)
+
+
+class FeedForwardWriter:
+    """Leads each valve that is configured for it a step on, and says when its status changes.
+
+    Parameters
+    ----------
+    identification
+        Knows the answers, and which valves are armed.
+    source
+        Is written to.
+    clock
+        Of the steps.
+    situation
+        How a valve and its newest sample stand.
+    note_new
+        Takes the valves that have something new to be published.
+    """
+
+    def __init__(
+        self,
+        identification: Identification,
+        source: AllSources,
+        clock: Clock,
+        situation: Callable[[int], Situation],
+        note_new: Callable[[Sequence[int]], None],
+    ) -> None:
+        self._identification = identification
+        self._source = source
+        self._clock = clock
+        self._situation = situation
+        self._note_new = note_new
+        self._written_at = np.full(len(identification.plans), clock.monotonic())
+        self._states = {
+            number: FeedForwardState()
+            for number, plan in enumerate(identification.plans)
+            if plan.feed_forward is not None
+        }
+
+    def are_due(self, valves: Times, now: float) -> NDArray[np.bool_]:
+        """Which of these valves nobody has looked at for so long that it is their turn."""
+        return now - self._written_at[valves] >= AGAIN_S
+
+    async def write(self, valves: Times) -> None:
+        """Lead each of these valves that is configured for it a step on, all at once."""
+        self._written_at[valves] = self._clock.monotonic()
+        chosen = set(valves.tolist()) & self._states.keys() if self._states else ()
+        steps = (self._lead(valve) for valve in self._states if valve in chosen)
+        for outcome in await asyncio.gather(*steps, return_exceptions=True):
+            if isinstance(outcome, BaseException):
+                raise outcome
+
+    async def _lead(self, valve: int) -> None:
+        settings = self._identification.plans[valve].feed_forward
+        assert settings is not None  # noqa: S101 - these valves have a state
+        before, situation = self._states[valve], self._situation(valve)
+        state, command = decide(settings, before, situation, self._clock.monotonic())
+        if state.status is not before.status:
+            self._say(valve, state.status)
+        self._states[valve] = state
+        U_taken = command.U is None or await _is_taken(
+            self._source.write_required_U(valve, command.U), state.refused_U
+        )
+        heartbeat_taken = command.heartbeat is None or await _is_taken(
+            self._source.write_heartbeat(valve, command.heartbeat), state.refused_heartbeat
+        )
+        self._states[valve] = written(
+            state,
+            command,
+            self._clock.monotonic(),
+            U_refused=not U_taken,
+            heartbeat_refused=not heartbeat_taken,
+        )
+
+    def _say(self, valve: int, status: FeedForwardStatus) -> None:
+        self._identification.note_feed_forward(valve, status)
+        self._note_new([valve])
+        name = self._identification.plans[valve].name
+        log.info("feed-forward", valve=name, status=status.name, why=status.sentence)
+
+
+async def _is_taken(write: Awaitable[None], refused: Refusals) -> bool:
+    try:
+        await write
+    except SourceRejected as error:
+        if math.isinf(refused.last):
+            log.warning("not written", reason=str(error))
+        return False
+    return True

@@ -1,0 +1,465 @@
+"""The live service: data changes in, results, feed-forward and checkpoints out."""
+
+import asyncio
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+
+from valvemap.clock import Clock
+from valvemap.errors import SourceError
+from valvemap.model.samples import Floats, Samples, Times
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.feedforward import Situation
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
+from valvemap.pipeline.ports import (
+    AlarmReport,
+    AllSources,
+    Checkpoint,
+    CheckpointStore,
+    Health,
+    PastCounters,
+    ResultSink,
+)
+from valvemap.runtime.feed_forward_writer import FeedForwardWriter
+from valvemap.runtime.past import PastKeeper
+from valvemap.runtime.publishing_turns import PublishingTurns
+from valvemap.runtime.state_keeper import POSITION, StateKeeper
+
+OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
+LEARN_S = 0.05  # of learning at once: what has gathered for long is learnt in pieces
+FEWEST_AT_ONCE = 600  # changes, 100 samples, 0.1 s where Auto fits all: less costs more for each
+FIRST_AT_ONCE = 3_000  # changes, before it is known how long they take
+QUICKER = 0.05  # of a pace that is quicker is believed with each piece: fits come all at once
+LAST_S = 0.3  # an end may go on learning what has come
+MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
+HEALTH_EVERY_S = 0.5  # the service's own condition is shown
+LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+DAY_NS = 86_400_000_000_000
+FAREWELL_S = 4.2  # longest that an end takes from when it is asked for: some want it within 5
+NAMED = 8  # valves and estimators in one line, until the rest are counted
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Times in s.
+
+    Attributes
+    ----------
+    stale_after_s : float
+        Without a sample for this long a valve's sensors count as lost and its results as bad. Once
+        the newest sample is older than this by the source's clock, results are uncertain; once it
+        is OLD times as old, bad.
+    reorder_s : float
+        A sample that waits for earlier ones waits no longer than this, should no more samples come
+        that it could be seen by.
+    checkpoint_interval_s, map_interval_s : float
+        How often states are kept at least (few valves: every second), and how often the inverse
+        tables are computed anew.
+    publish_budget_s : float
+        How long publishing may hold up the next batch. Valves that find no time are first next
+        time, with their newest results.
+    publish_share : float
+        Most of the time that goes into publishing as long as there is more to publish than that:
+        samples that come in go before results that go out. See
+        :class:`~valvemap.runtime.publishing_turns.PublishingTurns`.
+    certificate_until_ns : int
+        End of the service's own certificate, UTC ns; 0: it has none that lasts.
+    """
+
+    stale_after_s: float = 2.0
+    reorder_s: float = 1.0
+    checkpoint_interval_s: float = 10.0
+    map_interval_s: float = 1.0
+    publish_budget_s: float = 0.02
+    publish_share: float = 0.25
+    certificate_until_ns: int = 0
+
+
+class LiveService:
+    """Fulfils :class:`valvemap.runtime.supervisor.Consumer`."""
+
+    def __init__(
+        self,
+        identification: Identification,
+        source: AllSources,
+        sink: ResultSink,
+        store: CheckpointStore,
+        clock: Clock,
+        settings: LiveSettings,
+        on_samples: Callable[[str, Samples], None] | None = None,
+        past: PastKeeper | None = None,
+    ) -> None:
+        self.identification = identification
+        self._source = source
+        self._sink = sink
+        self._store = store
+        self._clock = clock
+        self._settings = settings
+        self._on_samples = on_samples
+        self._past = past
+        now = clock.monotonic()
+        self._last_sample = np.full(len(identification.plans), now)
+        self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
+        self._held_until = now
+        self._heard_at = np.full(len(identification.plans), now)  # anything of their source
+        self._source_started = np.zeros(len(identification.plans), np.int64)
+        self._lost = np.zeros(len(identification.plans), np.bool_)
+        self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
+        self._old = np.zeros(len(identification.plans), np.bool_)
+        self._health_due = now
+        self._worked_s, self._worked_since = 0.0, now
+        self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # that are learnt
+        self._end_by = math.inf
+        self._refused = 0
+        self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
+        self._samples_wait = False
+        self._keeper = StateKeeper(
+            identification, source, store, clock, settings.checkpoint_interval_s
+        )
+        self._map_due = now + settings.map_interval_s
+        self._under_way = False
+        self._connected = np.zeros(len(identification.plans), np.bool_)
+        self._newest = np.zeros(len(identification.plans), np.int64)  # sample's time, UTC ns
+        self._newest_U = np.full(len(identification.plans), np.nan)
+        self._feed_forward = FeedForwardWriter(
+            identification, source, clock, self._situation, self._note_new
+        )
+
+    async def start(self, known: Sequence[Checkpoint] = ()) -> None:
+        """Take up what was kept before, and show that nothing is known of the present yet.
+
+        ``known`` is newer than what was kept, if there is something.
+        """
+        kept, lost_place = [], False
+        for one in known or self._store.load():
+            if (one.valve, one.estimator) != POSITION:
+                kept.append(one)
+            elif not self._source.resume_at(one.state):
+                lost_place = True
+        self._source.hold_back()
+        restored, refused = self.identification.restore(kept)
+        if lost_place:
+            refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
+        self.identification.was_away()
+        self._refused = len({*refused, *self._store.damaged})
+        self._lost[:] = True  # nothing is known of the present
+        if self._store.damaged:
+            log.warning(
+                "states damaged, those before them taken", estimators=_named(self._store.damaged)
+            )
+        if restored:
+            log.info("states restored", estimators=_named(restored))
+        if refused:
+            log.warning("states left aside, these start afresh", why=_by_reason(refused))
+        self._note_new(range(len(self._lost)))
+        while len(self._to_publish):  # in turns: clients are answered meanwhile
+            await self._publish_until(self._clock.monotonic())
+            await asyncio.sleep(0.0)
+
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """A source is there; if it was restarted, its samples are counted anew."""
+        own = self._own(valves)
+        before = self._source_started[own]
+        self._source_started[own] = source_started
+        if source_started and ((before != 0) & (before != source_started)).any():
+            log.warning("source restarted")
+            await self._use(self.identification.begin_source_anew(own), own)
+
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
+        """Identify, publish, feed forward; what is much, in pieces: others are served between."""
+        own = self._own(valves)
+        self._connected[own] = True
+        self._heard_at[own] = self._clock.monotonic()
+        rest = changes
+        while len(rest):
+            began = self._clock.monotonic()
+            if began > self._end_by - FAREWELL_S + LAST_S:
+                return  # nor is it noted as taken: the source is asked for it again
+            some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
+            piece, rest = rest[:some], rest[some:]
+            samples = self.identification.take(piece)
+            took_s = self._clock.monotonic() - began
+            self._note_pace(len(piece), took_s)
+            if took_s > LEARN_S / 2.0:
+                await asyncio.sleep(0.0)
+            self._samples_wait = len(rest) > 0
+            await self._use(samples, own)
+            self._worked_s += self._clock.monotonic() - began
+            if len(rest):
+                await self._doubt_old(self._ages())
+                await self._show_health(self._clock.monotonic())
+                await asyncio.sleep(0.0)
+        self._keeper.mark = self._source.mark
+
+    def _note_pace(self, changes: int, took_s: float) -> None:
+        if changes >= FEWEST_AT_ONCE and took_s > 0.0:
+            quicker = changes / took_s - self._changes_per_s
+            self._changes_per_s += quicker * (QUICKER if quicker > 0.0 else 1.0)
+
+    def end_soon(self) -> None:
+        """Have `time_left_s` run: what comes now is not learnt any more but for the first of it."""
+        self._end_by = self._clock.monotonic() + FAREWELL_S
+
+    @property
+    def time_left_s(self) -> float:
+        """How long an end may still take to keep states."""
+        return min(FAREWELL_S, max(self._end_by - self._clock.monotonic(), 0.0))
+
+    def _own(self, valves: Times | None) -> Times:
+        return np.arange(len(self._lost)) if valves is None else valves
+
+    async def _use(self, samples: ByValve, own: Times | None = None) -> None:
+        members, _, stops = samples.segments
+        self._last_sample[members] = self._clock.monotonic()
+        self._held_s[members] = 0.0
+        self._newest[members] = samples.samples.t[stops - 1]
+        self._newest_U[members] = samples.samples.U[stops - 1]
+        ages = self._ages()
+        steady = ~self.identification.holds()[members]
+        self._lost[members] = steady & (ages[members] > OLD * self._settings.stale_after_s)
+        self._old[members] = steady & (ages[members] > self._settings.stale_after_s)
+        if self._past is not None:
+            self._past.take(samples)
+        if self._on_samples is not None:
+            for valve, batch in samples.items():
+                self._on_samples(self.identification.plans[valve].name, batch)
+        self._note_new(samples)
+        self._say_what_is_doubted()
+        self._say_what_was_found()
+        await self._feed_forward.write(self._own(own))
+        await self._publish_in_turn()
+        if not self._under_way and len(samples):
+            self._under_way = True
+            log.info("first results published")
+
+    async def tick(self, valves: Times | None = None) -> None:
+        """Look after what is due by the clock; only these valves are fed forward."""
+        now, own = self._clock.monotonic(), self._own(valves)
+        await self._wait_no_longer(now)
+        await self._doubt(now)
+        await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
+        await self._publish_in_turn()
+        if now >= self._map_due:
+            parts = math.ceil(min(len(self._lost), MAPS_AT_ONCE) / MAPS_IN_ONE_GO)
+            self._map_due = now + self._settings.map_interval_s / parts
+            self.identification.refresh_maps(1.0 / parts)
+        self._keeper.keep_in_turn(now)
+        if self._past is not None:
+            self._past.tick(now, self._clock.now())
+        await self._show_health(now)
+
+    async def _doubt(self, now: float) -> None:
+        """Call old what has become it since the last sample."""
+        ages, limit = self._ages(), self._settings.stale_after_s
+        silent = self.identification.holds() & self._connected  # nothing has changed
+        stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
+        await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
+        silent_now = np.flatnonzero(stale)
+        overdue = self.identification.say_overdue(silent_now, self._source_now()[silent_now])
+        self._note_new(overdue)
+        await self._doubt_old(ages)
+
+    async def _doubt_old(self, ages: Floats) -> None:
+        """Have what is shown of a valve be Uncertain at once, what becomes of it in its turn."""
+        limit, silent = self._settings.stale_after_s, self.identification.holds()
+        old = np.flatnonzero((ages > limit) & ~self._old & ~(silent & self._connected))
+        if len(old):
+            self._old[old] = True
+            await self._sink.doubt(old)
+            self._note_new(old.tolist())
+
+    def _ages(self, valves: slice = slice(None)) -> Floats:
+        """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
+        newest = self._newest[valves]
+        ages = np.maximum((self._source_now()[valves] - newest) * 1e-9, 0.0)
+        return np.where(newest > 0, ages, np.nan)
+
+    def _source_now(self) -> Times:
+        """Time by each valve's source, UTC ns."""
+        ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
+        return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
+
+    async def _show_health(self, now: float) -> None:
+        if now < self._health_due:
+            return
+        self._health_due = now + HEALTH_EVERY_S
+        alarms = self._watch_service(now)
+        await self._sink.show_health(
+            Health(
+                age_s=self._ages(),
+                waiting=self.identification.pending(),
+                source=self._source.counters,
+                source_states=self._source.states,
+                checkpoint_age_s=now - self._keeper.kept_at,
+                checkpoint_failures=self._keeper.failures,
+                checkpoints_refused=self._refused,
+                checkpoint_bytes=self._store.size,
+                history=PastCounters() if self._past is None else self._past.counters,
+                alarms=alarms,
+            )
+        )
+
+    def _watch_service(self, now: float) -> Sequence[AlarmReport]:
+        passed, worked = now - self._worked_since, self._worked_s
+        self._worked_s, self._worked_since = 0.0, now
+        until, utc = self._settings.certificate_until_ns, self._clock.now()
+        share = min(worked / passed, 1.0) if passed > 0.0 else math.nan
+        return self.identification.watch_service(
+            utc,
+            checkpoint_age_s=self._keeper.age_s(now),
+            days_left=(until - utc) / DAY_NS if until else math.nan,
+            load=1.0 if self._to_publish.late else share,
+        )
+
+    async def _wait_no_longer(self, now: float) -> None:
+        """Go on without what samples wait for, where nothing has left for too long.
+
+        Time counts only while there is a connection, and our own standstills do not.
+        """
+        passed, self._held_until = now - self._held_until, now
+        if not self._connected.any():
+            return
+        self._held_s[self._connected] += min(passed, LONGEST_TICK_S)
+        self._held_s[~self.identification.waits()] = 0.0
+        due = self._connected & (self._held_s > self._settings.reorder_s)
+        if due.any():
+            await self._use(self.identification.wait_no_longer(np.flatnonzero(due)), _NONE)
+
+    async def lost(
+        self,
+        reason: SourceError,  # noqa: ARG002 - the supervisor logs it
+        valves: Times | None = None,
+    ) -> None:
+        """Call every result of these valves bad: there is no connection to their source."""
+        own = self._own(valves)
+        self._connected[own] = False
+        await self._feed_forward.write(own)
+        await self._lose(own[~self._lost[own]].tolist())
+
+    async def keep(self, within_s: float = math.inf) -> bool:
+        """Keep all states now, or as far as the disk does it in this time: `StateKeeper.keep`."""
+        end = self._clock.monotonic() + within_s
+        if self._past is not None:
+            await self._past.settle()
+        return await self._keeper.keep(end)
+
+    def states(self) -> list[Checkpoint]:
+        """All that is known of all valves."""
+        return self._keeper.states()
+
+    async def settle(self) -> None:
+        """Wait for what is being kept."""
+        await self._keeper.settle()
+
+    def _say_what_is_doubted(self) -> None:
+        """Name the valves that are not learnt from, each once, and those that are again."""
+        implausible = self.identification.implausible()
+        for valve in np.flatnonzero(self._doubted & ~implausible).tolist():
+            self._doubted[valve] = False
+            name = self.identification.plans[valve].name
+            log.info("learnt from again", valve=name, why="its pressures have been right for long")
+        for valve in np.flatnonzero(implausible & ~self._doubted).tolist():
+            self._doubted[valve] = True
+            name = self.identification.plans[valve].name
+            why = [finding.sentence for finding in self.identification.findings(valve)]
+            remedy = "mend the configuration, or insist = true for this valve"
+            log.warning("not learnt from", valve=name, why="; ".join(why), remedy=remedy)
+
+    def _say_what_was_found(self) -> None:
+        for valve in self.identification.newly_timed():
+            name = self.identification.plans[valve].name
+            log.info("signals", valve=name, how="; ".join(self.identification.timing(valve)))
+
+    async def _lose(self, valves: list[int]) -> None:
+        for valve in valves:
+            self._lost[valve] = True
+            name = self.identification.plans[valve].name
+            silent_s = self._clock.monotonic() - self._heard_at[valve]
+            if silent_s > self._settings.stale_after_s or not self._connected[valve]:
+                why = f"nothing has come from its source for {silent_s:.1f} s"
+            else:
+                why = "; ".join(self.identification.waited_for(valve)) or "nothing comes any more"
+            log.warning("sensors lost", valve=name, why=why)
+        if valves:
+            self._note_new(valves)
+            await self._publish_all()
+
+    def _note_new(self, valves: Iterable[int]) -> None:
+        self._to_publish.add(valves, self._clock.monotonic())
+
+    async def _publish_in_turn(self) -> None:
+        """Publish what the budget and the share of time allow."""
+        began = self._clock.monotonic()
+        if not self._to_publish.are_due(began):
+            return
+        await self._publish_until(began + self._settings.publish_budget_s)
+        now = self._clock.monotonic()
+        self._to_publish.pause(began, now, samples_wait=self._samples_wait)
+
+    async def _publish_all(self) -> None:
+        await self._publish_until(np.inf)
+
+    async def _publish_until(self, end: float) -> None:
+        while len(self._to_publish):
+            was_late = self._to_publish.late
+            some = self._to_publish.next(self._clock.monotonic())
+            late = self._to_publish.late
+            if late and not was_late:
+                log.warning("results are published late", remedy="fewer valves, or more CPU")
+            old = self._old | late | self._soon_old()
+            for results in self.identification.results(some, self._lost, old):
+                await self._sink.publish(results)
+                if self._past is not None:
+                    self._past.note(results)
+            if self._clock.monotonic() >= end:
+                break
+
+    def _soon_old(self) -> NDArray[np.bool_]:
+        """Which valves' newest sample will be too old before its results are replaced (M,)."""
+        then = self._ages() + self._to_publish.round_s
+        return (then > self._settings.stale_after_s) & ~self.identification.holds()
+
+    def _situation(self, valve: int) -> Situation:
+        armed = self.identification.is_armed(valve)
+        connected = bool(self._connected[valve])
+        if not (armed and connected):
+            return Situation(armed, connected)
+        waited = self._clock.monotonic() - self._last_sample[valve]
+        behind = float(self._ages(slice(valve, valve + 1))[0])
+        answer, status = self.identification.required(valve)
+        return Situation(
+            armed=armed,
+            connected=True,
+            age_s=max(float(waited), behind),
+            U=float(self._newest_U[valve]),
+            map=status,
+            required_U=answer.U,
+            width=answer.width,
+            answer=answer.status,
+        )
+
+
+_NONE: Times = np.empty(0, np.int64)  # the next tick feeds these forward
+
+
+def _by_reason(refused: Mapping[str, str]) -> str:
+    """Each reason once, with the first names that it holds for."""
+    lines = []
+    for reason in dict.fromkeys(refused.values()):
+        names = [name for name, why in refused.items() if why == reason]
+        lines.append(f"{_named(names)}: {reason}")
+    return "; ".join(lines)
+
+
+def _named(names: Sequence[str]) -> str:
+    """The first names, and how many there are besides."""
+    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{rest}"

@@ -1,0 +1,250 @@
+"""Several sources of one service: each with a life of its own, one consumer of what all send."""
+
+import asyncio
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.clock import Clock
+from valvemap.errors import SourceError, SourceLost
+from valvemap.model.samples import Floats, Times
+from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
+from valvemap.pipeline.ports import Source, SourceCounters
+from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
+
+
+class SourceWithHeir(Source, Protocol):
+    """A source that can be tried, and go on where another one stops."""
+
+    async def check(self) -> None:
+        """Connect, check every node, and leave."""
+
+    def succeed(self, before: Any) -> None:  # noqa: ANN401 - another of its kind
+        """Take over from another one when it is closed."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One source: its name (None: the only one), its client, the numbers of its valves."""
+
+    name: str | None
+    source: SourceWithHeir
+    valves: tuple[int, ...]
+
+    @cached_property
+    def items(self) -> NDArray[np.int32]:
+        """Numbers of its items among those of all valves."""
+        first = np.repeat(np.array(self.valves, np.int32) * SIGNALS_PER_VALVE, SIGNALS_PER_VALVE)
+        within = np.tile(np.arange(SIGNALS_PER_VALVE), len(self.valves))
+        return np.asarray(first + within, np.int32)
+
+    def renumbered(self, changes: DataChanges) -> DataChanges:
+        """The same changes, with items numbered among all valves."""
+        known = (changes.item >= 0) & (changes.item < len(self.items))
+        changes = changes if known.all() else changes[known]
+        return replace(changes, item=self.items[changes.item])
+
+
+class Sources:
+    """What a service asks of all its sources together."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = tuple(parts)
+        self.connected = [False] * len(parts)
+        self.taken: list[Any] = [None] * len(parts)  # marks of what the consumer was given
+        self.before: dict[str | None, bytes] = {}  # positions of those that gave nothing yet
+        valves = sum(len(part.valves) for part in parts)
+        self._part_of = np.zeros((valves, 2), np.int64)  # part, number there
+        for k, part in enumerate(parts):
+            for number, valve in enumerate(part.valves):
+                self._part_of[valve] = k, number
+
+    @property
+    def mark(self) -> tuple[Any, ...] | None:
+        """How far the changes of each were given to the consumer; None: none were.
+
+        Not what another one has handed out meanwhile, and what waits for its turn.
+        """
+        marks = tuple(self.taken)
+        return None if all(mark is None for mark in marks) else marks
+
+    def hold_back(self) -> None:
+        """As `Source.hold_back`."""
+        for part in self.parts:
+            part.source.hold_back()
+
+    def commit(self, mark: tuple[Any, ...]) -> None:
+        """As `Source.commit`."""
+        for part, own in zip(self.parts, mark, strict=True):
+            if own is not None:
+                part.source.commit(own)
+
+    def position(self, mark: tuple[Any, ...]) -> bytes:
+        """As `Source.position`; of several sources by their names."""
+        kept = self.before | {
+            part.name: part.source.position(own)
+            for part, own in zip(self.parts, mark, strict=True)
+            if own is not None
+        }
+        if None in kept:
+            return bytes(kept[None])
+        return json.dumps({n: base64.b64encode(p).decode() for n, p in kept.items()}).encode()
+
+    def resume_at(self, position: bytes) -> bool:
+        """As `Source.resume_at`; True if each of those kept could."""
+        if self.parts[0].name is None:
+            return bool(self.parts[0].source.resume_at(position))
+        try:
+            kept = {n: base64.b64decode(p) for n, p in json.loads(position).items()}
+        except (ValueError, TypeError, AttributeError):
+            return False
+        by_name = {part.name: part.source for part in self.parts}
+        taken = {
+            name: p for name, p in kept.items() if name in by_name and by_name[name].resume_at(p)
+        }
+        self.before = taken
+        return len(taken) == len(kept)
+
+    async def write_required_U(self, valve: int, U: float) -> None:
+        """As `Source.write_required_U`."""
+        k, number = self._part_of[valve].tolist()
+        await self.parts[k].source.write_required_U(number, U)
+
+    async def write_heartbeat(self, valve: int, count: int) -> None:
+        """As `Source.write_heartbeat`."""
+        k, number = self._part_of[valve].tolist()
+        await self.parts[k].source.write_heartbeat(number, count)
+
+    @property
+    def counters(self) -> SourceCounters:
+        """What was seen of all of them."""
+        every = (astuple(part.source.counters) for part in self.parts)
+        return SourceCounters(*map(sum, zip(*every, strict=True)))
+
+    @property
+    def clock_offset_s(self) -> Floats:
+        """By valve, how much its source's clock is ahead of ours."""
+        offsets = np.array([part.source.clock_offset_s for part in self.parts], np.float64)
+        return np.asarray(offsets[self._part_of[:, 0]])
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """A line for each: whether it is there, and what was lost of it."""
+        lines = []
+        for part, there in zip(self.parts, self.connected, strict=True):
+            seen = part.source.counters
+            lines.append(
+                f"{part.name or 'source'}: {'connected' if there else 'away'}, "
+                f"{seen.missing_messages} messages missing, {seen.overflows} overflows, "
+                f"{seen.undecodable} undecodable"
+            )
+        return tuple(lines)
+
+    async def check(self) -> None:
+        """Connect to each, check every node, and leave; of several, one may be away.
+
+        Raises
+        ------
+        SourceError
+        """
+        for part in self.parts:
+            try:
+                await part.source.check()
+            except SourceLost:
+                if part.name is None:
+                    raise
+
+    def succeed(self, before: "Sources") -> None:
+        """Take over from those of the same name when they are closed."""
+        others = {part.name: k for k, part in enumerate(before.parts)}
+        for part in self.parts:
+            if part.name not in others:
+                continue
+            k = others[part.name]
+            source, mark = before.parts[k].source, before.taken[k]
+            if mark is not None:
+                self.before[part.name] = source.position(mark)
+            elif part.name in before.before:
+                self.before[part.name] = before.before[part.name]
+            part.source.succeed(source)
+
+    async def close(self) -> None:
+        """Disconnect from all."""
+        for part in self.parts:
+            await part.source.close()
+
+
+async def supervise_all(
+    sources: Sources,
+    consumer: Consumer,
+    clock: Clock,
+    stop: asyncio.Event,
+    settings: SupervisorSettings,
+) -> None:
+    """Keep each source connected by itself, as `supervise` does; one that is away is waited for.
+
+    Raises
+    ------
+    SourceLost, SourceRejected
+        of the first that must end the run.
+    """
+    one_at_a_time = asyncio.Lock()
+    lives = [
+        asyncio.create_task(
+            supervise(
+                part.source,
+                _OfPart(consumer, sources, k, one_at_a_time),
+                clock,
+                stop,
+                replace(settings, name=part.name),
+            )
+        )
+        for k, part in enumerate(sources.parts)
+    ]
+    try:
+        await asyncio.wait(lives, return_when=asyncio.FIRST_EXCEPTION)
+    finally:
+        for life in lives:
+            life.cancel()
+        outcomes = await asyncio.gather(*lives, return_exceptions=True)
+        sources.connected = [False] * len(lives)
+    for outcome in outcomes:
+        if isinstance(outcome, Exception):
+            raise outcome
+
+
+class _OfPart:
+    """Hands on what one source sends; what all hand on is taken one after another."""
+
+    def __init__(
+        self, consumer: Consumer, sources: Sources, k: int, one_at_a_time: asyncio.Lock
+    ) -> None:
+        self._consumer, self._sources, self._k = consumer, sources, k
+        self._part, self._turn = sources.parts[k], one_at_a_time
+        self._valves: Times = np.array(self._part.valves, np.int64)
+
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:  # noqa: ARG002
+        self._sources.connected[self._k] = True
+        async with self._turn:
+            await self._consumer.connected(source_started, self._valves)
+
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:  # noqa: ARG002
+        mark = self._part.source.mark
+        async with self._turn:
+            self._sources.taken[self._k] = mark
+            await self._consumer.take(self._part.renumbered(changes), self._valves)
+
+    async def tick(self, valves: Times | None = None) -> None:  # noqa: ARG002
+        async with self._turn:
+            await self._consumer.tick(self._valves)
+
+    async def lost(self, reason: SourceError, valves: Times | None = None) -> None:  # noqa: ARG002
+        self._sources.connected[self._k] = False
+        async with self._turn:
+            await self._consumer.lost(reason, self._valves)

@@ -1,0 +1,158 @@
+"""States on disk, in turns: each valve's once in an interval, and how far the source was heard."""
+
+import asyncio
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import structlog
+
+from valvemap.clock import Clock
+from valvemap.errors import StorageError
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
+
+POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
+KEPT_PER_S = 20  # valves whose states are kept in a second, 3 MB, unless more are due
+KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
+PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
+
+log = structlog.get_logger(__name__)
+
+
+class StateKeeper:
+    """Packs states a few valves at a time, and waits for no disk while the service lives.
+
+    Parameters
+    ----------
+    identification
+        Whose states.
+    source
+        Is asked for its position, and hears what is kept of what it sent.
+    store
+        Where to.
+    clock
+        Of the turns.
+    interval_s
+        Each state is kept once in that time at least; of few valves every second.
+
+    Attributes
+    ----------
+    mark
+        How far the source was heard, of what has been learnt.
+    kept_at : float
+        When something was kept last, monotonic s; NaN before.
+    failures : int
+        How often something was not.
+    """
+
+    def __init__(
+        self,
+        identification: Identification,
+        source: AllSources,
+        store: CheckpointStore,
+        clock: Clock,
+        interval_s: float,
+    ) -> None:
+        self.mark: Any = None
+        self.kept_at = math.nan
+        self.failures = 0
+        self._identification = identification
+        self._source = source
+        self._store = store
+        self._clock = clock
+        self._valves = len(identification.plans)
+        self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
+        self._began, self._turns = clock.monotonic(), 0  # one valve after the other
+        self._left_in_round: set[int] = set()
+        self._mark_of_round: Any = None  # as this round began
+        self._keeping: asyncio.Task[None] | None = None
+        self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
+
+    def age_s(self, now: float) -> float:
+        """How old what is kept is, s; before anything is, how long that has been due."""
+        return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
+
+    def states(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
+        """All that is known of some valves, or of all."""
+        return self._identification.kept(valves)
+
+    async def settle(self) -> None:
+        """Wait for what is being kept."""
+        if self._keeping is not None:
+            await self._keeping
+
+    async def keep(self, until: float = math.inf) -> bool:
+        """Keep all states now, or those kept longest ago, as far as the disk does it by then.
+
+        False: not all are. What was kept before is older, and the source is asked again for what
+        came since.
+
+        Raises
+        ------
+        StorageError
+            naming the file; the states go on in memory.
+        """
+        M = self._valves
+        await self.settle()
+        oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
+        at_once = M if math.isinf(until) else KEPT_AT_ONCE
+        for start in range(0, M, at_once):
+            some = oldest_first[start : start + at_once]
+            if self._clock.monotonic() + len(some) * self._packing_s + self._saving_s > until:
+                return False
+            states = await self._packed(some)
+            if start + at_once >= M:
+                states += self._position(self.mark)
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
+            self._saving_s = self._clock.monotonic() - began
+        return True
+
+    def keep_in_turn(self, now: float) -> None:
+        """Begin to keep what is due, a few valves at a time: no batch waits for all."""
+        if self._keeping is not None and not self._keeping.done():
+            return
+        M = self._valves
+        due = int(M * (now - self._began) / self._interval_s)
+        turns = range(self._turns, min(due, self._turns + min(M, KEPT_AT_ONCE)))
+        self._turns = due if M <= KEPT_AT_ONCE else turns.stop
+        some = {turn % M for turn in turns}
+        if some:
+            if not self._left_in_round:
+                self._left_in_round, self._mark_of_round = set(range(M)), self.mark
+            self._left_in_round -= some
+            mark = None if self._left_in_round else self._mark_of_round
+            self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
+
+    async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
+        """The disk may be slow, or full: nothing waits for it."""
+        try:
+            states = [*await self._packed(valves), *self._position(mark)]
+            began = self._clock.monotonic()
+            await asyncio.to_thread(self._store.save, states)
+            self.kept_at = self._clock.monotonic()
+            self._saving_s = self.kept_at - began
+            if mark is not None:
+                self._source.commit(mark)
+        except StorageError as error:
+            self.failures += 1
+            log.warning("checkpoint not kept", reason=str(error))
+
+    async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
+        """States as bytes, a few valves at a time: samples come in between."""
+        packed = []
+        for start in range(0, len(valves), PACKED_AT_ONCE):
+            began = self._clock.monotonic()
+            some = valves[start : start + PACKED_AT_ONCE]
+            packed += self.states(some)
+            self._packing_s = (self._clock.monotonic() - began) / len(some)
+            await asyncio.sleep(0)
+        return packed
+
+    def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
+        if mark is None:
+            return []
+        state = self._source.position(mark)
+        return [Checkpoint(*POSITION, "", self._clock.now(), state, lam=None, frozen=False)]

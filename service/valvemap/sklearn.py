@@ -1,0 +1,120 @@
+"""The flow map as a scikit-learn regressor (extra ``[sklearn]``)."""
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from valvemap.model.forgetting import Exponential, Forgetting
+from valvemap.model.least_squares_state import (
+    initial_state,
+    learn,
+    parameter_covariance,
+    predict,
+)
+from valvemap.model.model_structures import FiveTerms, Structure
+from valvemap.model.samples import Floats
+
+try:
+    from sklearn.base import BaseEstimator, RegressorMixin
+    from sklearn.utils.validation import check_is_fitted, validate_data
+except ImportError as error:
+    raise ImportError(
+        "FlowMapRegressor needs scikit-learn: pip install valvemap[sklearn]"
+    ) from error
+
+
+class FlowMapRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Recursive least squares on a flow map, `fit` at once or `partial_fit` as samples come.
+
+    Parameters
+    ----------
+    structure : Structure, optional
+        Regressors of (U, dp[, T]), from :mod:`valvemap.model.model_structures`. Default:
+        eq. (7) on the first two columns of X, U (%) and dp (bar), any others entering linearly; a
+        straight line for a single column.
+    forgetting : float or Forgetting
+        λ of exponential forgetting, or a rule of :mod:`valvemap.model.forgetting`.
+    p0 : float
+        P(0) = p0·I; infinite: exact least squares.
+
+    Attributes
+    ----------
+    theta_ : (n,)
+        Parameters; a direction that the samples leave open counts as 0.
+    covariance_ : (n, n)
+        Their covariance; NaN while not determined.
+    state_ : RlsState
+        What goes on with the next `partial_fit`.
+    n_features_in_ : int
+        Columns of X.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> X = np.column_stack([rng.uniform(0, 100, 200), rng.uniform(0, 200, 200)])
+    >>> Q = 1.0 + 0.12 * X[:, 0] * np.sqrt(X[:, 1])
+    >>> FlowMapRegressor().fit(X, Q).predict([[50.0, 100.0]]).round(6)
+    array([61.])
+    """
+
+    def __init__(
+        self,
+        structure: Structure | None = None,
+        forgetting: float | Forgetting = 1.0,
+        p0: float = np.inf,
+    ) -> None:
+        self.structure = structure
+        self.forgetting = forgetting
+        self.p0 = p0
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from N samples and from no earlier ones: X (N, n_features), y (N,) in l/min."""
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
+        self._begin()
+        return self._learn(rows, output)
+
+    def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from further samples, in their order."""
+        first = not hasattr(self, "state_")
+        rows, output = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
+        if first:
+            self._begin()
+        return self._learn(rows, output)
+
+    def predict(self, X: ArrayLike, *, return_std: bool = False) -> Floats | tuple[Floats, Floats]:
+        """Flow (N,), l/min, and if wanted its standard deviation (N,), NaN where unknown."""
+        check_is_fitted(self)
+        rows = self._regressors(validate_data(self, X, dtype=np.float64, reset=False))
+        Q = np.sum(rows * self.theta_, axis=1)
+        return (Q, predict(self.state_, rows, self._rule())[1]) if return_std else Q
+
+    def _begin(self) -> None:
+        n = self._regressors(np.zeros((1, self.n_features_in_))).shape[1]
+        self.state_ = initial_state(n, self._rule(), self.p0)
+
+    def _learn(self, X: Floats, y: Floats) -> Self:
+        N, rows = len(y), self._regressors(X)
+        output = np.asarray(y, np.float64)
+        self.state_, _ = learn(
+            self.state_, self._rule(), rows, output, np.arange(N), np.ones(N, np.uint8)
+        )
+        self.theta_ = self.state_.theta
+        self.covariance_ = parameter_covariance(self.state_, self._rule())
+        return self
+
+    def _rule(self) -> Forgetting:
+        given = self.forgetting
+        return given if isinstance(given, Forgetting) else Exponential(float(given))
+
+    def _regressors(self, X: Floats) -> Floats:
+        columns: list[Any] = list(np.ascontiguousarray(X.T))
+        if self.structure is not None:
+            if len(columns) < 2:
+                raise ValueError("X has 1 column; a structure wants U, dp and, if it uses it, T")
+            T = columns[2] if len(columns) > 2 else np.full(len(X), np.nan)
+            return self.structure.regressors(columns[0], columns[1], T)
+        if len(columns) == 1:
+            return np.stack([np.ones(len(X)), columns[0]], axis=1)
+        U, dp, *others = columns
+        return np.column_stack([FiveTerms().regressors(U, dp, np.full(len(X), np.nan)), *others])

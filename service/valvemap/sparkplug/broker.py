@@ -1,0 +1,284 @@
+"""MQTT 3.1.1 by Eclipse Paho: each connection is a client of its own, in a thread of its own."""
+
+import asyncio
+import socket
+import ssl
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from threading import Thread
+from typing import Any, Final
+
+from paho.mqtt.client import MQTT_ERR_SUCCESS, Client, MQTTv311
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.reasoncodes import ReasonCode
+
+from valvemap.errors import ConfigurationError, SinkError, SinkLost, SinkRejected
+from valvemap.sparkplug.edge_node import Message
+from valvemap.sparkplug.settings import BrokerSettings
+
+_MOST_RECEIVED: Final = 100  # that nobody has taken; the newest count
+_LARGEST: Final = 65_536  # bytes; what is larger is neither a request for births nor a state
+_FAREWELL_S: Final = 2.0
+_SERVER_UNAVAILABLE: Final = "Server unavailable"  # the one refusal that another try may change
+
+
+class PahoBroker:
+    """Fulfils :class:`valvemap.sparkplug.ports.Broker`.
+
+    Raises
+    ------
+    ConfigurationError
+        if a certificate or key cannot be used: names the file.
+    """
+
+    def __init__(self, settings: BrokerSettings) -> None:
+        self._settings = settings
+        self._tls = _tls(settings) if settings.tls else None
+
+    @property
+    def url(self) -> str:
+        """Where it is."""
+        return self._settings.url
+
+    async def connect(self, will: Message, topics: Sequence[str]) -> "PahoSession":
+        """Connect, and listen to topics; a will is what the broker says when we are gone.
+
+        Raises
+        ------
+        SinkLost
+            if it cannot be reached.
+        SinkRejected
+            if it refuses us, or is not to be trusted.
+        """
+        settings = self._settings
+        client = Client(
+            CallbackAPIVersion.VERSION2,
+            client_id=settings.client_id,
+            clean_session=True,
+            protocol=MQTTv311,
+            reconnect_on_failure=False,  # each connection needs a will of its own
+        )
+        client.connect_timeout = settings.timeout_s
+        client.will_set(will.topic, will.payload, qos=will.qos, retain=False)
+        if settings.user is not None:
+            client.username_pw_set(settings.user, settings.password)
+        if self._tls is not None:
+            client.tls_set_context(self._tls)
+        session = PahoSession(client, settings, topics)
+        try:
+            await session.begin()
+        except BaseException:
+            await session.close()
+            raise
+        return session
+
+
+class PahoSession:
+    """Fulfils :class:`valvemap.sparkplug.ports.Session`; made by :class:`PahoBroker`."""
+
+    def __init__(self, client: Client, settings: BrokerSettings, topics: Sequence[str]) -> None:
+        self._client, self._settings, self._topics = client, settings, topics
+        self._loop = asyncio.get_running_loop()
+        self._accepted: asyncio.Future[bool] = self._loop.create_future()
+        self._confirmed: dict[int, asyncio.Future[bool]] = {}
+        self._received: deque[Message] = deque(maxlen=_MOST_RECEIVED)
+        self._failure: SinkError | None = None
+        self._ended = asyncio.Event()
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_subscribe = self._on_subscribe
+        client.on_message = self._on_message
+
+    async def begin(self) -> None:
+        """Connect, and wait until the broker has taken us."""
+        settings = self._settings
+        try:
+            await _in_thread(
+                lambda: self._client.connect(settings.host, settings.port, settings.keep_alive_s)
+            )
+        except ssl.SSLError as error:
+            raise SinkRejected(f"{settings.url}: {_words(error)}") from error
+        except (OSError, ValueError) as error:
+            raise SinkLost(f"{settings.url}: {_words(error)}") from error
+        self._client.loop_start()
+        await self._wait(self._accepted, "it does not take the connection")
+        for topic in self._topics:
+            await self._subscribe(topic)
+
+    def publish(self, message: Message) -> None:
+        """Send, without waiting."""
+        self._check()
+        sent = self._client.publish(message.topic, message.payload, qos=message.qos)
+        if sent.rc != MQTT_ERR_SUCCESS:
+            raise SinkLost(f"{self._settings.url}: not connected")
+
+    async def confirm(self) -> None:
+        """Wait until the broker has everything that was published.
+
+        Packets come in order, and a subscription is answered: so we subscribe to our commands
+        again. It is answered once what was sent before it was read.
+        """
+        await self._subscribe(self._topics[0])
+
+    def received(self) -> list[Message]:
+        """Take the messages that came."""
+        self._check()
+        taken = list(self._received)
+        self._received.clear()
+        return taken
+
+    async def close(self) -> None:
+        """End it; safe to call twice, and after a loss."""
+        if self._client.disconnect() == MQTT_ERR_SUCCESS:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._ended.wait(), _FAREWELL_S)
+        connected = self._client.socket()
+        if isinstance(connected, socket.socket):
+            with suppress(OSError):
+                connected.shutdown(socket.SHUT_RDWR)
+        await _in_thread(self._client.loop_stop)
+        self._client._reset_sockets()  # noqa: SLF001 - else its own pair waits for the collector
+
+    async def _subscribe(self, topic: str) -> None:
+        self._check()
+        result, number = self._client.subscribe(topic, qos=1)
+        if result != MQTT_ERR_SUCCESS or number is None:
+            raise SinkLost(f"{self._settings.url}: not connected")
+        answer = self._confirmed[number] = self._loop.create_future()
+        try:
+            if not await self._wait(answer, "it is silent"):
+                raise SinkRejected(f"{self._settings.url}: it lets us not listen to {topic}")
+        finally:
+            self._confirmed.pop(number, None)
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    async def _wait(self, answer: asyncio.Future[bool], else_: str) -> bool:
+        self._check()
+        try:
+            return await asyncio.wait_for(answer, self._settings.timeout_s)
+        except TimeoutError:
+            seconds = self._settings.timeout_s
+            raise SinkLost(f"{self._settings.url}: {else_} for {seconds:g} s") from None
+
+    def _on_connect(
+        self,
+        _client: Client,
+        _userdata: object,
+        _flags: object,
+        reason: ReasonCode,
+        _properties: object,
+    ) -> None:
+        self._soon(self._take_answer, self._accepted, reason)
+
+    def _on_subscribe(
+        self,
+        _client: Client,
+        _userdata: object,
+        number: int,
+        reasons: list[ReasonCode],
+        _properties: object,
+    ) -> None:
+        self._soon(self._take_confirmation, number, reasons[0])
+
+    def _on_message(self, _client: Client, _userdata: object, message: Any) -> None:  # noqa: ANN401
+        if len(message.payload) <= _LARGEST:
+            self._soon(self._received.append, Message(message.topic, message.payload, message.qos))
+
+    def _on_disconnect(
+        self,
+        _client: Client,
+        _userdata: object,
+        _flags: object,
+        reason: ReasonCode,
+        _properties: object,
+    ) -> None:
+        self._soon(self._end, reason)
+
+    def _take_answer(self, answer: asyncio.Future[bool], reason: ReasonCode) -> None:
+        if answer.done():
+            return
+        if not reason.is_failure:
+            answer.set_result(True)
+            return
+        kind = SinkLost if str(reason) == _SERVER_UNAVAILABLE else SinkRejected
+        answer.set_exception(kind(f"{self._settings.url}: {reason}"))
+
+    def _take_confirmation(self, number: int, reason: ReasonCode) -> None:
+        answer = self._confirmed.get(number)
+        if answer is not None and not answer.done():
+            answer.set_result(not reason.is_failure)
+
+    def _end(self, reason: ReasonCode) -> None:
+        self._ended.set()
+        if self._failure is None:
+            self._failure = SinkLost(f"{self._settings.url}: the connection broke: {reason}")
+        for answer in (self._accepted, *self._confirmed.values()):
+            if not answer.done():
+                answer.set_exception(self._failure)
+                answer.exception()  # nobody may wait for it any more
+
+    def _soon(self, call: Callable[..., object], *arguments: object) -> None:
+        """In the loop's thread; paho calls in its own."""
+        with suppress(RuntimeError):  # the loop is over
+            self._loop.call_soon_threadsafe(call, *arguments)
+
+
+async def _in_thread(work: Callable[[], object]) -> None:
+    """Wait for work that blocks; nobody waits for its thread at the end of the process."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def settle(error: BaseException | None) -> None:
+        if done.done():
+            return
+        if error is None:
+            done.set_result(None)
+        else:
+            done.set_exception(error)
+
+    def run() -> None:
+        failure: BaseException | None = None
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001 - it is raised where it is waited for
+            failure = error
+        with suppress(RuntimeError):
+            loop.call_soon_threadsafe(settle, failure)
+
+    Thread(target=run, daemon=True).start()
+    await done
+
+
+class _Closing(ssl.SSLSocket):
+    """Closed where its handshake fails: Paho leaves that to the garbage collector."""
+
+    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as in ssl
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
+
+
+def _tls(settings: BrokerSettings) -> ssl.SSLContext:
+    for file in (settings.ca_file, settings.certificate_file, settings.key_file):
+        if file is not None and not file.is_file():
+            raise ConfigurationError(f"{file}: no such file; [mqtt] names it")
+    try:
+        context = ssl.create_default_context(cafile=settings.ca_file)
+        if settings.certificate_file is not None:
+            context.load_cert_chain(settings.certificate_file, settings.key_file, password="")
+    except (OSError, ValueError) as error:
+        names = ", ".join(str(f) for f in (settings.ca_file, settings.certificate_file) if f)
+        raise ConfigurationError(f"{names}: cannot be used: {_words(error)}") from None
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.sslsocket_class = _Closing
+    return context
+
+
+def _words(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error).lower()

@@ -1,0 +1,45 @@
+"""The one host that has to be there before an edge node says anything. Pure."""
+
+import json
+from typing import Final
+
+from valvemap.sparkplug.edge_node import NAMESPACE
+
+_LATEST_MS: Final = 2**63  # what is later is no time
+
+
+class PrimaryHost:
+    """What is known of a primary host, from its STATE messages (chapter 5.10).
+
+    Attributes
+    ----------
+    topic : str
+        Where it says whether it is there.
+    is_online : bool
+        Whether it was when it said so last.
+
+    Examples
+    --------
+    >>> host = PrimaryHost("SCADA")
+    >>> host.hear(b'{"online": true, "timestamp": 5}')
+    >>> host.hear(b'{"online": false, "timestamp": 4}')  # the will of an earlier connection
+    >>> host.topic, host.is_online
+    ('spBv1.0/STATE/SCADA', True)
+    """
+
+    def __init__(self, name: str) -> None:
+        self.topic = f"{NAMESPACE}/STATE/{name}"
+        self.is_online = False
+        self._when = 0
+
+    def hear(self, payload: bytes) -> None:
+        """Take in a message; what is not one, or older than the last, changes nothing."""
+        try:
+            said = json.loads(payload)
+            online, when = said["online"], said["timestamp"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return
+        if not isinstance(online, bool) or isinstance(when, bool) or not isinstance(when, int):
+            return
+        if self._when <= when < _LATEST_MS:
+            self.is_online, self._when = online, when

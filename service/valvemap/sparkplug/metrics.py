@@ -1,0 +1,142 @@
+"""Values as metrics: kind, quality, time. Pure."""
+
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from enum import IntEnum
+from typing import Any, Final
+
+from valvemap.clock import utc_ns
+from valvemap.sparkplug.schema import DataType, Payload
+
+GOOD: Final = 0
+BAD_NO_COMMUNICATION: Final = 0x8031_0000
+OVERFLOW: Final = 0x480  # StatusCode: values before this one were dropped at the service
+_OLDEST_MS: Final = 0  # DateTime is unsigned; OPC UA's "never" lies before
+
+
+class Quality(IntEnum):
+    """The property Quality has these three values (chapter 6.4.16)."""
+
+    BAD = 0
+    GOOD = 192
+    STALE = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Tag:
+    """A metric: of which device (None: of the edge node itself), its name, kind and alias.
+
+    ``id`` is the identifier of the variable behind it.
+    """
+
+    id: str
+    device: str | None
+    name: str
+    kind: DataType
+    alias: int
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """What a variable holds: its StatusCode, its source time (UTC ns)."""
+
+    value: Any
+    code: int
+    t: int
+
+
+def quality_of(code: int) -> Quality:
+    """Good is GOOD; Uncertain must not be taken for good: STALE; Bad is BAD.
+
+    >>> quality_of(0), quality_of(0x40000000), quality_of(0x80000000)
+    (<Quality.GOOD: 192>, <Quality.STALE: 500>, <Quality.BAD: 0>)
+    """
+    return (Quality.GOOD, Quality.STALE, Quality.BAD, Quality.BAD)[code >> 30]
+
+
+def alike(a: Value, b: Value) -> bool:
+    """Whether nothing but the time has changed."""
+    same = a.value == b.value or (a.value != a.value and b.value != b.value)
+    return bool(same) and a.code == b.code
+
+
+def add_birth(payload: Any, tag: Tag, value: Value) -> None:  # noqa: ANN401 - a Payload
+    """Say what a metric is, and what it is now."""
+    metric = _add(payload, tag, value)
+    metric.name = tag.name
+
+
+def add_data(payload: Any, tag: Tag, value: Value, *, historical: bool) -> None:  # noqa: ANN401
+    """Say what a metric has become, or was."""
+    metric = _add(payload, tag, value)
+    if historical:
+        metric.is_historical = True
+
+
+def add_plain(payload: Any, name: str, kind: DataType, value: object, t: int) -> None:  # noqa: ANN401
+    """Say something that the specification itself names: it has no alias."""
+    metric = payload.metrics.add(name=name, datatype=kind, timestamp=_ms(t))
+    _set(metric, kind, value)
+
+
+def flag_in(data: bytes, name: str) -> bool:
+    """Whether a command sets a Boolean of this name.
+
+    Raises
+    ------
+    DecodeError
+        if it is no payload.
+    """
+    payload = Payload.FromString(data)
+    return any(one.name == name and one.boolean_value for one in payload.metrics)
+
+
+def _add(payload: Any, tag: Tag, value: Value) -> Any:  # noqa: ANN401
+    # DATA need not say the kind again, but the library of Cirrus Link reads a value by it
+    metric = payload.metrics.add(alias=tag.alias, timestamp=_ms(value.t), datatype=tag.kind)
+    quality = quality_of(value.code)
+    if quality is Quality.BAD or not _set(metric, tag.kind, value.value):
+        metric.is_null = True
+    properties = metric.properties
+    _add_property(properties, "Quality", DataType.INT32, quality)
+    if value.code != GOOD:
+        _add_property(properties, "StatusCode", DataType.UINT32, value.code)
+    return metric
+
+
+def _add_property(properties: Any, key: str, kind: DataType, value: object) -> None:  # noqa: ANN401
+    properties.keys.append(key)
+    _set(properties.values.add(type=kind), kind, value)
+
+
+def _set(message: Any, kind: DataType, value: Any) -> bool:  # noqa: ANN401
+    """Set a value; whether there is one: NaN is none."""
+    match kind:
+        case _ if value is None:
+            return False
+        case DataType.DOUBLE | DataType.FLOAT:
+            if math.isnan(value):
+                return False
+            if kind is DataType.DOUBLE:
+                message.double_value = value
+            else:
+                message.float_value = value
+        case DataType.BOOLEAN:
+            message.boolean_value = value
+        case DataType.STRING:
+            message.string_value = value
+        case DataType.DATE_TIME:
+            ms = _ms(utc_ns(value) if isinstance(value, datetime) else value)
+            if ms <= _OLDEST_MS:
+                return False
+            message.long_value = ms
+        case DataType.INT64 | DataType.UINT64:
+            message.long_value = value & 0xFFFF_FFFF_FFFF_FFFF  # two's complement
+        case _:
+            message.int_value = value & 0xFFFF_FFFF
+    return True
+
+
+def _ms(t: int) -> int:
+    return max(t // 1_000_000, _OLDEST_MS)

@@ -1,0 +1,123 @@
+"""What there is to say: all metrics as they stand. What changes goes into the outbox. Pure."""
+
+from collections.abc import Iterable, Mapping
+from itertools import count
+from typing import Final, NamedTuple
+
+from valvemap.sparkplug.metrics import BAD_NO_COMMUNICATION, GOOD, Tag, Value, alike
+from valvemap.sparkplug.outbox import Outbox
+from valvemap.sparkplug.schema import DataType
+
+LOST: Final = "MQTT.Lost"
+OVERFLOWS: Final = "MQTT.Overflows"
+CONNECTIONS: Final = "MQTT.Connections"
+CONNECTED: Final = "MQTT.ServiceConnected"
+_OWN: Final = {
+    LOST: DataType.UINT64,
+    OVERFLOWS: DataType.UINT64,
+    CONNECTIONS: DataType.UINT64,
+    CONNECTED: DataType.BOOLEAN,
+}
+
+
+class Variable(NamedTuple):
+    """A variable of the service: of a valve, or (``device`` is None) of the service itself."""
+
+    id: str
+    device: str | None
+    name: str
+    kind: DataType
+
+
+class Shown:
+    """Metrics by device, and what they are now.
+
+    Parameters
+    ----------
+    outbox
+        Takes what changes.
+    now
+        UTC ns.
+
+    Attributes
+    ----------
+    tags : dict
+        Metrics of each device; None: those of the edge node.
+    newest : dict
+        What they are, by id.
+    found_count : int
+        How often the service was found: whoever has said less says all anew.
+    is_connected : bool
+        Whether it is there.
+
+    Examples
+    --------
+    >>> shown = Shown(Outbox(most=100), now=0)
+    >>> flow = Variable("V1.Signals.Q", "V1", "Signals/Q", DataType.DOUBLE)
+    >>> shown.find([flow], {"V1.Signals.Q": Value(60.0, GOOD, 1)}, now=1)
+    >>> [tag.name for tag in shown.tags["V1"]]
+    ['Signals/Q']
+    """
+
+    def __init__(self, outbox: Outbox, now: int) -> None:
+        self.found_count = 0
+        self.is_connected = False
+        self.newest: dict[str, Value] = {}
+        self.tags: dict[str | None, list[Tag]] = {}
+        self._outbox = outbox
+        self._aliases: dict[str, int] = {}
+        self._next_alias = count(1)
+        self._by_id: dict[str, Tag] = {}
+        self._own = [Variable(id_, None, id_.replace(".", "/"), kind) for id_, kind in _OWN.items()]
+        starts = {id_: Value(_own_value(id_, 0), GOOD, now) for id_ in _OWN}
+        self._take_over(self._own, starts)
+
+    def find(self, variables: Iterable[Variable], values: Mapping[str, Value], now: int) -> None:
+        """The service is there, with these variables; they may be others than before."""
+        self._take_over([*self._own, *variables], values)
+        self._outbox.keep_only(self._by_id.values())
+        self.is_connected = True
+        self.found_count += 1
+        self.count(CONNECTED, 1, now)
+
+    def change(self, id_: str, value: Value) -> None:
+        """A variable has another value, or quality; nothing happens if it has not."""
+        tag = self._by_id.get(id_)
+        if tag is None or (id_ in self.newest and alike(self.newest[id_], value)):
+            return
+        self.newest[id_] = value
+        self._outbox.put(tag, value)
+
+    def count(self, id_: str, number: int, now: int) -> None:
+        """Say one of our own counts."""
+        self.change(id_, Value(_own_value(id_, number), GOOD, now))
+
+    def lose(self, now: int) -> None:
+        """The service is not there: nothing is known, of nothing."""
+        if not self.is_connected:
+            return
+        self.is_connected = False
+        gone = Value(None, BAD_NO_COMMUNICATION, now)
+        for id_, tag in self._by_id.items():
+            if id_ in _OWN:
+                continue
+            if tag.device is None:
+                self.change(id_, gone)
+            else:
+                self.newest[id_] = gone  # its device's death says so
+        self.count(CONNECTED, 0, now)
+
+    def _take_over(self, variables: Iterable[Variable], values: Mapping[str, Value]) -> None:
+        own = {id_: value for id_, value in self.newest.items() if id_ in _OWN}
+        self.newest = {**own, **values}
+        self._by_id, self.tags = {}, {None: []}
+        for id_, device, name, kind in variables:
+            if id_ not in self._aliases:
+                self._aliases[id_] = next(self._next_alias)
+            tag = Tag(id_, device, name, kind, self._aliases[id_])
+            self._by_id[id_] = tag
+            self.tags.setdefault(device, []).append(tag)
+
+
+def _own_value(id_: str, number: int) -> int | bool:
+    return bool(number) if _OWN[id_] is DataType.BOOLEAN else number

@@ -1,0 +1,93 @@
+"""Changes of alarms in the history's file: one row each, until they are old or too many."""
+
+import json
+import sqlite3
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from itertools import islice
+from typing import Final
+
+from valvemap.pipeline.ports import AlarmChange, AlarmReport
+
+MOST_CHANGES: Final = 100_000  # some 50 MB; the oldest go first
+_SCHEMA = (
+    """
+    CREATE TABLE IF NOT EXISTS alarm_change (
+        id INTEGER PRIMARY KEY,
+        t INTEGER NOT NULL,
+        owner TEXT NOT NULL,
+        digest TEXT NOT NULL,
+        report TEXT NOT NULL,
+        checksum INTEGER NOT NULL,
+        UNIQUE (t, owner, digest)
+    )
+    """,
+    "CREATE INDEX IF NOT EXISTS alarm_change_of ON alarm_change (owner, t)",
+)
+_KNOWN = frozenset(field.name for field in fields(AlarmReport))
+
+
+def prepare(connection: sqlite3.Connection) -> None:
+    """Make the table, if it is not there."""
+    for statement in _SCHEMA:
+        connection.execute(statement)
+
+
+def insert(connection: sqlite3.Connection, changes: Sequence[AlarmChange]) -> None:
+    """Keep changes; one that is kept already is passed over."""
+    rows = []
+    for change in changes:
+        report = json.dumps(asdict(change.report))
+        row = change.t, change.owner, _digest(change.report), report, _checksum(report)
+        rows.append(row)
+    connection.executemany(
+        "INSERT OR IGNORE INTO alarm_change (t, owner, digest, report, checksum) "
+        "VALUES (?, ?, ?, ?, ?)",
+        rows,
+    )
+
+
+def select(
+    connection: sqlite3.Connection,
+    owner: str | None,
+    span: tuple[int, int],
+    *,
+    backwards: bool,
+    skip: int,
+    most: int,
+) -> list[AlarmChange]:
+    """Changes within a span (UTC ns, both ends belong to it); what is damaged is left out."""
+    whose, values = ("", ()) if owner is None else ("owner = ? AND ", (owner,))
+    order = "DESC" if backwards else "ASC"
+    rows = connection.execute(
+        f"SELECT owner, t, report, checksum FROM alarm_change "  # noqa: S608
+        f"WHERE {whose}t BETWEEN ? AND ? ORDER BY t {order}, id",
+        (*values, *span),
+    )
+    whole = (
+        AlarmChange(of, t, _report(text)) for of, t, text, sum_ in rows if _checksum(text) == sum_
+    )
+    return list(islice(whole, skip, skip + most))
+
+
+def forget(connection: sqlite3.Connection, before: int) -> None:
+    """Drop what is older (UTC ns), and what is too much."""
+    connection.execute("DELETE FROM alarm_change WHERE t < ?", (before,))
+    excess = "SELECT id FROM alarm_change ORDER BY t DESC LIMIT -1 OFFSET ?"
+    connection.execute(f"DELETE FROM alarm_change WHERE id IN ({excess})", (MOST_CHANGES,))  # noqa: S608
+
+
+def _digest(report: AlarmReport) -> str:
+    """What tells two changes of one time apart."""
+    stands = (report.active, report.acked, report.confirmed)
+    return f"{report.name} {report.count} {stands} {report.commented}"
+
+
+def _checksum(text: str) -> int:
+    return zlib.crc32(text.encode())
+
+
+def _report(text: str) -> AlarmReport:
+    said = json.loads(text)
+    return AlarmReport(**{name: value for name, value in said.items() if name in _KNOWN})

@@ -1,0 +1,290 @@
+"""Which column of a recording holds which signal of which valve, and in what unit."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.pipeline.units import (
+    MEASURED,
+    QUANTITY_OF,
+    SYMBOLS,
+    Measure,
+    Quantity,
+    Scaling,
+    Unit,
+    unit_of,
+)
+
+REQUIRED: Final = ("t", "U", "p1", "p2", "Q")
+DEFAULT_VALVE: Final = "Valvistor"
+
+_TIMES = ("time", "timestamp", "datetime", "date time", "date", "zeit", "zeitstempel", "datum")
+_TEMPERATURES = ("temp", "temperature", "temperatur", "oil temperature")
+_IN_BRACKETS = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]]*?)[\])]\s*")
+_BEHIND_A_STROKE = re.compile(r"(?P<name>.*?)(?:\s+/\s*|\s+in\s+)(?P<unit>\S+)")
+_BEHIND_A_LOW_LINE = re.compile(r"(?P<name>.*)_(?P<unit>[^\s_\d]{2,}[^\s_]*|[CFcf])")
+
+
+@dataclass(frozen=True)
+class ValveLayout:
+    """One valve's signals; those left out are found by their own names."""
+
+    valve: str
+    signals: Mapping[str, Measure] = field(default_factory=dict)
+
+    @property
+    def has_columns(self) -> bool:
+        """Whether it names columns of its own."""
+        return any(signal.column is not None for signal in self.signals.values())
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How recordings are laid out; without ``valves`` all valves that a file holds are read.
+
+    ``time``, ``valve`` and ``quality`` are columns; None: those of these names.
+    """
+
+    valves: tuple[ValveLayout, ...] = ()
+    time: str | None = None
+    valve: str | None = None
+    quality: str | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """The columns, by number, that make one valve's samples.
+
+    ``valve`` is None where the rows say whose they are; with ``selects``, its rows are those that
+    name it.
+    """
+
+    valve: str | None
+    t: int
+    numbers: Mapping[str, tuple[int, Scaling]]
+    selects: bool = False
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one file; ``ignored`` are headings that mean nothing here."""
+
+    parts: tuple[Part, ...]
+    valve: int | None
+    quality: int | None
+    ignored: tuple[str, ...]
+
+
+def find_columns(header: Sequence[str], layout: Layout, where: str) -> Columns:
+    """Find every signal's column.
+
+    Parameters
+    ----------
+    header
+        The headings, in the order of the columns.
+    layout
+        What is known beforehand.
+    where
+        File and line, for the sentence of an error.
+
+    Raises
+    ------
+    RecordingError
+        if a column is missing or stands there twice.
+    ConfigurationError
+        if heading and configuration contradict each other, or a unit cannot be that of its signal.
+
+    Examples
+    --------
+    >>> found = find_columns(["Time", "q (gpm)", "u", "P1 [psi]", "P2 [psi]"], Layout(), "r.csv")
+    >>> found.parts[0].numbers["Q"]
+    (1, Scaling(gain=3.785411784, offset=0.0))
+    """
+    return _Finder(header, layout, where).columns()
+
+
+class _Finder:
+    def __init__(self, header: Sequence[str], layout: Layout, where: str) -> None:
+        self._header = [name.strip().strip("\ufeff") for name in header]
+        self._headings = [_heading(name) for name in self._header]
+        self._layout = layout
+        self._where = where
+
+    def columns(self) -> Columns:
+        valve = self._named(self._layout.valve, "recording.valve")
+        valve = self._standard("valve") if valve is None else valve
+        quality = self._named(self._layout.quality, "recording.quality")
+        quality = self._standard("quality") if quality is None else quality
+        parts = tuple(self._parts(valve))
+        used = {number for part in parts for number, _ in part.numbers.values()}
+        used |= {part.t for part in parts} | {n for n in (valve, quality) if n is not None}
+        ignored = tuple(name for number, name in enumerate(self._header) if number not in used)
+        return Columns(parts, valve, quality, ignored)
+
+    def _parts(self, valve: int | None) -> Iterator[Part]:
+        valves = self._layout.valves
+        if not valves:
+            yield self._part(ValveLayout(DEFAULT_VALVE), None if valve is not None else "")
+            return
+        alone = len(valves) == 1
+        for own in valves:
+            if valve is None and not alone and not own.has_columns:
+                raise RecordingError(
+                    f"{self._where}: whose rows are these? {len(valves)} valves are configured: "
+                    f"the file needs a column valve, or each valve columns of its own "
+                    f"(valves.signals.U.column)"
+                )
+            yield self._part(own, own.valve, selects=valve is not None)
+
+    def _part(self, own: ValveLayout, valve: str | None, *, selects: bool = False) -> Part:
+        found: dict[str, int | None] = {"t": self._time()}
+        for signal in MEASURED:
+            column = own.signals.get(signal, Measure()).column
+            field = f"signals.{signal}.column of valve {own.valve}"
+            named = self._named(column, field)
+            found[signal] = named if named is not None else self._standard(signal, found["t"])
+        missing = [name for name in REQUIRED if found[name] is None]
+        if missing:
+            raise RecordingError(self._missing(missing))
+        numbers = {
+            signal: (number, self._scaling(own, signal, number))
+            for signal in MEASURED
+            if (number := found[signal]) is not None
+        }
+        t = found["t"]
+        assert t is not None  # noqa: S101 - it is required
+        return Part(DEFAULT_VALVE if valve == "" else valve, t, numbers, selects)
+
+    def _missing(self, missing: Sequence[str]) -> str:
+        return (
+            f"{self._where}: column {', '.join(missing)} is missing; the header must hold "
+            f"t,U,p1,p2,Q (and may hold T, valve, quality), found {','.join(self._header)[:60]!r}; "
+            'for other names: [valves.signals.U] column = "…" in a --config FILE'
+        )
+
+    def _named(self, column: str | None, field: str) -> int | None:
+        """The column that the configuration names; None where it names none."""
+        if column is None:
+            return None
+        wanted, folded = column.strip(), column.strip().casefold()
+        names = [name for name, _ in self._headings]
+        for key, among in (
+            (wanted, self._header),
+            (wanted, names),
+            (folded, [name.casefold() for name in self._header]),
+            (folded, [name.casefold() for name in names]),
+        ):
+            if key in among:
+                return self._once(among, key)
+        raise RecordingError(
+            f"{self._where}: column {column!r} ({field}) is missing; "
+            f"found {','.join(self._header)[:80]!r}"
+        )
+
+    def _time(self) -> int | None:
+        named = self._named(self._layout.time, "recording.time")
+        if named is not None:
+            return named
+        names = [name for name, _ in self._headings]
+        folded = [name.casefold() for name in names]
+        if "t" in names and not self._is_temperature(names.index("t")):
+            return self._once(names, "t")
+        for name in _TIMES:
+            if name in folded:
+                return self._once(folded, name)
+        if "T" in names and not self._is_temperature(names.index("T")):
+            return self._once(names, "T")  # a header all in capitals: the time cannot be missing
+        return None
+
+    def _is_temperature(self, number: int) -> bool:
+        unit = unit_of(self._headings[number][1] or "")
+        return unit is not None and unit.quantity is Quantity.TEMPERATURE
+
+    def _standard(self, signal: str, taken: int | None = None) -> int | None:
+        """The column of a signal's own name, whatever its case; ``taken`` is another's."""
+        names = [
+            name if number != taken else None for number, (name, _) in enumerate(self._headings)
+        ]
+        if signal in names:
+            return self._once(names, signal)
+        folded = [None if name is None else name.casefold() for name in names]
+        aliases = (signal.casefold(), *(_TEMPERATURES if signal == "T" else ()))
+        for alias in aliases:
+            if alias in folded:
+                return self._once(folded, alias)
+        return None
+
+    def _once(self, names: Sequence[str | None], name: str) -> int:
+        if names.count(name) > 1:
+            raise RecordingError(f"{self._where}: column {name} stands there twice")
+        return names.index(name)
+
+    def _scaling(self, own: ValveLayout, signal: str, number: int) -> Scaling:
+        given = own.signals.get(signal, Measure())
+        text = self._headings[number][1]
+        written = None if text is None else unit_of(text)
+        if text is not None and written is None:
+            if given.unit is None and given.raw is None:
+                raise ConfigurationError(
+                    f"{self._where}: column {self._header[number]!r}: {text!r} is no unit known "
+                    f"here; signals.{signal}.unit may be one of {', '.join(SYMBOLS)}"
+                )
+            written = None
+        self._agree(own, signal, number, written)
+        unit = written if given.unit is None and given.raw is None else given.unit
+        return replace(given, unit=unit).scaling(signal)
+
+    def _agree(self, own: ValveLayout, signal: str, number: int, written: Unit | None) -> None:
+        """Refuse a heading that contradicts the configuration, or its own signal."""
+        if written is None:
+            return
+        given = own.signals.get(signal, Measure())
+        column = f"{self._where}: column {self._header[number]!r}"
+        if given.raw is not None:
+            if written.quantity is not Quantity.ELECTRICAL and written != given.unit:
+                raise ConfigurationError(
+                    f"{column} says {written.symbol}, signals.{signal}.raw of valve {own.valve} "
+                    "says that it is raw; one of them is wrong"
+                )
+        elif given.unit is not None and written != given.unit:
+            raise ConfigurationError(
+                f"{column} says {written.symbol}, signals.{signal}.unit of valve {own.valve} says "
+                f"{given.unit.symbol}; one of them is wrong"
+            )
+        elif written.quantity is Quantity.ELECTRICAL:
+            raise ConfigurationError(
+                f"{column} is raw, in {written.symbol}: signals.{signal}.raw and .range of valve "
+                f"{own.valve} must say what it means, e.g. raw = [4, 20] and range = [0, 100]"
+            )
+        elif written.quantity is not QUANTITY_OF[signal]:
+            raise ConfigurationError(
+                f"{column}: {written.symbol} is a unit of {written.quantity.noun}, {signal} is "
+                f"{_article(QUANTITY_OF[signal].noun)}"
+            )
+
+
+def _article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
+def _heading(text: str) -> tuple[str, str | None]:
+    """Part a heading into its name and its unit.
+
+    >>> _heading("p1 [psi]"), _heading("Q / gpm"), _heading("U_mA"), _heading("T")
+    (('p1', 'psi'), ('Q', 'gpm'), ('U', 'mA'), ('T', None))
+    """
+    match = _IN_BRACKETS.fullmatch(text)
+    if match is not None and match["name"]:
+        unit = match["unit"].strip()
+        known = unit_of(unit) is not None or match["name"].casefold() in _OWN_NAMES
+        return (match["name"], unit) if known and unit else (match["name"], None)
+    for form in (_BEHIND_A_STROKE, _BEHIND_A_LOW_LINE):
+        match = form.fullmatch(text)
+        if match is not None and unit_of(match["unit"]) is not None:
+            return match["name"], match["unit"]
+    return text, None
+
+
+_OWN_NAMES = {name.casefold() for name in MEASURED}

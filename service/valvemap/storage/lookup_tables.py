@@ -1,0 +1,339 @@
+"""Lookup tables as files: CSV for anybody, C99 and IEC 61131-3 Structured Text for a controller."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.errors import ConfigurationError, StorageError
+from valvemap.model.lookup_table import LookupTable
+from valvemap.model.samples import Floats
+
+INVALID: Final = -1000.0
+_AXES: Final = "r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min"
+STATUSES: Final = {
+    "OK": 0,
+    "ABOVE_REACH": 1,
+    "BELOW_REACH": 2,
+    "UNIDENTIFIED": 4,
+    "NOT_FINITE": 5,
+    "OUTSIDE": 6,
+    "EXTRAPOLATING": 7,
+}
+
+
+def write_table(file: Path, table: LookupTable, title: str) -> None:
+    """Write a table in the form that the file's name asks for: .csv, .c or .st.
+
+    Raises
+    ------
+    ConfigurationError
+        if the name asks for none of them.
+    StorageError
+        naming the file.
+    """
+    check_form(file)
+    text = _FORMS[file.suffix.lower()](table, title)
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+
+
+def check_form(file: Path) -> None:
+    """See to it that a file's name asks for a form there is.
+
+    Raises
+    ------
+    ConfigurationError
+        if it does not.
+    """
+    if file.suffix.lower() not in _FORMS:
+        asked = file.suffix or "no ending"
+        raise ConfigurationError(f"{file}: {asked}; {', '.join(_FORMS)} are allowed")
+
+
+def as_csv(table: LookupTable, title: str) -> str:
+    r"""Pressure drops along the first row, then the flows of the reach, then U over r; empty: none.
+
+    Last, over the same axes, 1 where the map is extrapolated.
+
+    >>> axis, at = np.array([0.0, 1.0]), np.array([[False, True], [False, False]])
+    >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), at, 40.0, 0.1, 0.2), "V"))
+    # V; oil at 40 °C; U in % over r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min
+    # bilinearly within 0.1 % of U, 0.2 l/min of Q
+    dp,0.0,1.0
+    lowest,0.0,1.0
+    highest,0.0,9.0
+    r=0.0,1.0,0.0
+    r=1.0,0.0,1.0
+    extrapolated r=0.0,0,1
+    extrapolated r=1.0,0,0
+    <BLANKLINE>
+    """
+    lines = [
+        f"# {_in_a_comment(title)}; oil at {table.T:g} °C; U in % over {_AXES}",
+        f"# bilinearly within {table.error_U:.3g} % of U, {table.error_Q:.3g} l/min of Q",
+    ]
+    rows = [("dp", table.dp), ("lowest", table.lowest), ("highest", table.highest)]
+    rows += [(f"r={_literal(r)}", row) for r, row in zip(table.r, table.U, strict=True)]
+    for name, row in rows:
+        lines.append(",".join([name, *("" if np.isnan(x) else _literal(x) for x in row)]))
+    for r, marks in zip(table.r, table.guessed, strict=True):
+        lines.append(",".join([f"extrapolated r={_literal(r)}", *(str(int(x)) for x in marks)]))
+    return "\n".join(lines) + "\n"
+
+
+def as_c(table: LookupTable, title: str) -> str:
+    """One file of C99 without dependencies: ``valvemap_required_U(Q, dp, &U)``."""
+    statuses = ", ".join(f"VALVEMAP_{name} = {code}" for name, code in STATUSES.items())
+    return f"""/* {_in_a_comment(title)}
+ *
+ * Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
+ * drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
+ * a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
+ * bilinearly: U is within VALVEMAP_ERROR_U % of the identified map's inverse, and the flow within
+ * VALVEMAP_ERROR_Q l/min. Where nothing was measured near, the map is extrapolated: U is a guess,
+ * and the status VALVEMAP_EXTRAPOLATING.
+ *
+ *     double U;
+ *     int status = valvemap_required_U(50.0, 100.0, &U);
+ */
+
+#define VALVEMAP_ERROR_U {table.error_U:.6g}
+#define VALVEMAP_ERROR_Q {table.error_Q:.6g}
+
+enum valvemap_status {{ {statuses} }};
+
+#define VALVEMAP_INVALID ({INVALID:.1f}) /* no U can be trusted here */
+#define VALVEMAP_N_R {len(table.r)}
+#define VALVEMAP_N_DP {len(table.dp)}
+
+static const double valvemap_dp[VALVEMAP_N_DP] = {{
+{_numbers(table.dp)}
+}};
+
+static const double valvemap_lowest[VALVEMAP_N_DP] = {{
+{_numbers(table.lowest)}
+}};
+
+static const double valvemap_highest[VALVEMAP_N_DP] = {{
+{_numbers(table.highest)}
+}};
+
+static const double valvemap_r[VALVEMAP_N_R] = {{
+{_numbers(table.r)}
+}};
+
+static const double valvemap_U[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
+{_c_rows(table.U)}
+}};
+
+/* 1: extrapolated */
+static const unsigned char valvemap_guess[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
+{_c_marks(table.guessed)}
+}};
+
+static int valvemap_place(const double *axis, int n, double x)
+{{
+    int low = 0, high = n - 1;
+    while (high - low > 1) {{
+        int middle = (low + high) / 2;
+        if (axis[middle] <= x)
+            low = middle;
+        else
+            high = middle;
+    }}
+    return low;
+}}
+
+/* U in 0 ... 100 %; outside the axis of dp that of its nearest end. Returns an enum
+ * valvemap_status; with UNIDENTIFIED and NOT_FINITE *U is left as it was. */
+int valvemap_required_U(double Q, double dp, double *U)
+{{
+    int status = VALVEMAP_OK, i, j;
+    double low, high, r, u, v;
+    if (!(Q - Q == 0.0) || !(dp - dp == 0.0))
+        return VALVEMAP_NOT_FINITE;
+    if (dp < valvemap_dp[0] || dp > valvemap_dp[VALVEMAP_N_DP - 1]) {{
+        status = VALVEMAP_OUTSIDE;
+        dp = dp < valvemap_dp[0] ? valvemap_dp[0] : valvemap_dp[VALVEMAP_N_DP - 1];
+    }}
+    j = valvemap_place(valvemap_dp, VALVEMAP_N_DP, dp);
+    v = (dp - valvemap_dp[j]) / (valvemap_dp[j + 1] - valvemap_dp[j]);
+    low = (1.0 - v) * valvemap_lowest[j] + v * valvemap_lowest[j + 1];
+    high = (1.0 - v) * valvemap_highest[j] + v * valvemap_highest[j + 1];
+    r = (Q - low) / (high - low);
+    i = valvemap_place(valvemap_r, VALVEMAP_N_R, r);
+    if (status == VALVEMAP_OK
+        && (valvemap_guess[i][j] || valvemap_guess[i][j + 1]
+            || valvemap_guess[i + 1][j] || valvemap_guess[i + 1][j + 1]))
+        status = VALVEMAP_EXTRAPOLATING;
+    if (r > 1.0) {{
+        *U = 100.0;
+        return status == VALVEMAP_OK ? VALVEMAP_ABOVE_REACH : status;
+    }}
+    if (r < 0.0) {{
+        *U = 0.0;
+        return status == VALVEMAP_OK ? VALVEMAP_BELOW_REACH : status;
+    }}
+    if (valvemap_U[i][j] <= VALVEMAP_INVALID || valvemap_U[i][j + 1] <= VALVEMAP_INVALID
+        || valvemap_U[i + 1][j] <= VALVEMAP_INVALID || valvemap_U[i + 1][j + 1] <= VALVEMAP_INVALID)
+        return status == VALVEMAP_OUTSIDE ? status : VALVEMAP_UNIDENTIFIED;
+    u = (r - valvemap_r[i]) / (valvemap_r[i + 1] - valvemap_r[i]);
+    *U = (1.0 - u) * ((1.0 - v) * valvemap_U[i][j] + v * valvemap_U[i][j + 1])
+       + u * ((1.0 - v) * valvemap_U[i + 1][j] + v * valvemap_U[i + 1][j + 1]);
+    return status;
+}}
+"""
+
+
+def as_structured_text(table: LookupTable, title: str) -> str:
+    """A function block of IEC 61131-3 (third edition): inputs Q, dp; outputs U, Status."""
+    n_r, n_dp = len(table.r), len(table.dp)
+    meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items() if code != 5)
+    return f"""(* {_in_a_comment(title)}
+
+   Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
+   drop dp in bar, for oil at {table.T:g} degrees Celsius. The table is over dp and over the flow as
+   a share of the valve's reach at that dp, r = (Q - lowest)/(highest - lowest), and interpolated
+   bilinearly: U is within {table.error_U:.3g} % of the identified map's inverse, and the flow
+   within {table.error_Q:.3g} l/min. Where nothing was measured near, the map is extrapolated: U is
+   a guess, and Status {STATUSES["EXTRAPOLATING"]}.
+
+   Status: {meanings}.
+   With UNIDENTIFIED U keeps its value; outside the axis of dp U is that of its nearest end.
+   In the table {INVALID:.1f} means that no U can be trusted. *)
+FUNCTION_BLOCK FB_ValveRequiredU
+VAR_INPUT
+    Q : LREAL;
+    dp : LREAL;
+END_VAR
+VAR_OUTPUT
+    U : LREAL;
+    Status : INT;
+END_VAR
+VAR
+    AxisDp : ARRAY[0..{n_dp - 1}] OF LREAL := [
+{_numbers(table.dp)}
+    ];
+    Lowest : ARRAY[0..{n_dp - 1}] OF LREAL := [
+{_numbers(table.lowest)}
+    ];
+    Highest : ARRAY[0..{n_dp - 1}] OF LREAL := [
+{_numbers(table.highest)}
+    ];
+    AxisR : ARRAY[0..{n_r - 1}] OF LREAL := [
+{_numbers(table.r)}
+    ];
+    TableU : ARRAY[0..{n_r * n_dp - 1}] OF LREAL := [
+{_numbers(_valid(table.U).ravel())}
+    ];
+    Guess : ARRAY[0..{n_r * n_dp - 1}] OF INT := [
+{_st_marks(table.guessed)}
+    ];
+    y : LREAL;
+    a : LREAL;
+    b : LREAL;
+    r : LREAL;
+    QLow : LREAL;
+    QHigh : LREAL;
+    i : INT;
+    j : INT;
+    k : INT;
+END_VAR
+
+Status := 0;
+y := LIMIT(AxisDp[0], dp, AxisDp[{n_dp - 1}]);
+IF y <> dp THEN
+    Status := {STATUSES["OUTSIDE"]};
+END_IF;
+
+j := 0;
+WHILE (j < {n_dp - 2}) AND (AxisDp[j + 1] <= y) DO
+    j := j + 1;
+END_WHILE;
+b := (y - AxisDp[j]) / (AxisDp[j + 1] - AxisDp[j]);
+QLow := (1.0 - b) * Lowest[j] + b * Lowest[j + 1];
+QHigh := (1.0 - b) * Highest[j] + b * Highest[j + 1];
+r := (Q - QLow) / (QHigh - QLow);
+i := 0;
+WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
+    i := i + 1;
+END_WHILE;
+k := i * {n_dp} + j;
+IF (Status = 0) AND (Guess[k] + Guess[k + 1] + Guess[k + {n_dp}] + Guess[k + {n_dp + 1}] > 0) THEN
+    Status := {STATUSES["EXTRAPOLATING"]};
+END_IF;
+
+IF r > 1.0 THEN
+    U := 100.0;
+    IF Status = 0 THEN
+        Status := {STATUSES["ABOVE_REACH"]};
+    END_IF;
+ELSIF r < 0.0 THEN
+    U := 0.0;
+    IF Status = 0 THEN
+        Status := {STATUSES["BELOW_REACH"]};
+    END_IF;
+ELSE
+    IF (TableU[k] <= {INVALID:.1f}) OR (TableU[k + 1] <= {INVALID:.1f})
+        OR (TableU[k + {n_dp}] <= {INVALID:.1f}) OR (TableU[k + {n_dp + 1}] <= {INVALID:.1f}) THEN
+        IF Status <> {STATUSES["OUTSIDE"]} THEN
+            Status := {STATUSES["UNIDENTIFIED"]};
+        END_IF;
+    ELSE
+        a := (r - AxisR[i]) / (AxisR[i + 1] - AxisR[i]);
+        U := (1.0 - a) * ((1.0 - b) * TableU[k] + b * TableU[k + 1])
+            + a * ((1.0 - b) * TableU[k + {n_dp}] + b * TableU[k + {n_dp + 1}]);
+    END_IF;
+END_IF;
+END_FUNCTION_BLOCK
+"""
+
+
+_FORMS: Final[Mapping[str, Callable[[LookupTable, str], str]]] = {
+    ".csv": as_csv,
+    ".c": as_c,
+    ".st": as_structured_text,
+}
+
+
+def _in_a_comment(title: str) -> str:
+    """A title that ends no comment and no line."""
+    return "".join(c if c.isalnum() or c in " .,:;=-_%" else "_" for c in title)
+
+
+def _valid(U: Floats) -> Floats:
+    return np.where(np.isnan(U), INVALID, U)
+
+
+def _numbers(values: Iterable[float], per_line: int = 8) -> str:
+    texts = [_literal(x) for x in values]
+    lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
+    return ",\n".join("        " + ", ".join(line) for line in lines)
+
+
+def _literal(x: float) -> str:
+    """A number that both languages take for a real."""
+    text = f"{x:.12g}"
+    if "e" in text:
+        mantissa, _, power = text.partition("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(power)}"
+    return text if "." in text else f"{text}.0"
+
+
+def _c_rows(U: Floats) -> str:
+    return ",\n".join("    {\n" + _numbers(row) + "\n    }" for row in _valid(U))
+
+
+def _c_marks(guessed: NDArray[np.bool_]) -> str:
+    return ",\n".join("    { " + ", ".join(str(int(x)) for x in row) + " }" for row in guessed)
+
+
+def _st_marks(guessed: NDArray[np.bool_], per_line: int = 24) -> str:
+    texts = [str(int(x)) for x in guessed.ravel()]
+    lines = [texts[k : k + per_line] for k in range(0, len(texts), per_line)]
+    return ",\n".join("        " + ", ".join(line) for line in lines)

@@ -1,0 +1,161 @@
+"""Models on disk: a map with all that is needed to use it elsewhere, as one JSON file."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from valvemap.errors import ConfigurationError, NoSuchFile, StorageError
+from valvemap.model.estimator import Estimator
+from valvemap.model.residual_spread import ResidualSpread
+from valvemap.model.samples import Floats
+from valvemap.model.support import Support
+from valvemap.storage.model_document import (
+    UNITS,
+    ModelDocument,
+    map_of,
+    map_section,
+    region_section,
+    support_of,
+    support_section,
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """One valve's map as one estimator identified it.
+
+    Attributes
+    ----------
+    valve, name
+        Of which valve, by which estimator.
+    estimator, state
+        Predicts and inverts as the estimator did when it was saved, bit for bit.
+    noise_std
+        Standard deviation of a measurement about the map, l/min; NaN if unknown.
+    T
+        Oil temperature measured last, °C; NaN if unknown.
+    t
+        Source time of the last sample, UTC ns; 0 before the first.
+    samples : (10, 12)
+        Recent samples in each cell over U and √dp: the covered region.
+    support
+        What the map rests on: beyond it `invert` says EXTRAPOLATING.
+    """
+
+    valve: str
+    name: str
+    estimator: Estimator[Any]
+    state: Any
+    noise_std: float
+    T: float
+    t: int
+    samples: Floats
+    support: Support
+
+
+def save_model(
+    file: Path,
+    valve: str,
+    name: str,
+    estimator: Estimator[Any],
+    state: Any,  # noqa: ANN401 - the estimator's own
+    spread: ResidualSpread,
+    support: Support,
+    t: int = 0,
+    T: float = np.nan,
+) -> None:
+    """Write a model.
+
+    Raises
+    ------
+    StorageError
+        naming the file, or the estimator if its map is not determined yet.
+    """
+    try:
+        section = map_section(estimator, state)
+    except ValueError as error:
+        raise StorageError(f"{file}: {valve}.{name} is not saved: {error}") from None
+    theta, std = estimator.parameters(state)
+    names = estimator.parameter_names
+    document = ModelDocument(
+        valve=valve,
+        estimator=name,
+        last_sample_ns=t,
+        units=UNITS,
+        map=section,
+        parameters=dict(zip(names, map(_or_none, theta.tolist()), strict=True)),
+        std=dict(zip(names, map(_or_none, std.tolist()), strict=True)),
+        noise_std=_or_none(spread.noise_std),
+        temperature=_or_none(T),
+        region=region_section(spread),
+        support=support_section(support),
+    )
+    try:
+        text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
+        file.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+
+
+def load_model(file: Path) -> Model:
+    """Read a model.
+
+    Raises
+    ------
+    StorageError
+        in one line: file, field, value, what is allowed.
+    """
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        document = ModelDocument.model_validate(content)
+        estimator, state = map_of(document.map)
+    except FileNotFoundError:
+        raise NoSuchFile(f"{file}: no such file") from None
+    except OSError as error:
+        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise StorageError(f"{file}: not a text file in UTF-8") from None
+    except json.JSONDecodeError as error:
+        raise StorageError(f"{file}: not JSON: {error}") from None
+    except ValidationError as error:
+        raise StorageError(f"{file}: {_first(error)}") from None
+    except (ConfigurationError, ValueError) as error:
+        raise StorageError(f"{file}: map: {error}") from None
+    return Model(
+        valve=document.valve,
+        name=document.estimator,
+        estimator=estimator,
+        state=state,
+        noise_std=_or_nan(document.noise_std),
+        T=_or_nan(document.temperature),
+        t=document.last_sample_ns,
+        samples=np.array(document.region.samples),
+        support=support_of(document.support),
+    )
+
+
+def is_model(file: Path) -> bool:
+    """Whether the file's name says that it holds a model."""
+    return file.suffix.lower() == ".json"
+
+
+def _first(error: ValidationError) -> str:
+    details = error.errors()[0]
+    tags = {"linear", "network", "auto", "polynomial", "spline", "radial_basis"}
+    field = ".".join(str(key) for key in details["loc"] if key not in tags)
+    message = details["msg"].removeprefix("Value error, ").replace("\n", " ")
+    if isinstance(details["input"], str | int | float):
+        message += f", not {details['input']!r}"
+    return f"{field}: {message}" if field else message
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value

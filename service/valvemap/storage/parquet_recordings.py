@@ -1,0 +1,279 @@
+"""Recordings as Parquet, by way of an Arrow stream while they grow; needs pyarrow."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.errors import NoRecording, RecordingError
+from valvemap.model.samples import Codes, Floats, Samples, Times
+from valvemap.pipeline.units import MEASURED
+from valvemap.storage import columns
+from valvemap.storage.columns import CellError
+from valvemap.storage.layout import DEFAULT_VALVE, Columns, Layout, Part, find_columns
+
+try:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+except ImportError as _error:
+    raise RecordingError(
+        "Parquet recordings need pyarrow: pip install 'valvemap[parquet]'"
+    ) from _error
+
+_SCHEMA = pa.schema(
+    [
+        pa.field("t", pa.timestamp("ns", tz="UTC")),
+        *(pa.field(name, pa.float64()) for name in MEASURED),
+        pa.field("valve", pa.string()),
+        pa.field("quality", pa.uint8()),
+    ]
+)
+_ROW_GROUP = 1 << 19
+
+
+class ArrowReader:
+    """Reads record batches whose columns may be of any Arrow type that can hold them."""
+
+    def __init__(
+        self,
+        path: Path,
+        schema: pa.Schema,
+        batches: Iterable[pa.RecordBatch],
+        total: int,
+        close: Callable[[], None],
+        layout: Layout,
+    ) -> None:
+        self._columns = find_columns(schema.names, layout, str(path))
+        _check_types(schema, self._columns, path)
+        self.ignored = self._columns.ignored
+        self._path = path
+        self._batches = batches
+        self._total = total
+        self._done = 0
+        self.close = close
+
+    @property
+    def fraction(self) -> float:
+        """How much has been read, 0 to 1."""
+        return min(self._done / self._total, 1.0) if self._total else 1.0
+
+    def chunks(self) -> Iterator[tuple[str, Samples]]:
+        """Yield (valve, samples), batch by batch."""
+        batches = iter(self._batches)
+        while True:
+            try:
+                batch = next(batches, None)
+            except (pa.ArrowException, OSError) as error:
+                raise _damaged(self._path, error, self._done) from error
+            if batch is None:
+                return
+            before, self._done = self._done, self._done + batch.num_rows
+            if batch.num_rows:
+                yield from self._parsed(batch, before)
+
+    def _parsed(self, batch: pa.RecordBatch, before: int) -> Iterator[tuple[str, Samples]]:
+        found = self._columns
+        try:
+            quality = None if found.quality is None else _qualities(batch.column(found.quality))
+            whose = None if found.valve is None else batch.column(found.valve)
+            valves, index = _valves(whose, batch.num_rows)
+            for part in found.parts:
+                if part.selects and part.valve not in valves:
+                    continue
+                samples = _samples(batch, part, quality)
+                if part.valve is None:
+                    yield from columns.by_valve(samples, valves, index)
+                elif not part.selects:
+                    yield part.valve, samples
+                else:
+                    own = samples[index == valves.index(part.valve)]
+                    if len(own):
+                        yield part.valve, own
+        except CellError as error:
+            row = before + error.row + 1
+            raise RecordingError(f"{self._path}, row {row}: {error}") from None
+
+
+def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
+    """Open a Parquet file; memory is bounded by the chunk, however large its row groups are."""
+    try:
+        metadata = pq.read_metadata(path)
+        wanted = (layout.valve or "valve").casefold()
+        names = [name for name in metadata.schema.names if name.casefold() == wanted]
+        file = pq.ParquetFile(
+            path,
+            metadata=metadata,
+            read_dictionary=names,
+            buffer_size=1 << 20,
+            pre_buffer=False,  # would hold the whole file in the end
+        )
+    except (pa.ArrowException, OSError) as error:
+        raise _damaged(path, error, 0) from error
+    headings = list(file.schema_arrow.names)
+    useless = set(find_columns(headings, layout, str(path)).ignored)
+    kept = [name for name in headings if name not in useless]
+    batches = file.iter_batches(batch_size=chunk_rows, columns=kept)
+    schema = pa.schema([file.schema_arrow.field(name) for name in kept])
+    reader = ArrowReader(path, schema, batches, file.metadata.num_rows, file.close, layout)
+    reader.ignored = tuple(name for name in headings if name in useless)
+    return reader
+
+
+def open_stream(path: Path, layout: Layout) -> ArrowReader:
+    """Open what a killed recorder has left behind: a stream which may end anywhere."""
+    try:
+        file = pa.OSFile(str(path))
+        stream = pa.ipc.open_stream(file)
+    except (pa.ArrowException, OSError) as error:
+        raise _damaged(path, error, 0) from error
+    return ArrowReader(path, stream.schema, stream, 0, file.close, layout)
+
+
+def stream_head() -> bytes:
+    """Begin an Arrow stream: the bytes that name its columns."""
+    return bytes(_SCHEMA.serialize())
+
+
+def stream_rows(valve: str, samples: Samples) -> bytes:
+    """Samples as bytes that continue an Arrow stream."""
+    batch = pa.record_batch(
+        [
+            pa.array(samples.t).cast(_SCHEMA.field("t").type),
+            *(pa.array(getattr(samples, name)) for name in MEASURED),
+            pa.repeat(valve, len(samples)),
+            pa.array(samples.quality),
+        ],
+        schema=_SCHEMA,
+    )
+    return bytes(batch.serialize())
+
+
+def parquet_from_stream(stream: Path, path: Path) -> None:
+    """Turn a finished Arrow stream into a Parquet file, in constant memory."""
+    with (
+        pa.OSFile(str(stream)) as source,
+        pq.ParquetWriter(path, _SCHEMA, compression="zstd") as writer,
+    ):
+        held: list[pa.RecordBatch] = []
+        rows = 0
+        for batch in pa.ipc.open_stream(source):
+            held.append(batch)
+            rows += batch.num_rows
+            if rows >= _ROW_GROUP:
+                writer.write_table(pa.Table.from_batches(held, _SCHEMA))
+                held, rows = [], 0
+        if held:
+            writer.write_table(pa.Table.from_batches(held, _SCHEMA))
+
+
+def _check_types(schema: pa.Schema, found: Columns, path: Path) -> None:
+    places = [("t", part.t) for part in found.parts]
+    places += [(name, n) for part in found.parts for name, (n, _) in part.numbers.items()]
+    places += [
+        (name, n)
+        for name, n in (("valve", found.valve), ("quality", found.quality))
+        if n is not None
+    ]
+    for name, place in places:
+        kind = schema.field(place).type
+        allowed, test = _ALLOWED[name]
+        if not test(kind.value_type if pa.types.is_dictionary(kind) else kind):
+            raise RecordingError(
+                f"{path}: column {schema.field(place).name} is of type {kind}, not {allowed}"
+            )
+
+
+def _samples(batch: pa.RecordBatch, part: Part, quality: Codes | None) -> Samples:
+    numbers = {
+        name: scaling(_numbers(batch.column(place)))
+        for name, (place, scaling) in part.numbers.items()
+    }
+    return Samples.of(t=_times(batch.column(part.t)), quality=quality, **numbers)
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    t = pa.types
+    return any(test(kind) for test in (t.is_integer, t.is_floating, t.is_decimal, t.is_null))
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return any(test(kind) for test in (pa.types.is_string, pa.types.is_large_string))
+
+
+def _is_time(kind: pa.DataType) -> bool:
+    return any(test(kind) for test in (pa.types.is_timestamp, _is_number, _is_text))
+
+
+def _is_quality(kind: pa.DataType) -> bool:
+    return any(test(kind) for test in (pa.types.is_integer, _is_text))
+
+
+_ALLOWED: dict[str, tuple[str, Callable[[pa.DataType], bool]]] = {
+    "t": ("a timestamp, a number or text", _is_time),
+    **dict.fromkeys(MEASURED, ("a number", _is_number)),
+    "valve": ("text", _is_text),
+    "quality": ("an integer or text", _is_quality),
+}
+
+
+def _plain(column: pa.Array) -> pa.Array:
+    return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
+
+
+def _complete(column: pa.Array, name: str, allowed: str) -> pa.Array:
+    if column.null_count:
+        raise CellError(int(np.argmax(_array(column.is_null()))), name, "", allowed)
+    return _plain(column)
+
+
+def _array(column: pa.Array) -> NDArray[Any]:
+    # Arrow's own arrays are read-only: a type of its own, for which all kernels were compiled anew
+    array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
+    return array
+
+
+def _numbers(column: pa.Array) -> Floats:
+    return _array(pc.cast(_plain(column), pa.float64(), safe=False))
+
+
+def _times(column: pa.Array) -> Times:
+    column = _complete(column, "t", columns.ALLOWED_TIME)
+    kind = column.type
+    if pa.types.is_timestamp(kind):
+        try:
+            return _array(pc.cast(pc.cast(column, pa.timestamp("ns", kind.tz)), pa.int64()))
+        except pa.ArrowInvalid:
+            raise CellError(0, "t", column[0], columns.ALLOWED_TIME) from None
+    if _is_text(kind):
+        return columns.times(column.to_pylist())
+    if pa.types.is_integer(kind):
+        return columns.times_of_integers(_array(pc.cast(column, pa.int64())))
+    return columns.times_of_floats(_numbers(column))
+
+
+def _qualities(column: pa.Array) -> Codes:
+    column = _complete(column, "quality", columns.ALLOWED_QUALITY)
+    if _is_text(column.type):
+        return columns.qualities(column.to_pylist())
+    return columns.qualities_of_integers(_array(pc.cast(column, pa.int64())))
+
+
+def _valves(column: pa.Array | None, rows: int) -> tuple[list[str], NDArray[np.intp]]:
+    if column is None:
+        return [DEFAULT_VALVE], np.zeros(rows, np.intp)
+    column = _complete(column, "valve", columns.ALLOWED_VALVE).dictionary_encode()
+    if "" in column.dictionary.to_pylist():
+        row = int(np.argmax(_array(pc.equal(_plain(column), ""))))
+        raise CellError(row, "valve", "", columns.ALLOWED_VALVE)
+    return column.dictionary.to_pylist(), _array(column.indices).astype(np.intp)
+
+
+def _damaged(path: Path, error: Exception, row: int) -> RecordingError:
+    if isinstance(error, FileNotFoundError):
+        return NoRecording(f"{path} does not exist")
+    sentence = str(error).splitlines()[0] if str(error) else type(error).__name__
+    where = f"damaged behind row {row}" if row else "not a recording"
+    return RecordingError(f"{path} is {where}: {sentence}")

@@ -1,0 +1,334 @@
+"""Recordings: samples of one or more valves in a file, read and written in constant memory.
+
+A recording is CSV (``.csv``, packed ``.csv.gz`` or ``.csv.xz``) or Parquet (``.parquet``, extra
+``parquet``) with the columns below, in any order; columns of other names are passed over.
+
+=========  ========================================================================================
+column     holds
+=========  ========================================================================================
+``t``      source time: ISO 8601 (without an offset it is UTC), an integer >= 1e15 = UTC ns, any
+           other number = s; exact to the ns. A Parquet timestamp of any unit.
+``U``      control voltage, %
+``p1``     pressure before the valve, bar
+``p2``     pressure behind the valve, bar
+``Q``      flow, l/min
+``T``      oil temperature, °C (optional)
+``valve``  name of the valve (optional, else ``Valvistor``)
+``quality``  0, 1, 2, or a word beginning with Good, Uncertain, Bad, or an OPC UA status code
+           (optional, else Good)
+=========  ========================================================================================
+
+Neither case nor order of the headings counts. A unit may stand beside a name, ``p1 [psi]``,
+``Q (gpm)``, ``T_degF``; without one the numbers are in those above. Other names, units and raw
+ranges are a matter of the configuration: a :class:`~valvemap.storage.layout.Layout`.
+
+An empty cell and ``nan`` are missing numbers: valid data, on which the quality gate decides. CSV
+is UTF-8, UTF-16 or a spreadsheet's ANSI, separated by comma, semicolon, tab or bar as its header
+is. A comma in a number is the decimal comma (a German spreadsheet); thousands are never grouped.
+Dates may be a spreadsheet's, 31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900,
+where day and month can be told apart.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Protocol, Self
+
+from valvemap.errors import NoRecording, RecordingError, StorageError
+from valvemap.model.samples import Samples
+from valvemap.storage.closing import Closing
+from valvemap.storage.csv_recordings import PACKINGS, CsvReader, csv_header, csv_rows, packed
+from valvemap.storage.layout import Layout
+
+_PART = re.compile(r"(\.\d+)?\.part$", re.IGNORECASE)
+_BLOCK = 1 << 18
+
+
+def read_recording(
+    path: str | Path, chunk_rows: int = 65_536, layout: Layout | None = None
+) -> "RecordingReader":
+    """Open a recording.
+
+    Parameters
+    ----------
+    path
+        ``.csv``, ``.csv.gz``, ``.csv.xz``, ``.parquet``, or the ``.part`` that a killed
+        :class:`RecordingWriter` left behind.
+    chunk_rows
+        Rows held in memory at a time.
+    layout
+        Which column holds what, in which unit, where it is not as above.
+
+    Returns
+    -------
+    RecordingReader
+        An iterator of (valve, :class:`~valvemap.model.samples.Samples`): the rows of each
+        valve come in the order of the file.
+
+    Raises
+    ------
+    RecordingError
+        here or while iterating: one line that names file, line, column, value and what is
+        allowed. What stands before the damage of a truncated file is handed out first.
+    ConfigurationError
+        if the file's headings contradict ``layout``.
+    """
+    return RecordingReader(Path(path), chunk_rows, layout or Layout())
+
+
+class RecordingReader(Iterator[tuple[str, Samples]]):
+    """Iterates over a recording; see :func:`read_recording`.
+
+    Attributes
+    ----------
+    ignored : tuple of str
+        Columns of the file that mean nothing here.
+    """
+
+    def __init__(self, path: Path, chunk_rows: int, layout: Layout) -> None:
+        self._path = path
+        self._source = _open(path, chunk_rows, layout)
+        self._chunks = self._source.chunks()
+        self._seen = False
+        self.ignored = self._source.ignored
+
+    @property
+    def fraction(self) -> float:
+        """How much of the file has been read, 0 to 1, for a progress bar."""
+        return self._source.fraction
+
+    def close(self) -> None:
+        """Close the file; iteration ends."""
+        self._source.close()
+        self._chunks = iter(())
+        self._seen = True
+
+    def __next__(self) -> tuple[str, Samples]:
+        try:
+            chunk = next(self._chunks)
+        except BaseException as error:
+            empty = isinstance(error, StopIteration) and not self._seen
+            self.close()
+            if empty:
+                raise RecordingError(f"{self._path} holds no samples") from None
+            raise
+        self._seen = True
+        return chunk
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class _Source(Protocol):
+    """One kind of file, opened."""
+
+    ignored: tuple[str, ...]
+
+    @property
+    def fraction(self) -> float: ...
+
+    def chunks(self) -> Iterator[tuple[str, Samples]]: ...
+
+    def close(self) -> None: ...
+
+
+def _open(path: Path, chunk_rows: int, layout: Layout) -> _Source:
+    suffix, is_part = _suffix(path)
+    if suffix in PACKINGS:
+        return CsvReader(path, suffix, chunk_rows, layout)
+    from valvemap.storage import parquet_recordings as parquet  # noqa: PLC0415 - an extra
+
+    if is_part:
+        return parquet.open_stream(path, layout)
+    return parquet.open_parquet(path, chunk_rows, layout)
+
+
+class RecordingWriter(Closing):
+    """Writes a recording, batch by batch; CSV or Parquet by the name of the file.
+
+    Until ``close``, the rows are in ``<name>.part``, which :func:`read_recording` reads just as
+    well; ``close`` makes the recording appear under its own name at once and complete. A process
+    that is killed leaves its ``.part`` behind, with every batch appended so far (the packed forms
+    may miss the last 256 KiB of text); the next writer moves it to ``<name>.<n>.part``.
+    Numbers read back as the same bits, times as the same ns.
+
+    Raises
+    ------
+    RecordingError
+        if the name has an unknown ending, or ``pyarrow`` is not there.
+    StorageError
+        from every method, naming the file, if it cannot be written (disk full, read-only). What
+        was appended before stays readable, and appending may be tried again.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> with RecordingWriter(folder / "rig.csv.gz") as recording:
+    ...     recording.append("Valvistor", Samples.of(t=[0], U=[50], p1=[200], p2=[100], Q=[30]))
+    >>> [(valve, float(samples.Q[0])) for valve, samples in read_recording(folder / "rig.csv.gz")]
+    [('Valvistor', 30.0)]
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._form = _form(self.path)
+        self._part = self.path.with_name(self.path.name + ".part")
+        self._pending = bytearray()
+        with _naming(self.path):
+            _set_aside(self._part)
+            self._file = self._part.open("wb", buffering=0)
+            self._good = 0
+        self._pending += self._form.head()
+        try:
+            self._write()
+        except StorageError:
+            self._file.close()
+            raise
+
+    def append(self, valve: str, samples: Samples) -> None:
+        """Append samples of one valve; on an error none of them is kept."""
+        if not len(samples):
+            return
+        before = len(self._pending)
+        self._pending += self._form.rows(valve, samples)
+        if len(self._pending) >= self._form.block:
+            try:
+                self._write()
+            except StorageError:
+                del self._pending[before:]
+                raise
+
+    def flush(self) -> None:
+        """Bring all rows to the disk, past every cache: they survive a power cut."""
+        self._write()
+        with _naming(self.path):
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Finish the recording under its own name; safe to call twice."""
+        if self._file.closed:
+            return
+        try:
+            self.flush()
+        finally:
+            self._file.close()
+            with _naming(self.path):
+                self._form.finish(self._part, self.path)
+
+    def _write(self) -> None:
+        block = self._form.pack(bytes(self._pending))
+        try:
+            _write_all(self._file, block)
+        except OSError as error:
+            with suppress(OSError):  # a torn row would hide in front of the next one
+                self._file.seek(self._good)
+                self._file.truncate()
+            raise _storage_error(self.path, error) from error
+        self._good += len(block)
+        self._pending.clear()
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How one kind of file is written: bytes that can only be appended, and an end."""
+
+    head: Callable[[], bytes]
+    rows: Callable[[str, Samples], bytes]
+    pack: Callable[[bytes], bytes]
+    block: int
+    finish: Callable[[Path, Path], None]
+
+
+def _form(path: Path) -> _Form:
+    suffix, is_part = _suffix(path)
+    if is_part:
+        raise RecordingError(f"{path}: a recording's own name does not end in .part")
+    if suffix in PACKINGS:
+        return _Form(
+            head=csv_header,
+            rows=csv_rows,
+            pack=lambda text: packed(suffix, text),
+            block=0 if suffix == ".csv" else _BLOCK,
+            finish=os.replace,
+        )
+    from valvemap.storage import parquet_recordings as parquet  # noqa: PLC0415 - an extra
+
+    def finish(part: Path, path: Path) -> None:
+        whole = path.with_name(path.name + ".whole")
+        try:
+            parquet.parquet_from_stream(part, whole)
+            os.replace(whole, path)  # noqa: PTH105 - as above
+        except OSError:
+            whole.unlink(missing_ok=True)
+            raise
+        part.unlink()
+
+    return _Form(
+        head=parquet.stream_head,
+        rows=parquet.stream_rows,
+        pack=lambda rows: rows,
+        block=0,
+        finish=finish,
+    )
+
+
+def _suffix(path: Path) -> tuple[str, bool]:
+    name = path.name.casefold()
+    whole = _PART.sub("", name)
+    for suffix in (*PACKINGS, ".parquet"):
+        if whole.endswith(suffix):
+            return suffix, whole != name
+    raise NoRecording(
+        f"{path} is not a recording: its name must end in {', '.join(PACKINGS)} or .parquet"
+    )
+
+
+def _set_aside(part: Path) -> None:
+    """Keep what a killed writer has left behind."""
+    try:
+        if part.stat().st_size == 0:
+            return
+    except FileNotFoundError:
+        return
+    name = part.name.removesuffix(".part")
+    n = 1
+    while (kept := part.with_name(f"{name}.{n}.part")).exists():
+        n += 1
+    part.rename(kept)
+
+
+def _write_all(file: BinaryIO, block: bytes) -> None:
+    rest = memoryview(block)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+class _naming:  # noqa: N801 - reads like the function that it is
+    """Turns an OSError into a StorageError that names the file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError):
+            raise _storage_error(self._path, error) from error
+
+
+def _storage_error(path: Path, error: OSError) -> StorageError:
+    return StorageError(f"{path} cannot be written: {error.strerror or error}")

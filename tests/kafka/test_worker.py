@@ -1,0 +1,120 @@
+"""Workers that fail, and hand groups to each other, come to what one that never stops comes to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+
+import structlog
+
+from support.fleet import RHYTHM, Dictionary, as_messages, block, catalogue, day, feed, group
+from valvemap.errors import FleetError
+from valvemap.kafka.blocks import write_samples
+from valvemap.kafka.group import Group
+from valvemap.kafka.worker import MEMORY, Worker
+
+GROUPS = ("north.0", "north.1")
+
+
+@pytest.fixture(scope="module")
+def known():
+    return catalogue()
+
+
+@pytest.fixture(scope="module")
+def stream(known):
+    """Messages of two groups, one after the other."""
+    days = [list(as_messages(day(known.groups[name], seed=k))) for k, name in enumerate(GROUPS)]
+    return [message for pair in zip(*days, strict=True) for message in pair]
+
+
+def run(worker, stores, message):
+    kind, key, packed = message
+    take = worker.samples if kind == "samples" else worker.command
+    return take(key, packed, stores[key.decode()])
+
+
+@pytest.fixture(scope="module")
+def undisturbed(known):
+    found = {}
+    for k, name in enumerate(GROUPS):
+        one = group(known.groups[name])
+        found[name] = feed(one, day(known.groups[name], seed=k)), one.to_bytes()
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whoever_learns_and_whatever_is_rolled_back_the_bits_are_the_same(
+    known, stream, undisturbed, seed
+):
+    """Transactions of any length, committed or aborted, by any of three workers."""
+    rng = np.random.default_rng(seed)
+    workers = [Worker(known, RHYTHM) for _ in range(3)]
+    stores = {name: Dictionary() for name in GROUPS}
+    out = {name: [] for name in GROUPS}
+    at = 0
+    while at < len(stream):
+        worker = workers[rng.integers(3)]
+        if rng.random() < 0.1:  # killed
+            workers[workers.index(worker)] = worker = Worker(known, RHYTHM)
+        some = stream[at : at + int(rng.integers(1, 6))]
+        said = [(message[1].decode(), run(worker, stores, message)) for message in some]
+        committed = rng.random() < 0.6
+        if committed or rng.random() < 0.5:  # a commit may fail, too
+            worker.keep()
+        for store in stores.values():
+            store.commit() if committed else store.abort()
+        if committed:
+            at += len(some)
+            for name, one in said:
+                out[name] += one
+    for name in GROUPS:
+        assert out[name] == undisturbed[name][0]
+        assert stores[name].kept[MEMORY] == undisturbed[name][1]
+
+
+def test_messages_that_cannot_be_read_are_counted_and_said_and_nothing_else(known):
+    worker, store = Worker(known, RHYTHM), Dictionary()
+    with structlog.testing.capture_logs() as said:
+        assert worker.samples(b"north.0", b"nonsense", store) == []
+        assert worker.command(b"north.0", b"nonsense", store) == []
+        assert worker.samples(b"south.7", b"nonsense", store) == []
+        assert worker.samples(None, b"", store) == []
+    warnings = [(one["group"], one["reason"]) for one in said if one["log_level"] == "warning"]
+    assert [name for name, _ in warnings] == ["north.0", "north.0", "south.7", ""]
+    assert warnings[1] == ("north.0", "not a command: not JSON")
+    one = Group(known.groups["north.0"], 1, RHYTHM)
+    worker.keep()
+    one.remember(store.get_bytes(MEMORY))
+    assert one.counts["refused"] == 2
+    assert one.number == 0
+
+
+def test_a_group_that_is_in_no_catalogue_any_more_is_named_once(known):
+    worker, store = Worker(known, RHYTHM), Dictionary()
+    sent = replace(block(known.groups["north.0"], 1, (5, 5, 5)), group="south.0", catalogue=1)
+    with structlog.testing.capture_logs() as said:
+        for _ in range(3):
+            assert worker.samples(b"south.0", write_samples(sent), store) == []
+    assert [one["group"] for one in said] == ["south.0"]
+    assert store.get_bytes(MEMORY) is None
+
+
+@pytest.mark.parametrize("name", ["north.0", "south.0"])
+def test_samples_of_a_newer_catalogue_wait_for_a_worker_that_knows_it(known, name):
+    worker, store = Worker(known, RHYTHM), Dictionary()
+    sent = replace(block(known.groups["north.0"], 1, (5, 5, 5)), group=name, catalogue=2)
+    with pytest.raises(FleetError, match="version 2 of the catalogue, this is version 1: bring"):
+        worker.samples(name.encode(), write_samples(sent), store)
+    assert store.get_bytes(MEMORY) is None
+
+
+def test_a_memory_that_does_not_fit_stops_the_worker_with_one_line(known):
+    worker, store = Worker(known, RHYTHM), Dictionary()
+    store.set_bytes(MEMORY, b"of another program")
+    sent = block(known.groups["north.0"], 1, (5, 5, 5))
+    with pytest.raises(FleetError, match=r"^group north\.0: not a group's memory$"):
+        worker.samples(b"north.0", write_samples(sent), store)
+    assert store.get_bytes(MEMORY) == b"of another program"

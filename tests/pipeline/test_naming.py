@@ -1,0 +1,95 @@
+"""Valves are found in other languages and by other schemes of naming; what is open is asked."""
+
+import pytest
+
+from valvemap.pipeline.naming import Candidate, propose
+from valvemap.pipeline.units import unit_of
+
+LANGUAGES = {
+    "German": (
+        "Stellwert",
+        "Druck vor Ventil",
+        "Druck nach Ventil",
+        "Volumenstrom",
+        "Öltemperatur",
+    ),
+    "German, hydraulic": ("Ansteuerung", "Zulaufdruck", "Rücklaufdruck", "Durchfluss", "Öltemp"),
+    "French": ("Consigne", "Pression amont", "Pression aval", "Débit", "Température huile"),
+    "Spanish": ("Apertura", "Presión de entrada", "Presión de salida", "Caudal", "Temperatura"),
+    "Italian": ("Comando valvola", "Pressione monte", "Pressione valle", "Portata", "Temperatura"),
+    "Chinese": ("阀门开度", "阀前压力", "阀后压力", "流量", "油温"),
+    "English": ("ValveCommand", "InletPressure", "OutletPressure", "FlowRate", "OilTemperature"),
+    "instruments": ("ZT-7", "PT-7 supply", "PT-7 return", "FT-7", "TT-7"),
+    "data block": ('"DB7"."V"."cmd"', '"DB7"."V"."p1"', '"DB7"."V"."p2"', '"DB7"."V"."q"', None),
+}
+SIGNALS = ("U", "p1", "p2", "Q", "T")
+
+
+def at(*path, unit=None, **more):
+    return Candidate(f"s={'.'.join(path)}", path, unit_of(unit) if unit else None, **more)
+
+
+def last_names(proposal):
+    return tuple(proposal.nodes[s].path[-1] if s in proposal.nodes else None for s in SIGNALS)
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_a_folder_in_any_language_is_a_valve(language):
+    names = LANGUAGES[language]
+    others = ("Pump speed", "Alarm", "Füllstand", "Laufzeit")
+    found = propose(at("Plant", "Press 3", name) for name in (*names, *others) if name)
+    assert [last_names(proposal) for proposal in found] == [names]
+    assert found[0].open == ()
+
+
+def test_folders_of_equal_content_are_valves_of_their_own():
+    places = [("Line", "V1"), ("Line", "V2"), ("Spare", "V1")]
+    found = propose(at(*place, name) for place in places for name in LANGUAGES["German"])
+    assert [proposal.name for proposal in found] == ["Line_V1", "Line_V2", "Spare_V1"]
+
+
+def test_flat_tags_are_parted_by_the_number_of_their_loop():
+    kinds = ("FCV{}_CMD", "PT{}_IN", "PT{}_OUT", "FT{}")
+    found = propose(at("Tags", kind.format(loop)) for loop in (101, 102) for kind in kinds)
+    assert [proposal.name for proposal in found] == ["V101", "V102"]
+    assert last_names(found[1])[:4] == ("FCV102_CMD", "PT102_IN", "PT102_OUT", "FT102")
+
+
+def test_data_blocks_are_parted_by_what_stands_before_the_last_name():
+    names = [f'"DB10"."FCV-{k}"."{n}"' for k in (1, 2) for n in ("cmd", "p_in", "p_out", "flow")]
+    found = propose(at("PLC", name) for name in names)
+    assert [proposal.name for proposal in found] == ["FCV-1", "FCV-2"]
+
+
+def test_kks_codes_say_what_is_measured_and_leave_open_which_pressure_it_is():
+    codes = {"CG001": "%", "CP001": "bar", "CP002": "bar", "CF001": "l/min", "CT001": "°C"}
+    found = propose(
+        at("KKS", f"{system}{code}", unit=unit)
+        for system in ("10MAX11", "10MAX12")
+        for code, unit in codes.items()
+    )
+    assert [proposal.name for proposal in found] == ["V10MAX11", "V10MAX12"]
+    assert found[0].open == ("p1: s=KKS.10MAX11CP001 or s=KKS.10MAX11CP002",)
+
+
+def test_a_unit_outweighs_a_name():
+    found = propose(
+        at("X", name, unit=unit)
+        for name, unit in (("a", "%"), ("b in", "psi"), ("c out", "psi"), ("d", "gpm"), ("q", "°C"))
+    )
+    assert last_names(found[0]) == ("a", "b in", "c out", "d", "q")
+
+
+def test_the_signal_is_preferred_to_the_command_that_the_rig_takes_and_two_alike_are_asked():
+    names = {"U": "%", "p1": "bar", "p2": "bar", "Q": "l/min", "UCommand": "%"}
+    found = propose(at("TestRig", "Valvistor", n, unit=u) for n, u in names.items())
+    assert (last_names(found[0])[0], found[0].open) == ("U", ())
+    twice = propose(at("V", n) for n in ("cmd A", "cmd B", "p1", "p2", "flow"))
+    assert twice[0].open == ("U: s=V.cmd A or s=V.cmd B",)
+
+
+def test_a_server_without_a_valve_has_none_and_half_a_valve_names_what_is_missing():
+    assert propose([at("Server", "Speed"), at("Server", "Alarm")]) == []
+    (half,) = propose(at("V", name) for name in ("Stellwert", "Vordruck", "Durchfluss"))
+    assert half.missing == ("p2",)
+    assert half.open == ("p2: no node was found",)

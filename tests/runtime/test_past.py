@@ -1,0 +1,188 @@
+"""What is gathered for the history, and how it is kept."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from valvemap.errors import StorageError
+from valvemap.model.samples import Quality, Samples, Segments
+from valvemap.pipeline.alignment import ByValve
+from valvemap.pipeline.ports import (
+    AlarmChange,
+    AlarmReport,
+    EstimatorResults,
+    InverseResults,
+    Results,
+    SignalResults,
+)
+from valvemap.runtime import past
+from valvemap.runtime.past import PastKeeper
+
+VALVES = ("V1", "V2", "V3")
+GOOD, BAD = int(Quality.GOOD), int(Quality.BAD)
+
+
+class Store:
+    """Fulfils PastStore."""
+
+    def __init__(self):
+        self.pieces, self.forgotten, self.broken, self.noted = [], [], False, []
+
+    def save(self, pieces):
+        if self.broken:
+            raise StorageError("disk full")
+        self.pieces += pieces
+        return 0
+
+    def note(self, changes):
+        if self.broken:
+            raise StorageError("disk full")
+        self.noted += changes
+
+    def forget(self, now):
+        self.forgotten.append(now)
+        return 0
+
+
+def samples_of(valves, n=3, start=10):
+    t = np.tile(start + np.arange(n), len(valves))
+    one = np.arange(len(t), dtype=float)
+    starts = n * np.arange(len(valves))
+    segments = Segments(np.array(valves), starts, starts + n)
+    return ByValve(Samples.of(t, one, one + 5, one, 2 * one, one + 40), segments)
+
+
+def results_of(valves, t, quality=GOOD):
+    M = len(valves)
+    ones, codes = np.ones(M), np.full(M, quality, np.uint8)
+    estimator = EstimatorResults(
+        t=np.full(M, t),
+        quality=codes,
+        theta=np.ones((M, 2)),
+        std=np.ones((M, 2)),
+        predicted=2 * ones,
+        residual=3 * ones,
+        residual_rmse=ones,
+        sample_count=np.ones(M, np.int64),
+        status=codes,
+        noise_std=ones,
+        survey=[None] * M,
+        change=[None] * M,
+        structure=[None] * M,
+        lags=[None] * M,
+        adaptation=codes,
+        systematic_std=ones,
+    )
+    inverse = InverseResults(
+        np.full(M, t), codes, 50 * ones, codes, [np.ones((2, 2))] * M, np.zeros(M, bool), codes
+    )
+    signals = SignalResults(np.full(M, t), codes, np.ones((M, 6)))
+    return Results(
+        valves=np.array(valves),
+        estimators={"RLS": estimator},
+        inverse=inverse,
+        counters=np.zeros((M, 1), np.int64),
+        counter_names=("aligned",),
+        signals=signals,
+    )
+
+
+@pytest.fixture
+def store():
+    return Store()
+
+
+@pytest.fixture
+def keeper(store):
+    return PastKeeper(store, VALVES)
+
+
+async def test_samples_are_kept_valve_by_valve_in_one_piece_each(keeper, store):
+    keeper.take(samples_of([0, 2]))
+    keeper.take(samples_of([2], start=20))
+    await keeper.settle()
+    found = {piece.series: piece for piece in store.pieces}
+    assert set(found) == {"V1.Signals", "V3.Signals"}
+    assert found["V3.Signals"].t.tolist() == [10, 11, 12, 20, 21, 22]
+    assert found["V3.Signals"].columns["Q"].tolist() == [6.0, 8.0, 10.0, 0.0, 2.0, 4.0]
+    assert set(found["V1.Signals"].columns) == {"U", "p1", "p2", "Q", "dp", "T"}
+
+
+async def test_results_are_kept_part_by_part(keeper, store):
+    keeper.note(results_of([0, 1], t=10))
+    keeper.note(results_of([1], t=20))
+    await keeper.settle()
+    found = {piece.series: piece for piece in store.pieces}
+    assert set(found) == {"V1.RLS", "V2.RLS", "V1.Inverse", "V2.Inverse"}
+    assert found["V2.RLS"].t.tolist() == [10, 20]
+    assert found["V2.RLS"].columns["Residual"].tolist() == [3.0, 3.0]
+    assert found["V1.Inverse"].columns["RequiredU"].tolist() == [50.0]
+
+
+async def test_what_is_lost_is_noted_right_behind_the_last_sample(keeper, store):
+    keeper.note(results_of([1], t=10, quality=BAD))
+    await keeper.settle()
+    found = {piece.series: piece for piece in store.pieces}
+    assert set(found) == {"V2.RLS", "V2.Inverse", "V2.Signals"}
+    for piece in found.values():
+        assert (piece.t.tolist(), piece.codes.tolist()) == ([11], [0x80000000])
+
+
+async def test_of_a_valve_without_a_sample_nothing_is_noted(keeper, store):
+    keeper.note(results_of([1], t=0, quality=BAD))
+    await keeper.settle()
+    assert store.pieces == []
+
+
+async def test_changes_of_alarms_are_kept_and_no_room_for_them_is_counted(keeper, store):
+    report = AlarmReport("LagFound", True, False, 300, 1, 1, 1, "it lags")  # noqa: FBT003
+    changes = [AlarmChange("V1", t, report) for t in (1, 2)]
+    for change in changes:
+        keeper.note_alarm(change)
+        await keeper.settle()
+    assert store.noted == changes
+    store.broken = True
+    keeper.note_alarm(changes[0])
+    await keeper.settle()
+    assert keeper.lost == 1
+
+
+async def test_it_keeps_once_a_second_and_forgets_once_a_minute(keeper, store):
+    for second in range(120):
+        keeper.take(samples_of([0], n=1, start=second))
+        keeper.tick(float(second), utc=second)
+        keeper.tick(second + 0.5, utc=second)
+        await asyncio.wait_for(keeper._keeping, 5.0)
+    assert len(store.pieces) == 120
+    assert store.forgotten == [0, 60]
+
+
+async def test_a_large_fleet_is_kept_less_often(store):
+    keeper = PastKeeper(store, [f"V{k}" for k in range(2_000)])
+    keeper.take(samples_of([0]))
+    keeper.tick(0.0, utc=0)
+    await keeper._keeping
+    keeper.take(samples_of([0], start=20))
+    keeper.tick(2.0, utc=0)
+    assert keeper._keeping.done()
+    keeper.tick(4.0, utc=0)
+    await keeper._keeping
+    assert len(store.pieces) == 2
+
+
+async def test_what_finds_no_room_is_counted(keeper, monkeypatch):
+    monkeypatch.setattr(past, "MOST_ROWS", 5)
+    keeper.take(samples_of([0]))
+    keeper.take(samples_of([1]))
+    assert keeper.lost == 3
+
+
+async def test_a_disk_that_fails_is_counted_and_the_next_save_goes_on(keeper, store):
+    store.broken = True
+    keeper.take(samples_of([0]))
+    await keeper.settle()
+    store.broken = False
+    keeper.take(samples_of([0], start=30))
+    await keeper.settle()
+    assert (keeper.failures, keeper.lost, len(store.pieces)) == (1, 3, 1)

@@ -1,0 +1,219 @@
+"""The circuit around the valve: pump, relief valve, load valve, tank, and what the meter counts.
+
+::
+
+    pump, relief    the pump gives at most Q_pump; what the valve does not take leaves over the
+                    relief valve, p1 = p0 - override·Q/Q_pump. A valve that would take more gets
+                    Q_pump, and p1 falls until it takes no more.
+    load valve      p2 = its set point, but not less than its own pressure p_a + R·Q²
+    tank            T1 = tank temperature; T2 = T1 + throttling heat
+
+The oil temperature T is measured at the valve's inlet, as ISO 10770-1 asks (T1); a sensor behind
+the valve (T2) is a choice of the scenario. The flow meter sits behind the valve and counts at p2
+and T2; the pump's limit is counted at tank pressure and T1.
+
+The operating point is the root, in p1, of what the valve takes minus what the supply gives; both
+are monotone, so there is exactly one, and it is bracketed from the start: Brent's method finds it,
+sample by sample.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from valvemap_rig import kernels
+from valvemap_rig.kernels import Floats
+from valvemap_rig.oil import Oil, density, throttling_heat
+from valvemap_rig.oil import numbers as oil_numbers
+from valvemap_rig.parameters import Parameters, parameter
+from valvemap_rig.valvistor import Valvistor, pilot_opening, poppet_state
+from valvemap_rig.valvistor import numbers as valve_numbers
+
+_LOAD = "own choice for a proportional relief valve"
+
+
+class Circuit(Parameters):
+    """Data sheet of supply, load valve and tank."""
+
+    p0_bar: float = parameter(
+        200.0, "bar", "supply pressure while no oil is taken", "paper, sec. 2.2", ge=10, le=400
+    )
+    Q_pump_l_min: float = parameter(
+        200.0, "l/min", "most that the pump gives", "paper, sec. 2.2", ge=1, le=2000
+    )
+    relief_override_bar: float = parameter(
+        3.0,
+        "bar",
+        "p0 minus the pressure at which the relief valve shuts",
+        "own choice for a pilot-operated relief valve",
+        ge=0.01,
+        le=100,
+    )
+    load_minimum_bar: float = parameter(3.0, "bar", "lowest p2, no flow", _LOAD, ge=0, le=50)
+    load_resistance_bar: float = parameter(
+        8.0,
+        "bar",
+        "what full pump flow adds to the lowest p2",
+        _LOAD,
+        ge=0,
+        le=100,
+    )
+    tank_C: float = parameter(
+        40.0, "°C", "temperature of the tank", "paper, sec. 2.2", ge=-10, le=100
+    )
+    tank_drift_K: float = parameter(
+        1.0,
+        "K",
+        "amplitude of its slow drift",
+        "own choice for a cooler that switches",
+        ge=0,
+        le=20,
+    )
+    tank_drift_period_s: float = parameter(
+        900.0,
+        "s",
+        "period of its slow drift",
+        "own choice for a cooler that switches",
+        ge=10,
+        le=1e6,
+    )
+
+
+class Bench(Parameters):
+    """One valve, its oil and its circuit; several valves stand on a bench each."""
+
+    valve: Valvistor = Valvistor()
+    oil: Oil = Oil()
+    circuit: Circuit = Circuit()
+
+
+class OperatingPoint(NamedTuple):
+    """Where a bench settles at N points, all arrays of shape (N,).
+
+    ``p1``, ``p2`` in bar; ``Q`` in l/min as the meter counts it; ``T1``, ``T2`` the oil before and
+    behind the valve, °C; ``x_MP`` the poppet's stroke, mm.
+    """
+
+    p1: Floats
+    p2: Floats
+    Q: Floats
+    T1: Floats
+    T2: Floats
+    x_MP: Floats
+
+    @property
+    def dp(self) -> Floats:
+        """Pressure drop p1 - p2, bar."""
+        return self.p1 - self.p2
+
+
+def operating_point(
+    bench: Bench, y: Floats, p2_set: Floats, T: Floats, edge: Floats, gap: ArrayLike = 0.0
+) -> OperatingPoint:
+    """Find where the bench settles.
+
+    Parameters
+    ----------
+    y : (N,) array
+        Opening of the pilot, 0 … 1.
+    p2_set : (N,) array
+        Set point of the load valve, bar.
+    T : (N,) array
+        Oil temperature at the inlet, °C.
+    edge : (N,) array
+        Flow coefficient of the main edge over that of the new valve.
+    gap : (N,) array
+        Flow coefficient of a gap worn into it, l/min per √bar.
+
+    Examples
+    --------
+    >>> bench = Bench()
+    >>> one = np.ones(2)
+    >>> point = operating_point(bench, one, np.array([180.0, 0.0]), 40 * one, one)
+    >>> point.p1.round(0), point.Q.round(0)
+    (array([198.,  78.]), array([102., 200.]))
+    """
+    gap = np.broadcast_to(np.asarray(gap, np.float64), y.shape)
+    p1, p2 = kernels.settled(
+        valve_numbers(bench.valve),
+        oil_numbers(bench.oil),
+        numbers(bench.circuit),
+        *(np.ascontiguousarray(column, np.float64) for column in (y, p2_set, T, edge, gap)),
+    )
+    state = poppet_state(bench.valve, bench.oil, y, p1, p2, T, edge, gap)
+    T2 = T + throttling_heat(bench.oil, p1 - p2, density(bench.oil, p1, T))
+    return OperatingPoint(p1, p2, _metered(bench.oil, state.Q, p1, p2, T, T2), T, T2, state.x_MP)
+
+
+def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) -> Floats:
+    """The valve's own map Q = f(U, dp, T) as the meter would count it, without noise or hysteresis.
+
+    Taken at full supply pressure; where the pump's limit pulls p1 down, the lighter oil shifts Q
+    by less than 0.4 %.
+
+    Parameters
+    ----------
+    U, dp, T : array-likes that broadcast to (N,)
+        Signal (%), pressure drop (bar), oil temperature at the inlet (°C).
+
+    Examples
+    --------
+    >>> true_flow(Bench(), 50, [0, 50, 100]).round(0)
+    array([  0.,  86., 122.])
+    """
+    (u, drop, celsius), shape = _raveled(U, dp, T)
+    p1 = np.full(u.shape, bench.circuit.p0_bar)
+    p2 = p1 - drop
+    y = pilot_opening(bench.valve, u)
+    Q = poppet_state(bench.valve, bench.oil, y, p1, p2, celsius, np.ones_like(u)).Q
+    T2 = celsius + throttling_heat(bench.oil, drop, density(bench.oil, p1, celsius))
+    return _metered(bench.oil, Q, p1, p2, celsius, T2).reshape(shape)
+
+
+def largest_drop(bench: Bench, U: ArrayLike, T: ArrayLike = 40.0) -> Floats:
+    """The largest pressure drop (bar) that the bench can put on the valve at signal U (%)."""
+    (u, celsius), shape = _raveled(U, T)
+    y = pilot_opening(bench.valve, u)
+    point = operating_point(bench, y, np.zeros_like(u), celsius, np.ones_like(u))
+    return point.dp.reshape(shape)
+
+
+def reachable(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) -> NDArray[np.bool_]:
+    """Whether the bench can drive (U, dp): within U's range, pump limit and lowest load pressure.
+
+    >>> reachable(Bench(), [10, 100, 100], [150, 50, 150])
+    array([ True,  True, False])
+    """
+    (u, drop, celsius), shape = _raveled(U, dp, T)
+    inside = (u >= 0) & (u <= 100) & (drop >= 0) & (drop <= largest_drop(bench, u, celsius))
+    return np.asarray(inside.reshape(shape))
+
+
+def tank_temperature(circuit: Circuit, t: Floats) -> Floats:
+    """Temperature (°C) of the tank at simulated time t (s)."""
+    angle = 2 * np.pi * (t / circuit.tank_drift_period_s)
+    return circuit.tank_C + circuit.tank_drift_K * np.sin(angle)
+
+
+def _metered(oil: Oil, Q: Floats, p1: Floats, p2: Floats, T1: Floats, T2: Floats) -> Floats:
+    """Q counted at (p1, T1), as the meter counts it at (p2, T2): the mass is the same."""
+    return Q * density(oil, p1, T1) / density(oil, p2, T2)
+
+
+def numbers(circuit: Circuit) -> kernels.Numbers:
+    """What the compiled loops need of the circuit."""
+    row = (
+        circuit.p0_bar,
+        circuit.Q_pump_l_min,
+        circuit.relief_override_bar,
+        circuit.load_minimum_bar,
+        circuit.load_resistance_bar,
+    )
+    return np.array([row], dtype=kernels.CIRCUIT)
+
+
+def _raveled(*values: ArrayLike) -> tuple[tuple[Floats, ...], tuple[int, ...]]:
+    """Broadcast to one shape; contiguous copies, raveled, and that shape."""
+    columns = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in values))
+    return tuple(np.array(column).ravel() for column in columns), columns[0].shape

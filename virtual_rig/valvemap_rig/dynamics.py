@@ -1,0 +1,76 @@
+"""What remembers the sample before: hysteresis and first-order lag, as loops in fixed order.
+
+A memory of NaN means none: the first sample then finds the element at rest.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from valvemap_rig.kernels import Floats
+
+
+def play(u: Floats, width: float, memory: float) -> Floats:
+    """Hysteresis of the given width (play operator): y follows u, at most width/2 behind.
+
+    >>> play(np.array([0.0, 2.0, 1.5, 0.0]), 1.0, float("nan"))
+    array([0. , 1.5, 1.5, 0.5])
+    """
+    return np.asarray(_play(np.ascontiguousarray(u), 0.5 * width, memory))
+
+
+def lag(u: Floats, time_constant: float, period: float, memory: float) -> Floats:
+    """First-order lag, exact for a signal that is constant over each period.
+
+    >>> lag(np.array([0.0, 1.0, 1.0]), 1.0, 1.0, float("nan")).round(3)
+    array([0.   , 0.632, 0.865])
+    """
+    if time_constant == 0.0:
+        return u
+    step = -math.expm1(-period / time_constant)
+    return np.asarray(_lag(np.ascontiguousarray(u), step, memory))
+
+
+def changing_lag(u: Floats, time_constants: Floats, period: float, memory: float) -> Floats:
+    """The same with a time constant for each sample; where it is 0 nothing lags.
+
+    >>> changing_lag(np.array([0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0]), 1.0, 0.0).round(3)
+    array([0.   , 0.632, 1.   ])
+    """
+    found, which = np.unique(time_constants, return_inverse=True)
+    steps = np.array([-math.expm1(-period / x) if x else 1.0 for x in found.tolist()])[which]
+    return np.asarray(_changing_lag(np.ascontiguousarray(u), steps, memory))
+
+
+@numba.njit(cache=True)
+def _changing_lag(u: Floats, steps: Floats, memory: float) -> Floats:
+    y = np.empty_like(u)
+    for i in range(u.size):
+        if steps[i] == 1.0 or math.isnan(memory):
+            memory = u[i]
+        memory += steps[i] * (u[i] - memory)
+        y[i] = memory
+    return y
+
+
+@numba.njit(cache=True)
+def _play(u: Floats, half: float, memory: float) -> Floats:
+    y = np.empty_like(u)
+    for i in range(u.size):
+        if math.isnan(memory):
+            memory = u[i]
+        memory = min(max(memory, u[i] - half), u[i] + half)
+        y[i] = memory
+    return y
+
+
+@numba.njit(cache=True)
+def _lag(u: Floats, step: float, memory: float) -> Floats:
+    y = np.empty_like(u)
+    for i in range(u.size):
+        if math.isnan(memory):
+            memory = u[i]
+        memory += step * (u[i] - memory)
+        y[i] = memory
+    return y

@@ -1,0 +1,283 @@
+"""What can go wrong: with the valve, the oil, the sensors and the clock.
+
+==================  ====================================  ========================================
+kind                size                                  what happens
+==================  ====================================  ========================================
+wear                % of the main edge's flow             drifts there over the duration, and stays
+damage              % of the main edge's flow             at once; a duration of 0 = for good
+edge                l/min per √bar                        a gap worn into the main edge, at once
+lag                 s                                     the signal lags so much more, first order
+temperature_ramp    K                                     tank drifts there over the duration, stays
+frozen              not used                              the signal keeps its last value
+spikes              in the signal's unit                  2 % of the samples are off by ± size
+offset              in the signal's unit                  the signal is off by size
+bad_quality         share of samples, 0 … 1               status BadSensorFailure
+uncertain_quality   share of samples, 0 … 1               status UncertainSensorNotAccurate
+drop_out            share of samples, 0 … 1               the sample is not sent
+clock_step          s                                     source timestamps are off by size
+==================  ====================================  ========================================
+
+A fault of sensors concerns one signal: ``Q`` unless said otherwise, all of them for the last three
+kinds but the clock.
+"""
+
+from enum import StrEnum
+from typing import Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from valvemap_rig.kernels import Floats
+from valvemap_rig.parameters import Parameters
+from valvemap_rig.randomness import uniform
+
+Signal = Literal["U", "p1", "p2", "Q", "T"]
+SIGNALS: tuple[Signal, ...] = ("U", "p1", "p2", "Q", "T")
+
+GOOD = 0x00000000
+BAD_SENSOR_FAILURE = 0x808C0000  # OPC UA Part 8, table of status codes
+UNCERTAIN_SENSOR_NOT_ACCURATE = 0x40930000
+
+SPIKE_SHARE = 0.02
+
+
+class FaultKind(StrEnum):
+    """Everything that can be made to go wrong."""
+
+    WEAR = "wear"
+    DAMAGE = "damage"
+    EDGE = "edge"
+    LAG = "lag"
+    TEMPERATURE_RAMP = "temperature_ramp"
+    FROZEN = "frozen"
+    SPIKES = "spikes"
+    OFFSET = "offset"
+    BAD_QUALITY = "bad_quality"
+    UNCERTAIN_QUALITY = "uncertain_quality"
+    DROP_OUT = "drop_out"
+    CLOCK_STEP = "clock_step"
+
+
+_SHARE = (0.0, 1.0)
+_SIZES: dict[FaultKind, tuple[float, float]] = {
+    FaultKind.WEAR: (-90.0, 100.0),
+    FaultKind.DAMAGE: (-90.0, 100.0),
+    FaultKind.EDGE: (0.0, 10.0),
+    FaultKind.LAG: (0.0, 60.0),
+    FaultKind.TEMPERATURE_RAMP: (-30.0, 50.0),
+    FaultKind.FROZEN: (-1e6, 1e6),
+    FaultKind.SPIKES: (-1e6, 1e6),
+    FaultKind.OFFSET: (-1e6, 1e6),
+    FaultKind.BAD_QUALITY: _SHARE,
+    FaultKind.UNCERTAIN_QUALITY: _SHARE,
+    FaultKind.DROP_OUT: _SHARE,
+    FaultKind.CLOCK_STEP: (-86_400.0, 86_400.0),
+}
+_OF_SENSORS = frozenset(
+    {
+        FaultKind.LAG,
+        FaultKind.FROZEN,
+        FaultKind.SPIKES,
+        FaultKind.OFFSET,
+        FaultKind.BAD_QUALITY,
+        FaultKind.UNCERTAIN_QUALITY,
+        FaultKind.DROP_OUT,
+    }
+)
+_OF_ALL_SIGNALS = frozenset(
+    {FaultKind.BAD_QUALITY, FaultKind.UNCERTAIN_QUALITY, FaultKind.DROP_OUT}
+)
+_LASTING = frozenset({FaultKind.WEAR, FaultKind.TEMPERATURE_RAMP})
+
+
+class Fault(Parameters):
+    """One thing that goes wrong; see the module for what ``size`` means."""
+
+    kind: FaultKind
+    start_s: float = Field(default=0.0, ge=0, le=1e9, description="simulated time of its start")
+    size: float = 1.0
+    duration_s: float = Field(default=0.0, ge=0, le=1e9, description="0 = for good")
+    signal: Signal | None = Field(default=None, description="of which sensor; see the module")
+    valve: str | None = Field(default=None, description="of which valve; all if not given")
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
+        low, high = _SIZES[self.kind]
+        if not low <= self.size <= high:
+            raise ValueError(f"size of {self.kind} must be within {low:g} … {high:g}")
+        if self.signal is not None and self.kind not in _OF_SENSORS:
+            raise ValueError(f"{self.kind} is not of a sensor; leave out signal")
+        return self
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The signals it concerns."""
+        if self.signal is not None:
+            return (self.signal,)
+        if self.kind in _OF_ALL_SIGNALS:
+            return SIGNALS
+        return ("Q",) if self.kind in _OF_SENSORS else ()
+
+
+class FaultError(ValueError):
+    """A fault as commanded makes no sense; the sentence says what is allowed."""
+
+
+def commanded_fault(kind: str, size: float, duration_s: float) -> Fault:
+    """A fault from an operator's command; ``kind`` may name the signal: ``"offset.p1"``.
+
+    Raises
+    ------
+    FaultError
+        naming the argument and what is allowed.
+
+    Examples
+    --------
+    >>> commanded_fault("frozen.p1", 0.0, 5.0).signals
+    ('p1',)
+    >>> commanded_fault("rust", 1.0, 0.0)
+    Traceback (most recent call last):
+    valvemap_rig.faults.FaultError: kind 'rust': allowed are wear, damage, edge, lag, \
+temperature_ramp, frozen, spikes, offset, bad_quality, uncertain_quality, drop_out, clock_step, \
+with .U, .p1, .p2, .Q or .T behind that of a sensor
+    """
+    name, dot, signal = kind.partition(".")
+    if name not in set(FaultKind) or (dot and signal not in SIGNALS):
+        raise FaultError(
+            f"kind {kind!r}: allowed are {', '.join(FaultKind)}, "
+            "with .U, .p1, .p2, .Q or .T behind that of a sensor"
+        )
+    values = {"kind": name, "size": size, "duration_s": duration_s, "signal": signal or None}
+    try:
+        return Fault.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "fault"
+        raise FaultError(f"{where}: {first['msg'].removeprefix('Value error, ')}") from error
+
+
+class ActiveFault(NamedTuple):
+    """A fault and the number of the sample at which it starts."""
+
+    fault: Fault
+    start: int
+
+
+Faults = tuple[ActiveFault, ...]
+
+
+def still_felt(faults: Faults, index: int, rate: float) -> Faults:
+    """Those that are felt at sample ``index`` or later."""
+    return tuple(active for active in faults if not _is_over(active, index, rate))
+
+
+def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
+    """Flow of the main edge over that of the new valve, (N,): wear and damage multiply.
+
+    However many there are, something is left of the edge, and of the poppet.
+    """
+    factor = np.ones(index.shape)
+    for active in faults:
+        if active.fault.kind is FaultKind.WEAR:
+            factor = factor * (1 + 0.01 * active.fault.size * _progress(active, index, rate))
+        elif active.fault.kind is FaultKind.DAMAGE:
+            factor = factor * (1 + 0.01 * active.fault.size * _is_on(active, index, rate))
+    return np.clip(factor, 0.01, 10.0)
+
+
+def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
+    """Flow coefficient of the gap worn into the main edge, l/min per √bar, (N,): they add up."""
+    gap = np.zeros(index.shape)
+    for active in faults:
+        if active.fault.kind is FaultKind.EDGE:
+            gap = gap + active.fault.size * _is_on(active, index, rate)
+    return np.clip(gap, 0.0, _SIZES[FaultKind.EDGE][1])
+
+
+def temperature_rise(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
+    """What ramps add to the tank's temperature, K, (N,); however many, within ±50 K."""
+    rise = np.zeros(index.shape)
+    for active in faults:
+        if active.fault.kind is FaultKind.TEMPERATURE_RAMP:
+            rise = rise + active.fault.size * _progress(active, index, rate)
+    return np.clip(rise, -50.0, 50.0)
+
+
+def clock_error_ns(faults: Faults, index: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
+    """What the clock is off, ns in multiples of 100, (N,)."""
+    error = np.zeros(index.shape, dtype=np.int64)
+    for active in faults:
+        if active.fault.kind is FaultKind.CLOCK_STEP:
+            error = error + round(active.fault.size * 1e7) * 100 * _is_on(active, index, rate)
+    return error
+
+
+class SensorFaults(NamedTuple):
+    """What happens to one signal at N samples, all arrays of shape (N,)."""
+
+    added: Floats
+    lag_s: Floats
+    frozen: NDArray[np.bool_]
+    status: NDArray[np.uint32]
+    present: NDArray[np.bool_]
+
+
+def sensor_faults(
+    faults: Faults, signal: Signal, index: NDArray[np.int64], rate: float, seed: int, valve: str
+) -> SensorFaults:
+    """What the faults do to one signal."""
+    added, lag_s = np.zeros((2, *index.shape))
+    sums = {FaultKind.OFFSET: added, FaultKind.LAG: lag_s}
+    frozen = np.zeros(index.shape, dtype=np.bool_)
+    status = np.full(index.shape, GOOD, dtype=np.uint32)
+    present = np.ones(index.shape, dtype=np.bool_)
+    for active in faults:
+        fault = active.fault
+        if signal not in fault.signals or index.size == 0:
+            continue
+        on = _is_on(active, index, rate)
+        if not on.any():
+            continue
+        # One draw per kind for all signals of a valve: a sample drops out as a whole.
+        dice = uniform(seed, f"{valve}.{fault.kind}", int(index[0]), index.size)
+        match fault.kind:
+            case FaultKind.FROZEN:
+                frozen |= on
+            case FaultKind.SPIKES:
+                sign = np.where(dice < 0.5 * SPIKE_SHARE, 1.0, -1.0)
+                added += np.where(on & (dice < SPIKE_SHARE), fault.size * sign, 0.0)
+            case FaultKind.OFFSET | FaultKind.LAG:
+                sums[fault.kind] += fault.size * on
+            case FaultKind.BAD_QUALITY:
+                status[on & (dice < fault.size)] = BAD_SENSOR_FAILURE
+            case FaultKind.UNCERTAIN_QUALITY:
+                worse = on & (dice < fault.size) & (status == GOOD)
+                status[worse] = UNCERTAIN_SENSOR_NOT_ACCURATE
+            case FaultKind.DROP_OUT:
+                present &= ~(on & (dice < fault.size))
+            case _:
+                pass
+    return SensorFaults(added, lag_s, frozen, status, present)
+
+
+def _length(active: ActiveFault, rate: float) -> int:
+    return max(1, round(active.fault.duration_s * rate))
+
+
+def _is_on(active: ActiveFault, index: NDArray[np.int64], rate: float) -> NDArray[np.bool_]:
+    begun = index >= active.start
+    if active.fault.duration_s == 0:
+        return begun
+    return np.asarray(begun & (index < active.start + _length(active, rate)))
+
+
+def _progress(active: ActiveFault, index: NDArray[np.int64], rate: float) -> Floats:
+    """0 before the start, rising to 1 at the end of the duration, 1 from there."""
+    return np.clip((index - active.start + 1) / _length(active, rate), 0.0, 1.0)
+
+
+def _is_over(active: ActiveFault, index: int, rate: float) -> bool:
+    if active.fault.kind in _LASTING or active.fault.duration_s == 0:
+        return False
+    return index >= active.start + _length(active, rate)

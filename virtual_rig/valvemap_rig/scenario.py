@@ -1,0 +1,218 @@
+"""A scenario: all that the rig needs to run, from a TOML file or built in."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from valvemap_rig.circuit import Bench, reachable, tank_temperature, true_flow
+from valvemap_rig.excitation import (
+    Cycle,
+    Excitation,
+    External,
+    Scattered,
+    Structured,
+    Verification,
+    low_discrepancy_points,
+)
+from valvemap_rig.faults import Fault, FaultKind
+from valvemap_rig.kernels import Floats
+from valvemap_rig.parameters import Parameters
+from valvemap_rig.sensors import Sensors
+
+
+class ScenarioError(ValueError):
+    """A scenario cannot be had; one line names file, field, value and what is allowed."""
+
+
+class ValveBench(Bench):
+    """A valve with a name, on a bench of its own."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,63}$")] = "Valvistor"
+
+
+class Fleet(Parameters):
+    """Many valves that play a loop of the first one's recording, each from another place."""
+
+    valves: int = Field(ge=1, le=20_000, description="how many")
+    loop_s: float = Field(default=20.0, gt=0, le=3600, description="length of the recording")
+
+
+class Scenario(Parameters):
+    """What runs, how fast, on what valves, seen by what sensors, and what goes wrong."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_ -]{0,63}$")] = "scenario"
+    description: str = Field(default="", max_length=500)
+    seed: int = Field(default=1, ge=0, le=2**63 - 1, description="same seed, same signals")
+    duration_s: float = Field(default=0.0, ge=0, le=1e9, description="simulated time; 0 = endless")
+    sample_rate_hz: float = Field(default=100.0, ge=1, le=1000, description="of simulated time")
+    time_factor: float = Field(
+        default=1.0, ge=1, le=100, description="simulated seconds in one second"
+    )
+    history_s: float = Field(
+        default=360.0,
+        ge=0,
+        le=86_400,
+        description="real time for which the rig remembers its samples, at most a million of them; "
+        "0 = none can be asked for",
+    )
+    excitation: Excitation = Structured()
+    valves: tuple[ValveBench, ...] = Field(default=(ValveBench(),), min_length=1, max_length=100)
+    fleet: Fleet | None = None
+    sensors: Sensors = Sensors()
+    faults: tuple[Fault, ...] = Field(default=(), max_length=100)
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [valve.name for valve in self.valves]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"valves: name {min(twice)!r} is given twice")
+        for fault in self.faults:
+            if fault.valve is not None and fault.valve not in names:
+                raise ValueError(
+                    f"faults: valve {fault.valve!r} is not there; allowed are {', '.join(names)}"
+                )
+        return self
+
+    @property
+    def samples(self) -> int | None:
+        """Number of samples, None if endless."""
+        return round(self.duration_s * self.sample_rate_hz) or None
+
+
+BUILTIN: Mapping[str, Scenario] = MappingProxyType(
+    {
+        scenario.name: scenario
+        for scenario in (
+            Scenario(
+                name="demo",
+                description="Scattered points, held for two samples: identified in seconds.",
+                excitation=Scattered(hold_s=0.02),
+            ),
+            Scenario(
+                name="structured",
+                description="U in 11 steps; at each, p2 swept down and up in 20 s.",
+                excitation=Structured(),
+            ),
+            Scenario(
+                name="scattered",
+                description="A new random point of U and pressure drop in every sample.",
+                excitation=Scattered(),
+            ),
+            Scenario(
+                name="verification",
+                description="1,000 points that are in none of the others.",
+                excitation=Verification(),
+            ),
+            Scenario(
+                name="cycle",
+                description="The working cycle of a machine, 20 s long.",
+                excitation=Cycle(),
+            ),
+            Scenario(
+                name="external",
+                description="U from outside (UCommand), against a load that is swept in 20 s.",
+                excitation=External(p2_low_bar=20, p2_high_bar=180),
+            ),
+            Scenario(
+                name="feedforward",
+                description="Three equal valves, U from outside; damaged for 40 s, then hot oil.",
+                excitation=External(sweep_s=40, p2_low_bar=20, p2_high_bar=140),
+                valves=tuple(ValveBench(name=n) for n in ("Valvistor", "FixedMap", "FrozenEq7")),
+                faults=(
+                    Fault(kind=FaultKind.DAMAGE, start_s=20, size=-30, duration_s=40),
+                    Fault(kind=FaultKind.TEMPERATURE_RAMP, start_s=75, size=20, duration_s=2),
+                ),
+            ),
+        )
+    }
+)
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Take a built-in scenario by its name, or read one from a TOML file.
+
+    Raises
+    ------
+    ScenarioError
+        in one line: file, field, value, what is allowed.
+
+    Examples
+    --------
+    >>> load_scenario("scattered").excitation.kind
+    'scattered'
+    >>> load_scenario("circus")
+    Traceback (most recent call last):
+    valvemap_rig.scenario.ScenarioError: circus: no such file, nor built in: demo, structured, \
+scattered, verification, cycle, external, feedforward
+    """
+    if str(name_or_path) in BUILTIN:
+        return BUILTIN[str(name_or_path)]
+    path = Path(name_or_path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        allowed = ", ".join(BUILTIN)
+        raise ScenarioError(f"{path}: no such file, nor built in: {allowed}") from error
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from error
+    try:
+        return Scenario.model_validate(values)
+    except ValidationError as error:
+        raise ScenarioError(f"{path}: {_first_sentence(error)}") from error
+
+
+class VerificationPoints(NamedTuple):
+    """Noise-free points of one valve, all arrays of shape (N,): %, bar, °C, l/min."""
+
+    U: Floats
+    dp: Floats
+    T: Floats
+    Q: Floats
+
+
+def verification_points(
+    scenario: Scenario, valve: str | None = None, n: int = 1000
+) -> VerificationPoints:
+    """Take the reachable ones of n points spread evenly over the map, with the flow's truth.
+
+    They are those of the ``verification`` excitation, of the valve as new and at the tank's set
+    temperature. ``valve`` defaults to the first one.
+
+    Raises
+    ------
+    ScenarioError
+        if there is no such valve.
+
+    Examples
+    --------
+    >>> points = verification_points(BUILTIN["demo"])
+    >>> 700 < len(points.Q) < 900
+    True
+    """
+    benches = {bench.name: bench for bench in scenario.valves}
+    if valve is not None and valve not in benches:
+        raise ScenarioError(f"{valve}: no such valve; allowed are {', '.join(benches)}")
+    bench = scenario.valves[0] if valve is None else benches[valve]
+    U, dp = low_discrepancy_points(np.arange(n), bench.circuit.p0_bar)
+    T = tank_temperature(bench.circuit, np.zeros(n))
+    inside = reachable(bench, U, dp, T)
+    U, dp, T = U[inside], dp[inside], T[inside]
+    return VerificationPoints(U, dp, T, true_flow(bench, U, dp, T))
+
+
+def _first_sentence(error: ValidationError) -> str:
+    first = error.errors()[0]
+    kinds = {"structured", "scattered", "verification", "cycle", "external"}
+    field = ".".join(str(part) for part in first["loc"] if part not in kinds)
+    sentence = first["msg"].removeprefix("Value error, ").replace("\n", " ")
+    if isinstance(first["input"], str | int | float):
+        sentence += f", not {first['input']!r}"
+    return f"{field}: {sentence}" if field else sentence

@@ -1,0 +1,305 @@
+"""The rig on OPC UA: plays a scenario in real time and publishes every sample of it."""
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Self
+
+from guarded_opcua import (
+    Clock,
+    CommandRejected,
+    HardenedServer,
+    InvalidArgument,
+    ServerSettings,
+    Startable,
+    SystemClock,
+)
+from valvemap_rig.command import Command
+from valvemap_rig.excitation import External
+from valvemap_rig.faults import Fault, FaultError, commanded_fault
+from valvemap_rig.history import RigHistory
+from valvemap_rig.information_model import (
+    GOOD,
+    NOTHING,
+    Actions,
+    Columns,
+    RigNodes,
+    add_rig,
+    columns_of,
+    part,
+    publish,
+)
+from valvemap_rig.scenario import BUILTIN, Scenario
+from valvemap_rig.simulation import (
+    MOST_FAULTS,
+    Commands,
+    RigBlock,
+    RigState,
+    advance,
+    initial,
+    is_over,
+    own_command,
+)
+
+_log = logging.getLogger(__name__)
+
+_TICK_S = 0.02
+_AHEAD_S = 0.1  # computing a block costs much the same however long it is
+_COMMANDED_AHEAD_S = 0.02  # but a command from outside acts with the next block only
+_LATE_S = 0.1
+_REPORT_S = 1.0
+_SAMPLES_PER_TURN = 200
+_UNCERTAIN_LAST_USABLE_VALUE = 0x40900000
+
+OnBlock = Callable[[RigBlock], None]
+
+
+class RigServer(Startable):
+    """A rig that clients can watch and operate; made by :meth:`create`."""
+
+    def __init__(
+        self,
+        server: HardenedServer,
+        scenario: Scenario,
+        on_block: OnBlock | None,
+        clock: Clock,
+    ) -> None:
+        self._server = server
+        self._base = scenario
+        self._on_block = on_block
+        self._clock = clock
+        self._nodes: RigNodes
+        self._history: RigHistory | None = None
+        self._scenario: Scenario | None = None
+        self._state: RigState
+        self._started_at = 0.0
+        self._block = NOTHING
+        self._columns: Columns
+        self._taken = 0  # samples of the block that are published
+        self._played = 0  # samples of the scenario that are published
+        self._sequence_offset = 0
+        self._samples = 0
+        self._late_ticks = 0
+        self._report_due = 0.0
+        self._commands = {bench.name: Command() for bench in scenario.valves}
+        self._faults: list[tuple[str, Fault]] = []
+        self._changed = asyncio.Event()
+
+    @classmethod
+    async def create(
+        cls,
+        settings: ServerSettings,
+        scenario: Scenario,
+        *,
+        on_block: OnBlock | None = None,
+        clock: Clock | None = None,
+    ) -> Self:
+        """Make the server and its nodes; it does not listen yet.
+
+        Parameters
+        ----------
+        settings
+            Identity, endpoint and security.
+        scenario
+            What :meth:`run` plays first; its valves, sensors and rates stay for all others.
+        on_block
+            Called with every block of samples, e.g. to record it.
+        clock
+            Time of day and time that never jumps; the machine's if None.
+        """
+        clock = clock or SystemClock()
+        server = await HardenedServer.create(settings, clock)
+        rig = cls(server, scenario, on_block, clock)
+        actions = Actions(
+            rig.start_scenario, rig.stop_scenario, rig.inject_fault, rig.command_U, rig.heartbeat
+        )
+        rig._nodes = await add_rig(server, scenario, actions)
+        if scenario.history_s > 0.0:
+            rate = scenario.sample_rate_hz * scenario.time_factor
+            rig._history = RigHistory(rig._nodes, scenario.history_s, rate)
+            server.add_history(rig._history.variables, rig._history)
+        return rig
+
+    @property
+    def url(self) -> str:
+        """Where the rig listens."""
+        return self._server.url
+
+    @property
+    def scenario(self) -> Scenario | None:
+        """The running scenario, None if none runs."""
+        return self._scenario
+
+    @property
+    def samples(self) -> int:
+        """How many samples were published since the start."""
+        return self._samples
+
+    @property
+    def late_ticks(self) -> int:
+        """How often samples were published more than 0.1 s late."""
+        return self._late_ticks
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises
+        ------
+        ServerError, CertificateError
+        """
+        await self._server.start()
+
+    async def stop(self) -> None:
+        """Stop listening; safe to call twice."""
+        await self._server.stop()
+
+    async def run(self) -> None:
+        """Play the scenario, then whatever operators start, until cancelled.
+
+        Samples are never dropped: after a stall they are published late, in order, each with
+        the source time that belongs to it.
+
+        Raises
+        ------
+        Exception
+            what ``on_block`` raises, e.g. on a full disk.
+        """
+        self.start_scenario(self._base.name)
+        while True:
+            if self._scenario is None:
+                self._changed.clear()
+                await self._changed.wait()
+                continue
+            await asyncio.sleep(self._play(self._scenario))
+
+    def start_scenario(self, name: str) -> None:
+        """Start a scenario from its beginning.
+
+        Raises
+        ------
+        InvalidArgument
+            if there is none of that name.
+        """
+        known = {**BUILTIN, self._base.name: self._base}
+        if name not in known:
+            raise InvalidArgument(0, f"scenario {name!r}: allowed are {', '.join(known)}")
+        kept = ("valves", "sensors", "sample_rate_hz", "time_factor", "seed")
+        scenario = known[name].model_copy(update={key: getattr(self._base, key) for key in kept})
+        self._leave()
+        self._state = initial(scenario, self._clock.now())
+        self._started_at = self._clock.monotonic()
+        self._faults.clear()
+        self._scenario = scenario
+        self._server.write([(self._nodes.scenario, name, GOOD, self._clock.now())])
+        self._changed.set()
+        _log.info("scenario %s started", name)
+
+    def stop_scenario(self) -> None:
+        """Stop the running scenario; what was published last becomes Uncertain.
+
+        Raises
+        ------
+        CommandRejected
+            if none runs.
+        """
+        if self._scenario is None:
+            raise CommandRejected("no scenario is running")
+        _log.info("scenario %s stopped", self._scenario.name)
+        self._leave()
+        now = self._clock.now()
+        self._server.write([(self._nodes.scenario, "", GOOD, now)])
+        self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
+
+    def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> None:
+        """Make something go wrong, within a tenth of a second.
+
+        Raises
+        ------
+        InvalidArgument
+            if kind or size make no sense: names what is allowed.
+        CommandRejected
+            if no scenario runs, or there are too many faults.
+        """
+        if self._scenario is None:
+            raise CommandRejected("no scenario is running")
+        try:
+            fault = commanded_fault(kind, size, duration_s)
+        except FaultError as error:
+            raise InvalidArgument(0 if str(error).startswith("kind") else 1, str(error)) from error
+        waiting = sum(name == valve for name, _ in self._faults)
+        if len(self._state.valves[valve].faults) + waiting >= MOST_FAULTS:
+            raise CommandRejected(f"{valve}: {MOST_FAULTS} faults at once are enough")
+        self._faults.append((valve, fault))
+        _log.info("%s: fault %s of size %g for %g s", valve, kind, size, duration_s)
+
+    def command_U(self, valve: str, U: float) -> None:
+        """Take a control signal (%) from outside, within 0.02 s where U is driven by it."""
+        self._commands[valve] = self._commands[valve].written(U)
+
+    def heartbeat(self, valve: str, count: int) -> None:
+        """Take the heartbeat of who writes the control signal; see :mod:`valvemap_rig.command`."""
+        now = self._clock.monotonic()
+        self._commands[valve] = self._commands[valve].beaten(count, now)
+
+    def _leave(self) -> None:
+        self._sequence_offset += self._played
+        self._block, self._taken, self._played = NOTHING, 0, 0
+        self._scenario = None
+
+    def _play(self, scenario: Scenario) -> float:
+        """Publish what is due; return the time to the next samples, s."""
+        rate = scenario.sample_rate_hz * scenario.time_factor
+        elapsed = self._clock.monotonic() - self._started_at
+        due = min(int(elapsed * rate) + 1 - self._played, _SAMPLES_PER_TURN)
+        while due > 0 and self._scenario is scenario:
+            if self._taken == len(self._block):
+                if is_over(scenario, self._state):
+                    self.stop_scenario()
+                    return 0.0
+                self._compute(scenario, rate)
+            n = min(due, len(self._block) - self._taken)
+            self._publish(n, elapsed - self._played / rate)
+            due -= n
+        ahead = self._played / rate - elapsed
+        return max(ahead, min(_TICK_S, 1 / rate)) if ahead > 0 else 0.0
+
+    def _compute(self, scenario: Scenario, rate: float) -> None:
+        commands = Commands(U=self._U_in_force(scenario), faults=tuple(self._faults))
+        self._faults.clear()
+        commanded = isinstance(scenario.excitation, External)
+        ahead_s = _COMMANDED_AHEAD_S if commanded else _AHEAD_S
+        n = min(max(round(rate * ahead_s), 1), _SAMPLES_PER_TURN)
+        self._state, self._block = advance(scenario, self._state, n, commands)
+        self._columns = columns_of(self._block, self._sequence_offset)
+        self._taken = 0
+
+    def _U_in_force(self, scenario: Scenario) -> dict[str, float]:
+        now, own = self._clock.monotonic(), own_command(scenario)
+        for valve, before in self._commands.items():
+            command = before.seen(now)
+            if command.dropped and not before.dropped:
+                _log.warning("%s: heartbeat stands still, U is the rig's own again", valve)
+            self._commands[valve] = command
+        given = {valve: command.in_force for valve, command in self._commands.items()}
+        return {valve: own if U is None else U for valve, U in given.items()}
+
+    def _publish(self, n: int, lag_s: float) -> None:
+        first, self._taken = self._taken, self._taken + n
+        rows = slice(first, self._taken)
+        publish(self._server, self._nodes, self._columns, rows)
+        if self._history is not None:
+            self._history.keep(self._columns, rows, self._clock.now())
+        self._played += n
+        self._samples += n
+        self._late_ticks += lag_s > _LATE_S
+        if self._clock.monotonic() >= self._report_due:
+            self._report(lag_s)
+        if self._on_block is not None:
+            self._on_block(part(self._block, first, self._taken))
+
+    def _report(self, lag_s: float) -> None:
+        self._report_due = self._clock.monotonic() + _REPORT_S
+        status, lost = self._nodes.status, self._server.counters.lost_notifications
+        self._server.write(
+            status.updates(self._samples, self._late_ticks, lag_s, lost, self._clock.now())
+        )

@@ -1,0 +1,258 @@
+"""The rig in motion: from a scenario and a state to the next block of samples, and nothing else.
+
+Same scenario, same commands: same samples bit for bit, in whatever blocks they are computed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap_rig.circuit import operating_point, tank_temperature
+from valvemap_rig.dynamics import lag, play
+from valvemap_rig.excitation import External, drive
+from valvemap_rig.faults import (
+    SIGNALS,
+    ActiveFault,
+    Fault,
+    Faults,
+    Signal,
+    clock_error_ns,
+    edge_factor,
+    sensor_faults,
+    still_felt,
+    temperature_rise,
+    worn_gap,
+)
+from valvemap_rig.kernels import Floats
+from valvemap_rig.scenario import Scenario, ScenarioError, ValveBench
+from valvemap_rig.sensors import SensorMemory, measure
+from valvemap_rig.valvistor import pilot_opening
+
+MOST_FAULTS = 200
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What an operator does before a block: signals (%) and faults, both by valve name.
+
+    Faults start with the block's first sample, whatever their ``start_s``.
+    """
+
+    U: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[tuple[str, Fault], ...] = ()
+
+
+@dataclass(frozen=True)
+class ValveState:
+    """What one valve remembers between blocks."""
+
+    U: float
+    faults: Faults
+    hysteresis: float = float("nan")
+    pilot: float = float("nan")
+    sensors: Mapping[Signal, SensorMemory] = field(
+        default_factory=lambda: {signal: SensorMemory() for signal in SIGNALS}
+    )
+
+
+@dataclass(frozen=True)
+class RigState:
+    """Number of the next sample, time of sample 0 (UTC ns), and every valve's memory."""
+
+    index: int
+    start_ns: int
+    valves: Mapping[str, ValveState]
+
+
+@dataclass(frozen=True)
+class ValveBlock:
+    """N samples of one valve, all arrays of shape (N,).
+
+    ``t`` (int64, UTC ns in multiples of 100) is the source time, wrong clock included; ``U`` (%),
+    ``p1``, ``p2`` (bar), ``Q`` (l/min) and ``T`` (°C) are what the sensors show; ``status``
+    (uint32, OPC UA StatusCodes) and ``present`` (bool; False = not sent) go by signal. The rest
+    is the truth, without noise: ``T_true`` at the inlet, ``Q_true`` as the meter counts it.
+    """
+
+    t: NDArray[np.int64]
+    U: Floats
+    p1: Floats
+    p2: Floats
+    Q: Floats
+    T: Floats
+    status: Mapping[Signal, NDArray[np.uint32]]
+    present: Mapping[Signal, NDArray[np.bool_]]
+    U_true: Floats
+    dp_true: Floats
+    T_true: Floats
+    Q_true: Floats
+
+
+@dataclass(frozen=True)
+class RigBlock:
+    """N samples of every valve.
+
+    ``sequence`` (uint32) is the sample's number modulo 2³², ``t`` (int64, UTC ns in multiples of
+    100) its time by a clock that is right; all valves share both.
+    """
+
+    sequence: NDArray[np.uint32]
+    t: NDArray[np.int64]
+    valves: Mapping[str, ValveBlock]
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+
+def initial(scenario: Scenario, start_ns: int) -> RigState:
+    """State before the first sample, which belongs to ``start_ns`` (UTC; rounded to 100 ns)."""
+    valves = {
+        bench.name: ValveState(
+            U=own_command(scenario),
+            faults=tuple(
+                ActiveFault(fault, round(fault.start_s * scenario.sample_rate_hz))
+                for fault in scenario.faults
+                if fault.valve in (None, bench.name)
+            ),
+        )
+        for bench in scenario.valves
+    }
+    return RigState(index=0, start_ns=start_ns // 100 * 100, valves=valves)
+
+
+def own_command(scenario: Scenario) -> float:
+    """The control signal (%) while none comes from outside."""
+    excitation = scenario.excitation
+    return excitation.U_start_percent if isinstance(excitation, External) else 0.0
+
+
+def advance(
+    scenario: Scenario, state: RigState, n: int, commands: Commands | None = None
+) -> tuple[RigState, RigBlock]:
+    """Compute the next n samples, fewer where the scenario ends.
+
+    Raises
+    ------
+    ScenarioError
+        if a command names a valve that is not there, a U outside 0 … 100 %, or one fault too many.
+
+    Examples
+    --------
+    >>> from valvemap_rig.scenario import BUILTIN
+    >>> state = initial(BUILTIN["demo"], start_ns=0)
+    >>> state, block = advance(BUILTIN["demo"], state, 3)
+    >>> block.sequence, block.t
+    (array([0, 1, 2], dtype=uint32), array([       0, 10000000, 20000000]))
+    """
+    if commands is not None:
+        state = _obeyed(state, commands)
+    if scenario.samples is not None:
+        n = min(n, scenario.samples - state.index)
+    index = np.arange(state.index, state.index + n)
+    t = _source_time(scenario, state.start_ns, index)
+    results = {
+        bench.name: _advance_valve(scenario, bench, state.valves[bench.name], index, t)
+        for bench in scenario.valves
+    }
+    valves = {name: valve for name, (valve, _) in results.items()}
+    block = RigBlock(
+        sequence=(index % 2**32).astype(np.uint32),
+        t=t,
+        valves={name: valve_block for name, (_, valve_block) in results.items()},
+    )
+    return replace(state, index=state.index + n, valves=valves), block
+
+
+def is_over(scenario: Scenario, state: RigState) -> bool:
+    """Whether the scenario has come to its end."""
+    return scenario.samples is not None and state.index >= scenario.samples
+
+
+def _advance_valve(
+    scenario: Scenario,
+    bench: ValveBench,
+    state: ValveState,
+    index: NDArray[np.int64],
+    t: NDArray[np.int64],
+) -> tuple[ValveState, ValveBlock]:
+    rate, seed, name = scenario.sample_rate_hz, scenario.seed, bench.name
+    period = 1.0 / rate
+    U, p2_set = drive(scenario.excitation, index, rate, bench.circuit.p0_bar, seed, name, state.U)
+    held = play(U, bench.valve.hysteresis_percent, state.hysteresis)
+    pilot = lag(held, bench.valve.pilot_lag_s, period, state.pilot)
+    T = tank_temperature(bench.circuit, index / rate) + temperature_rise(state.faults, index, rate)
+    edge = edge_factor(state.faults, index, rate)
+    gap = worn_gap(state.faults, index, rate)
+    point = operating_point(bench, pilot_opening(bench.valve, pilot), p2_set, T, edge, gap)
+
+    truths: dict[Signal, Floats] = {
+        "U": U,
+        "p1": point.p1,
+        "p2": point.p2,
+        "Q": point.Q,
+        "T": point.T1 if scenario.sensors.T_at == "inlet" else point.T2,
+    }
+    memories, shown, status, present = {}, {}, {}, {}
+    for signal, truth in truths.items():
+        faults = sensor_faults(state.faults, signal, index, rate, seed, name)
+        start = int(index[0]) if index.size else 0
+        memories[signal], shown[signal] = measure(
+            getattr(scenario.sensors, signal),
+            truth,
+            faults,
+            state.sensors[signal],
+            period,
+            seed,
+            f"{name}.{signal}",
+            start,
+        )
+        status[signal], present[signal] = faults.status, faults.present
+    block = ValveBlock(
+        t=t + clock_error_ns(state.faults, index, rate),
+        **shown,
+        status=status,
+        present=present,
+        U_true=U,
+        dp_true=point.dp,
+        T_true=point.T1,
+        Q_true=point.Q,
+    )
+    if index.size == 0:
+        return state, block
+    after = ValveState(
+        U=state.U,
+        faults=still_felt(state.faults, int(index[-1]) + 1, rate),
+        hysteresis=float(held[-1]),
+        pilot=float(pilot[-1]),
+        sensors=memories,
+    )
+    return after, block
+
+
+def _source_time(scenario: Scenario, start_ns: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Time of day of each sample: with a time factor, samples follow each other faster."""
+    spacing = 1e7 / (scenario.sample_rate_hz * scenario.time_factor)  # in ticks of 100 ns
+    return np.asarray(start_ns + np.rint(index * spacing).astype(np.int64) * 100)
+
+
+def _obeyed(state: RigState, commands: Commands) -> RigState:
+    valves = dict(state.valves)
+    for name, U in commands.U.items():
+        _must_be_there(valves, name)
+        if not 0 <= U <= 100:
+            raise ScenarioError(f"{name}: U command must be within 0 … 100 %, not {U!r}")
+        valves[name] = replace(valves[name], U=float(U))
+    for name, fault in commands.faults:
+        _must_be_there(valves, name)
+        faults = (*valves[name].faults, ActiveFault(fault, state.index))
+        if len(faults) > MOST_FAULTS:
+            raise ScenarioError(f"{name}: more than {MOST_FAULTS} faults at once")
+        valves[name] = replace(valves[name], faults=faults)
+    return replace(state, valves=valves)
+
+
+def _must_be_there(valves: Mapping[str, ValveState], name: str) -> None:
+    if name not in valves:
+        raise ScenarioError(f"{name}: no such valve; allowed are {', '.join(valves)}")
