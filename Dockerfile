@@ -18,7 +18,6 @@ RUN find /opt/valvemap/venv/lib -depth -type d -name tests -exec rm -r {} +
 COPY pyproject.toml README.md LICENSE ./
 COPY service ./service
 COPY virtual_rig ./virtual_rig
-COPY valvemap ./valvemap
 RUN python -m pip install --no-compile --no-deps .
 
 # Warm-up: what the first start would compile is compiled here, for any machine of this

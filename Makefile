@@ -38,12 +38,12 @@ peers: $(DEV)
 # The guarded server alone: copied out of the tree with its tests, it must import and pass.
 hardened: $(DEV)
 	@folder=$$(mktemp -d) && trap 'rm -rf $$folder' EXIT && python=$$PWD/$(BIN)/python && \
-	    mkdir -p $$folder/service $$folder/tests/opcua && touch $$folder/service/__init__.py && \
+	    mkdir -p $$folder/service $$folder/tests/opcua && \
 	    cp -r service/guarded_opcua $$folder/service && cp pyproject.toml $$folder && \
 	    cp -r tests/guarded_opcua tests/support tests/conftest.py $$folder/tests && \
 	    cp -r tests/opcua/node_peer $$folder/tests/opcua && \
 	    cd $$folder && $$python -m pytest -q -m "not soak" tests/guarded_opcua service/guarded_opcua && \
-	    $$python -c "import guarded_opcua as alone; print(alone.__file__)"
+	    PYTHONPATH=service $$python -c "import guarded_opcua as alone; print(alone.__file__)"
 
 lint: $(DEV)
 	$(BIN)/ruff check .

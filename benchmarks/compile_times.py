@@ -45,7 +45,7 @@ def _measure(arguments: list[str]) -> int:
             spent[stack[-1][0]] += moment - last
         if entry.is_start:
             function = entry.data["dispatcher"].py_func
-            name = f"{function.__module__.removeprefix('service.')}.{function.__name__}"
+            name = f"{function.__module__.removeprefix('valvemap.')}.{function.__name__}"
             times[name] += 1
             stack.append((name, moment))
         else:

@@ -138,7 +138,7 @@ def process(*command: str, env: dict[str, str] | None = None, log: Path) -> Iter
 def worker(plant: Plant, n: int) -> Iterator[int]:
     env = {"VALVEMAP_FLEET_WORK__STATE": str(plant.folder / f"state{n}")}
     file = str(plant.folder / "fleet.toml")
-    command = ("service", "fleet", "work", "-c", file)
+    command = ("valvemap", "fleet", "work", "-c", file)
     with process(*command, env=env, log=plant.folder / f"worker{n}.log") as pid:
         yield pid
 

@@ -33,7 +33,7 @@ from valvemap.model.forgetting import Adaptive
 HERE: Final = Path(__file__).parent
 RESULTS: Final = HERE / "results" / "honest_maps.json"
 PAGE: Final = HERE.parent / "docs" / "honest_maps.md"
-CORE: Final = HERE.parent / "service" / "identification"
+CORE: Final = HERE.parent / "service" / "valvemap" / "model"
 FIRST: Final = 7_000  # seed: tests use smaller ones
 CIRCUIT: Final = {
     "default": (Adaptive(), 0.9985),

@@ -35,7 +35,7 @@ def measured(
     set_up_logs(LogConfig(level="error"))
     with tempfile.TemporaryDirectory() as name:
         url = live_speed.free_url("rig")
-        command = ["service", "rig", "--under-demo", "--url", url, "--rate", str(hz)]
+        command = ["valvemap", "rig", "--under-demo", "--url", url, "--rate", str(hz)]
         command += ["--publishing-interval", str(PUBLISHING_MS)]
         with live_speed.running(command, {}):
             return asyncio.run(_measured(Path(name), url, seconds, known=known, clients=clients))

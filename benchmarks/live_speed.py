@@ -129,7 +129,7 @@ def _script(url: str, names: str, seconds: float) -> float:
 @contextmanager
 def rig(valves: int, hz: float, url: str, environment: dict[str, str]) -> Iterator[None]:
     """Run a rig of so many valves in a process of its own."""
-    command = ["service", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
+    command = ["valvemap", "rig", "--url", url, "--valves", str(valves), "--rate", str(hz)]
     with running(command if environment else [*command, "--under-demo"], environment):
         yield
 

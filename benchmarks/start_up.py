@@ -40,9 +40,9 @@ def measured() -> dict[str, float]:
         environment = live_speed.init(folder, url)
         environment |= {"VALVEMAP_SOURCE__URL": url}
         environment |= {"VALVEMAP_SERVER__URL": live_speed.free_url("service")}
-        serve = ["service", "serve", "--config", str(folder / "data" / "service.toml")]
+        serve = ["valvemap", "serve", "--config", str(folder / "data" / "service.toml")]
         figures: dict[str, list[float]] = {}
-        with live_speed.running(["service", "rig", "--url", url], environment):
+        with live_speed.running(["valvemap", "rig", "--url", url], environment):
             for _ in range(ROUNDS + 1):  # the first one compiles, if nothing is compiled yet
                 for line in EVENTS:
                     took = _until(serve, line, environment)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 ROOM: Final = "valvemap.model"
-_FOLDER: Final = Path(__file__).parents[1] / ROOM.replace(".", "/")
+_FOLDER: Final = Path(__file__).parents[1] / "service" / ROOM.replace(".", "/")
 # What `Auto` consists of: python alone, and the compiled loops that no other estimator has.
 PURE: Final = (
     *sorted(path.stem for path in _FOLDER.glob("auto*.py")),

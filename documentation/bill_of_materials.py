@@ -15,7 +15,7 @@ from packageurl import PackageURL
 
 ROOT = Path(__file__).parents[1]
 LOCK = ROOT / "requirements-image.lock"
-VENDOR = ROOT / "service" / "dashboard" / "static" / "vendor"
+VENDOR = ROOT / "service" / "valvemap" / "page" / "static" / "vendor"
 OUT = ROOT / "sbom" / "valvemap.cdx.json"
 
 _PINNED = re.compile(r"^([\w.-]+)==([^\s;]+)")

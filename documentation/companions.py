@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-KEPT = Path(__file__).parents[1] / "service" / "opcua" / "node_sets"
+KEPT = Path(__file__).parents[1] / "service" / "valvemap" / "opcua_results" / "node_sets"
 _NODES = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 _VALUES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
 _STANDARD = "http://opcfoundation.org/UA/"

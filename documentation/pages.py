@@ -6,9 +6,10 @@ from documentation.address_space import address_space_page
 from documentation.commands import commands_page
 from documentation.configuration import configuration_page
 
-REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
-NODE_SET = Path(__file__).parents[1] / "service" / "opcua" / "valvemap.NodeSet2.xml"
-RIG_NODE_SET = Path(__file__).parents[1] / "virtual_rig" / "rig.NodeSet2.xml"
+ROOT = Path(__file__).parents[1]
+REFERENCE = ROOT / "docs" / "reference"
+NODE_SET = ROOT / "service" / "valvemap" / "opcua_results" / "valvemap.NodeSet2.xml"
+RIG_NODE_SET = ROOT / "virtual_rig" / "valvemap_rig" / "rig.NodeSet2.xml"
 MADE_BY = "<!-- Made by `make reference`; do not edit. -->\n\n"
 
 

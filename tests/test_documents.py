@@ -18,5 +18,5 @@ def test_every_link_leads_somewhere(document):
 
 def test_the_architecture_names_no_room_that_is_not_there():
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    rooms = re.findall(r"`((?:service|virtual_rig|tests)/[\w/.]*)`", text)
+    rooms = re.findall(r"`((?:service|virtual_rig|paper|tests)/[\w/.]*)`", text)
     assert [room for room in rooms if not (ROOT / room).exists()] == []

@@ -19,6 +19,7 @@ from valvemap.cli import run
 from valvemap.config.models import Config
 
 ROOT = Path(__file__).parents[1]
+IMPORT_NAMES = {"guarded_opcua", "valvemap", "valvemap_rig"}
 SCRIPT = Path(sys.executable).with_name("valvemap")
 
 
@@ -105,8 +106,11 @@ def test_wheel_and_sdist_are_whole(built):
     ).stdout.splitlines()
     with zipfile.ZipFile(wheel) as archive:
         inside = set(archive.namelist())
-    packages = ("service/", "virtual_rig/", "valvemap/")
-    assert {file for file in tracked if file.startswith(packages)} <= inside
+    parents = ("service/", "virtual_rig/")
+    packaged = {file.partition("/")[2] for file in tracked if file.startswith(parents)}
+    assert packaged <= inside
+    tops = {name.partition("/")[0] for name in inside}
+    assert {top for top in tops if not top.endswith(".dist-info")} == IMPORT_NAMES
     licences = {name for name in inside if "/licenses/" in name}
     assert len(licences) == 3, licences
     with tarfile.open(sdist) as archive:
@@ -126,7 +130,7 @@ def test_the_demo_runs_from_the_wheel_alone(built, tmp_path):
     python = home / "bin" / "python"
     pip = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall", built[0]]
     subprocess.run(pip, check=True)
-    where = "import service, virtual_rig, valvemap; print(service.__file__)"
+    where = "import guarded_opcua, valvemap_rig, valvemap; print(valvemap.__file__)"
     asked = [python, "-c", where]
     found = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert found.startswith(str(home))

@@ -1,4 +1,4 @@
-"""The hardened server: identity, endpoints, values; it knows nothing of what it serves."""
+"""The guarded server: identity, endpoints, values; it is independent of its application."""
 
 import asyncio
 import dataclasses

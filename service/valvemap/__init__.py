@@ -72,8 +72,6 @@ __all__ = [
 if find_spec("sklearn") is not None:  # help() looks at every name
     __all__ += ["FlowMapRegressor"]
 
-__version__ = version("valvemap")
-
 _HOMES = {
     "Config": "valvemap.config.models",
     "FlowMapRegressor": "valvemap.sklearn",
@@ -91,6 +89,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+    if name == "__version__":
+        return version("valvemap")
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'valvemap' has no name {name!r}")

@@ -1,17 +1,15 @@
-"""``valvemap report``: the paper rebuilt from the virtual rig, with a verdict on every claim."""
+"""``valvemap report``: the paper rebuilt. Its code is in the repository, in no wheel."""
 
+import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from valvemap.cli.progress import bars
-from valvemap.cli.replay import write_json
-from valvemap.errors import StorageError
+from valvemap.errors import ValvemapError
 
-_FASTER = 10.0
+REPOSITORY = Path(__file__).parents[3]  # in a clone
 
 
 def report(
@@ -26,48 +24,11 @@ def report(
         typer.Option(min=2.0, max=20.0, metavar="HZ", help="Samples per second; and ten times it."),
     ] = 10.0,
 ) -> None:
-    """Rebuild the paper's figures and tables, and judge its claims."""
-    from paper.build import STEPS, as_json, build
-    from paper.page import html_page
-    from paper.rig import measure
-
-    _make(out)
-    with bars() as bar:
-        task = bar.add_task("measuring", total=2 * sets + STEPS)
-
-        def progress(step: str) -> None:
-            bar.update(task, description=step, advance=1)
-
-        data = []
-        for seed in range(1, sets + 1):
-            data.append(measure(rate, seed))
-            progress("measuring")
-        result = build(data, measure(_FASTER * rate), progress=progress)
-        bar.update(task, completed=2 * sets + STEPS, description="done")
-    pictures = {f"{picture.key}.png": picture.png for picture in result.pictures}
-    _write(out, {"paper.html": html_page(result).encode(), **pictures})
-    write_json(out / "paper.json", as_json(result))
-    table = Table("#", "verdict", "sets", f"at {result.faster_hz:g} Hz", "claim")
-    for claim, faster in zip(result.claims, result.claims_faster, strict=True):
-        other = "the same" if faster.verdict is claim.verdict else str(faster.verdict)
-        agreeing = f"{claim.agreeing}/{result.sets}"
-        table.add_row(str(claim.number), str(claim.verdict), agreeing, other, claim.text)
-    console = Console()
-    console.print(table)
-    console.print(f"written: {out / 'paper.html'}")
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
-
-
-def _write(folder: Path, files: dict[str, bytes]) -> None:
-    for name, content in files.items():
-        try:
-            (folder / name).write_bytes(content)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise StorageError(f"{folder / name}: {reason}") from None
+    """Rebuild the paper's figures and tables, and judge its claims (in a clone)."""
+    if not (REPOSITORY / "paper" / "command.py").is_file():
+        raise ValvemapError(
+            "report: the paper's reproduction is not part of the installed package; "
+            "clone the repository and run `make report` there"
+        )
+    sys.path.append(str(REPOSITORY))
+    import_module("paper.command").rebuild(out, sets, rate)

@@ -1,6 +1,6 @@
 """Responses of a source server, decoded by the guarded server's decoder: within a budget.
 
-Publish and Republish responses are none of these: :mod:`valvemap.opcua_source.decoding` takes them in.
+Publish and Republish responses are decoded by :mod:`valvemap.opcua_source.decoding`.
 """
 
 from typing import Any, TypeVar

@@ -14,7 +14,9 @@ _T = TypeVar("_T")
 
 
 class BatchSession(UaSession):
-    """A session whose publish responses are taken as bytes; see :mod:`valvemap.opcua_source.subscription`.
+    """A session that hands publish responses on as bytes.
+
+    :mod:`valvemap.opcua_source.subscription` decodes them.
 
     asyncua's other services would decode without bounds: they raise NotImplementedError.
 

@@ -1,4 +1,4 @@
-"""What the page asks of the service; `valvemap.opcua_client.results_client.ResultsClient` fulfils it."""
+"""The page's port to the service: `valvemap.opcua_client.results_client` implements it."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field

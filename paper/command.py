@@ -1,0 +1,74 @@
+"""The command: the paper rebuilt from the virtual rig, with a verdict on every claim."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from paper.build import STEPS, as_json, build
+from paper.page import html_page
+from paper.rig import measure
+from valvemap.cli.progress import bars
+from valvemap.cli.replay import write_json
+from valvemap.errors import StorageError
+
+_FASTER = 10.0
+
+
+def rebuild(out: Path, sets: int, rate: float) -> None:
+    """Measure, judge and write: ``out`` gets paper.html, paper.json and the pictures.
+
+    Parameters
+    ----------
+    out
+        The folder; it is made if it is missing.
+    sets
+        Sets of recordings; the median over them decides.
+    rate
+        Samples per second, Hz; one more set has ten times as many.
+
+    Raises
+    ------
+    StorageError
+        naming the file that cannot be written.
+    """
+    _make(out)
+    with bars() as bar:
+        task = bar.add_task("measuring", total=2 * sets + STEPS)
+
+        def progress(step: str) -> None:
+            bar.update(task, description=step, advance=1)
+
+        data = []
+        for seed in range(1, sets + 1):
+            data.append(measure(rate, seed))
+            progress("measuring")
+        result = build(data, measure(_FASTER * rate), progress=progress)
+        bar.update(task, completed=2 * sets + STEPS, description="done")
+    pictures = {f"{picture.key}.png": picture.png for picture in result.pictures}
+    _write(out, {"paper.html": html_page(result).encode(), **pictures})
+    write_json(out / "paper.json", as_json(result))
+    table = Table("#", "verdict", "sets", f"at {result.faster_hz:g} Hz", "claim")
+    for claim, faster in zip(result.claims, result.claims_faster, strict=True):
+        other = "the same" if faster.verdict is claim.verdict else str(faster.verdict)
+        agreeing = f"{claim.agreeing}/{result.sets}"
+        table.add_row(str(claim.number), str(claim.verdict), agreeing, other, claim.text)
+    console = Console()
+    console.print(table)
+    console.print(f"written: {out / 'paper.html'}")
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{folder}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    for name, content in files.items():
+        try:
+            (folder / name).write_bytes(content)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise StorageError(f"{folder / name}: {reason}") from None
