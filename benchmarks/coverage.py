@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks import circumstances as c
 from benchmarks.cells import Cell, Figures, Judged
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.auto import Auto
 from valvemap.model.auto_state import AutoState
 from valvemap.model.estimator import Estimator
@@ -24,6 +23,7 @@ from valvemap.model.map_shapes import Shape
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.vocabulary.statuses import Adaptation
 
 N: Final = 30_000  # samples
 RHO: Final = 0.95

@@ -17,8 +17,8 @@ from valvemap.app.build import build_identification
 from valvemap.app.serve import serve
 from valvemap.cli.logs import set_up_logs
 from valvemap.config.logs import LogConfig
-from valvemap.model.samples import Quality
 from valvemap.pipeline.identification import Identification
+from valvemap.vocabulary.statuses import Quality
 
 PUBLISHING_MS = 1.0
 CLIENTS = "ours", "asyncua"

@@ -27,12 +27,12 @@ from benchmarks.measured_data import Floats
 from valvemap.app.build import build_plans
 from valvemap.config.models import Config
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.residual_spread import TWO_SIDED_95
-from valvemap.model.samples import Samples, Segments, Status
+from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.valve_state import Lane, predicted
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 Part = tuple[tuple[float, float], tuple[float, float]]
 

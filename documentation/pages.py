@@ -5,6 +5,7 @@ from pathlib import Path
 from documentation.address_space import address_space_page
 from documentation.commands import commands_page
 from documentation.configuration import configuration_page
+from documentation.vocabulary import vocabulary_page
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / "docs" / "reference"
@@ -19,5 +20,6 @@ def pages() -> dict[str, str]:
         "address_space.md": address_space_page(),
         "commands.md": commands_page(),
         "configuration.md": configuration_page(),
+        "vocabulary.md": vocabulary_page(),
     }
     return {name: MADE_BY + text for name, text in made.items()}

@@ -24,10 +24,10 @@ from paper.verdict import Claim, Part
 from valvemap.model import recursive_least_squares
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import InverseStatus
 
 CLOCK_HZ, SAMPLES_PER_S, SHARE = 100e6, 1e3, 0.1
 SMALL_MEMORY: Final = 1024

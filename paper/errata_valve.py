@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from paper.data import IdealValve, PaperData
 from paper.erratum import ROUNDING, Erratum
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples
+from valvemap.vocabulary.statuses import InverseStatus
 
 Mask = NDArray[np.bool_]
 LARGEST_U = 100.0

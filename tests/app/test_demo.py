@@ -9,7 +9,7 @@ import pytest
 from asyncua import Client, ua
 
 from support.processes import free_port, is_open, rig_url, running, service_url, wait_for
-from valvemap.model.inversion import InverseStatus
+from valvemap.vocabulary.statuses import InverseStatus
 
 
 @pytest.fixture(scope="module")

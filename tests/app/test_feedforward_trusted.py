@@ -28,8 +28,7 @@ from support.feeding import (
 )
 from support.processes import READY_S, free_port, service_url
 from valvemap.app.serve import serve
-from valvemap.model.inversion import InverseStatus
-from valvemap.pipeline.feedforward import FeedForwardStatus
+from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus
 
 pytestmark = [pytest.mark.alone, pytest.mark.asyncio(loop_scope="module")]
 

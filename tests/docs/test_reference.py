@@ -17,7 +17,9 @@ def made():
     return pages()
 
 
-@pytest.mark.parametrize("name", ["address_space.md", "commands.md", "configuration.md"])
+@pytest.mark.parametrize(
+    "name", ["address_space.md", "commands.md", "configuration.md", "vocabulary.md"]
+)
 def test_a_reference_page_is_what_would_be_made_now(made, name):
     kept = (REFERENCE / name).read_text(encoding="utf-8")
     assert kept == made[name], "run `make reference`, and look at what has changed"

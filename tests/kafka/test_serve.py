@@ -24,8 +24,8 @@ from valvemap.kafka.result_blocks import read_results
 from valvemap.kafka.serve import Show
 from valvemap.kafka.settings import FleetConfig, ServeConfig
 from valvemap.kafka.worker import MEMORY, Worker
-from valvemap.model.samples import Quality, Status
 from valvemap.opcua_results.results_server import ResultsServer
+from valvemap.vocabulary.statuses import Quality, Status
 
 VALVES, GROUPS = 5, ("north.0", "north.1")
 CONFIG = FleetConfig(serve=ServeConfig(stale_after_s=5.0, answer_s=2.0))

@@ -10,10 +10,10 @@ from benchmarks import circumstances as honest
 from valvemap.model.auto import Auto
 from valvemap.model.auto_state import AutoState
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.map_shapes import Shape
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 from valvemap_rig import simulation
 from valvemap_rig.excitation import Scattered, Structured
 from valvemap_rig.faults import Fault, FaultKind

@@ -4,7 +4,8 @@ import pytest
 from valvemap.model.diagnostics import conditioning, coverage, excitation, whiteness
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Quality, Samples
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Quality
 
 
 def test_white_noise_is_called_white_as_often_as_the_p_value_says():

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Quality, Status
 
 USED = (Status.OK, Status.WARMING_UP, Status.UNEXCITED)
 ABSURD = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200)

@@ -14,7 +14,7 @@ from valvemap.model.forgetting import (
 )
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
-from valvemap.model.samples import Status
+from valvemap.vocabulary.statuses import Status
 
 THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
 RULES = [

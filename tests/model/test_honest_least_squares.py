@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks import circumstances as honest
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Status
+from valvemap.vocabulary.statuses import Adaptation, Status
 
 RLS = RecursiveLeastSquares(forgetting=Adaptive())
 

@@ -13,7 +13,6 @@ from valvemap.model.auto import Auto
 from valvemap.model.estimator import State
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms, Polynomial, TensorSpline
 from valvemap.model.monotone import Monotone
@@ -21,6 +20,7 @@ from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.vocabulary.statuses import InverseStatus
 
 Q_MAX = 200.0
 POWERS = Polynomial(terms=("s", "U^5", "U^2*s", "U*s"))

@@ -8,7 +8,8 @@ from valvemap.model.kernels.row_layout import FACTORED
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Status
 
 THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
 OTHER = THETA * [2.0, 1.0, 0.5, 1.2, 1.0]

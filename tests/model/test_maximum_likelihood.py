@@ -16,7 +16,8 @@ from valvemap.model.maximum_likelihood import (
 )
 from valvemap.model.maximum_likelihood_state import MaximumLikelihoodState
 from valvemap.model.model_structures import FiveTerms, TensorSpline
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Quality, Status
 
 A, B, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -1.0, 0.2]
 TRUTH = np.array([-1.5, 0.7, 1.0, 0.5, -1.0, 0.2])

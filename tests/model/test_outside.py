@@ -5,10 +5,10 @@ import pytest
 
 from benchmarks.outside import Q_MAX, SURE, VALVES, figures, learnt
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.residual_spread import TWO_SIDED_95
-from valvemap.model.samples import Samples, Segments, Status
+from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.valve_state import predicted, predicted_measurement
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 PARTS = (((5, 40), (5, 60)), ((45, 90), (80, 190)))
 ESTIMATORS = ("RLS", "RML", "RBF", "Auto")

@@ -7,7 +7,8 @@ import pytest
 
 from valvemap.model.estimator import key_of
 from valvemap.model.rbf_network import RbfNetwork, RbfNetworkState
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Quality, Status
 
 SETTINGS = [  # grid, eta, alpha
     ((3, 3), 0.05, 0.05),

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks import circumstances as c
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.auto import Auto
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.kernels import reaction
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.vocabulary.statuses import Adaptation
 
 N = 6_000
 ESTIMATORS = {

@@ -23,7 +23,8 @@ from valvemap.model.forgetting import Adaptive, Exponential, SlidingWindow, Vari
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms, TensorSpline
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Status
 
 elsewhere = pytest.mark.skipif(not measured_data.elsewhere_is_there(), reason=measured_data.ABSENT)
 

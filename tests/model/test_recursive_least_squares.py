@@ -17,7 +17,8 @@ from valvemap.model.kernels import row_layout
 from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Quality, Status
 
 THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
 

@@ -5,8 +5,9 @@ import pytest
 
 from benchmarks.circumstances import eq7, ordinary
 from benchmarks.outside import VALVES
-from valvemap.model.samples import Samples, Status, Trace
+from valvemap.model.samples import Samples, Trace
 from valvemap.model.support import Support
+from valvemap.vocabulary.statuses import Status
 
 SIGMA = 0.4
 

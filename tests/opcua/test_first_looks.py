@@ -10,7 +10,6 @@ from asyncua import Client, ua
 from guarded_opcua import Role, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
-from valvemap.model.samples import Quality, Status
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.result_nodes import ResultNodes
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
@@ -20,6 +19,7 @@ from valvemap.pipeline.ports import (
     InverseResult,
     ValveDescription,
 )
+from valvemap.vocabulary.statuses import Quality, Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -4,9 +4,6 @@ from asyncua import ua
 
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
-from valvemap.model.adaptation import Adaptation
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Status
 from valvemap.opcua_results.information_model import (
     axis,
     check_names,
@@ -15,8 +12,8 @@ from valvemap.opcua_results.information_model import (
     inverse_variables,
     map_variable,
 )
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, InverseStatus, Status
 
 RLS = EstimatorDescription(
     "RLS", "Recursive least squares.", ("a1", "a2"), has_forgetting_factor=True

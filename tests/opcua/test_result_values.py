@@ -5,10 +5,9 @@ import pytest
 from asyncua import ua
 
 from support.results import results_of
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Quality, Status
 from valvemap.opcua_results.result_values import Shown, columns_of, map_value
 from valvemap.pipeline.ports import EstimatorResult, InverseResult
+from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 T = 1_800_000_000_000_000_000
 NOW = T + 5

@@ -12,13 +12,13 @@ from guarded_opcua import Limits, Role, UserStore
 from support.results import ESTIMATOR, INVERSE, results_of, results_settings
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected
 from valvemap.model.inversion import Inversion
-from valvemap.model.samples import Status
 from valvemap.opcua_client.results_client import ResultsClient, SourceSettings
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.ports import (
     EstimatorDescription,
     ValveDescription,
 )
+from valvemap.vocabulary.statuses import Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

@@ -9,7 +9,6 @@ from asyncua import Client, ua
 
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
-from valvemap.model.samples import Quality, Status
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
 from valvemap.pipeline.ports import (
     EstimatorDescription,
@@ -17,6 +16,7 @@ from valvemap.pipeline.ports import (
     InverseResult,
     ValveDescription,
 )
+from valvemap.vocabulary.statuses import Quality, Status
 
 T = 1_800_000_000_000_000_000
 VALVE = ValveDescription(

@@ -10,13 +10,10 @@ from guarded_opcua import Role, ServerError, ServerSettings, UserStore
 from support.clocks import TurnedClock
 from support.results import results_of, results_settings
 from valvemap.errors import CommandRejected
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.inversion import Inversion
 from valvemap.model.recursive_least_squares import Change
-from valvemap.model.samples import Quality, Status
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.results_server import NAMESPACE, ResultsServer
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.ports import (
     AlarmReport,
     AlarmResults,
@@ -29,6 +26,7 @@ from valvemap.pipeline.ports import (
     SourceCounters,
     ValveDescription,
 )
+from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

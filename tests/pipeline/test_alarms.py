@@ -9,7 +9,7 @@ import pytest
 from support.plant import START, as_changes, plant
 from valvemap.errors import CommandRejected
 from valvemap.model.estimator import StateMismatchError
-from valvemap.model.samples import Quality, Samples, Segments, Status, Trace
+from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarm_words import Cause
 from valvemap.pipeline.alarms import (
@@ -21,6 +21,7 @@ from valvemap.pipeline.alarms import (
     ServiceAlarms,
 )
 from valvemap.pipeline.ports import Remark
+from valvemap.vocabulary.statuses import Quality, Status
 
 S = 1_000_000_000
 HZ = 100

@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Status
 from valvemap.pipeline.feedforward import (
     GIVE_UP_S,
     RESTART_S,
@@ -17,11 +15,11 @@ from valvemap.pipeline.feedforward import (
     Fallback,
     FeedForward,
     FeedForwardState,
-    FeedForwardStatus,
     Situation,
     decide,
     written,
 )
+from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus, Status
 
 GOOD = Situation(
     armed=True,

@@ -6,15 +6,14 @@ import pytest
 from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected
 from valvemap.model.auto import Auto
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.rbf_network import RbfNetwork
-from valvemap.model.samples import Quality, Status
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.maps_and_surveys import SURVEYS_AT_ONCE
 from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 
 def thetas(identification):

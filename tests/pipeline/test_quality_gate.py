@@ -4,9 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from valvemap.model.samples import Quality, Samples
+from valvemap.model.samples import Samples
 from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.quality_gate import PLAUSIBLE, SENSORS, QualityGate, SignalLimits
+from valvemap.vocabulary.statuses import Quality
 
 GOOD, BAD = Quality.GOOD, Quality.BAD
 

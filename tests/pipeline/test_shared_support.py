@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from support.plant import plant
-from valvemap.model.samples import Samples, Segments, Status
+from valvemap.model.samples import Samples, Segments
 from valvemap.model.support import Support
 from valvemap.pipeline.fleet import Fleet
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_state import fresh_lane
+from valvemap.vocabulary.statuses import Status
 
 E, M, N = 4, 3, 60
 

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Quality, Samples
+from valvemap.model.samples import Samples
 from valvemap.pipeline.valve_state import fresh_lane
 from valvemap.report.replay_plots import ReplayPlots
+from valvemap.vocabulary.statuses import Quality
 
 N = 600
 

@@ -10,15 +10,14 @@ import structlog
 
 from support.plant import as_changes, plant
 from valvemap.errors import CommandRejected, SourceLost, SourceRejected, StorageError
-from valvemap.model.samples import Quality
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.kept_states import ALARMS, MEMORY
 from valvemap.runtime.live import LiveService, LiveSettings
 from valvemap.runtime.publishing_turns import VALVES_AT_ONCE
 from valvemap.runtime.supervisor import SupervisorSettings, supervise
+from valvemap.vocabulary.statuses import FeedForwardStatus, Quality
 
 QUICK = SupervisorSettings(tick_s=0.001, pauses=lambda: repeat(0.0))
 

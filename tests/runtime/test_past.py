@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from valvemap.errors import StorageError
-from valvemap.model.samples import Quality, Samples, Segments
+from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import (
     AlarmChange,
@@ -18,6 +18,7 @@ from valvemap.pipeline.ports import (
 )
 from valvemap.runtime import past
 from valvemap.runtime.past import PastKeeper
+from valvemap.vocabulary.statuses import Quality
 
 VALVES = ("V1", "V2", "V3")
 GOOD, BAD = int(Quality.GOOD), int(Quality.BAD)

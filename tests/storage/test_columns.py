@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valvemap.model.samples import Quality
 from valvemap.storage import columns
 from valvemap.storage.columns import CellError
+from valvemap.vocabulary.statuses import Quality
 
 LARGEST = 2**63 - 1
 instants = st.integers(min_value=-LARGEST, max_value=LARGEST)

@@ -11,7 +11,6 @@ import pytest
 from valvemap.errors import ConfigurationError, StorageError
 from valvemap.model.auto import Auto
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.linear_map import LinearMap, LinearMapState
 from valvemap.model.lookup_table import LookupTable, lookup_table
 from valvemap.model.model_structures import FiveTerms, TensorSpline
@@ -20,6 +19,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Samples, Trace
 from valvemap.model.support import Support
 from valvemap.storage.lookup_tables import as_c, as_csv, as_structured_text, write_table
+from valvemap.vocabulary.statuses import InverseStatus
 
 ESTIMATORS = {
     "eq. (7)": RecursiveLeastSquares(),

@@ -15,9 +15,10 @@ from valvemap.model.radial_basis import RadialBasis
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
-from valvemap.model.samples import Quality, Samples, Status
+from valvemap.model.samples import Samples
 from valvemap.model.support import Support
 from valvemap.storage.models import load_model, save_model
+from valvemap.vocabulary.statuses import Quality, Status
 
 ESTIMATORS = {
     "eq. (7)": RecursiveLeastSquares(forgetting=Adaptive()),

@@ -5,7 +5,6 @@ from dataclasses import fields
 import numpy as np
 
 from guarded_opcua import ServerSettings
-from valvemap.model.samples import Quality, Status
 from valvemap.opcua_results.results_server import NAMESPACE
 from valvemap.pipeline.ports import (
     EstimatorResult,
@@ -14,6 +13,7 @@ from valvemap.pipeline.ports import (
     InverseResults,
     Results,
 )
+from valvemap.vocabulary.statuses import Quality, Status
 
 ESTIMATOR = EstimatorResult(
     t=1_000,

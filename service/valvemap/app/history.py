@@ -7,10 +7,11 @@ import numpy as np
 
 from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError, NoSuchFile, RecordingError
-from valvemap.model.samples import Floats, Quality, Samples
+from valvemap.model.samples import Floats, Samples
 from valvemap.runtime.past import signals_of
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.recordings import RecordingWriter
+from valvemap.vocabulary.statuses import Quality
 
 ROWS = 100_000  # at once
 _SIGNALS = "U", "p1", "p2", "Q", "T"

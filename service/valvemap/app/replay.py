@@ -15,9 +15,8 @@ from valvemap.config.models import Config, ValveConfig
 from valvemap.errors import ConfigurationError, RecordingError
 from valvemap.model.forgetting import Exponential
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.recursive_least_squares import Change, RecursiveLeastSquares
-from valvemap.model.samples import Floats, Quality, Samples, Segments, Trace
+from valvemap.model.samples import Floats, Samples, Segments, Trace
 from valvemap.model.survey import Survey
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
@@ -27,6 +26,7 @@ from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
+from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 BEST_FIT = "eq. (7), batch LSM"
 MOST_TRIED: Final = 1_000  # samples of a batch: to invert a network costs 100 times its learning

@@ -16,8 +16,8 @@ from rich.table import Table
 from valvemap.config.estimators import AutoConfig, RlsConfig
 from valvemap.config.models import FeedForwardConfig, NodesConfig, ValveConfig
 from valvemap.model.samples import Samples
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.identification import Identification
+from valvemap.vocabulary.statuses import FeedForwardStatus
 from valvemap_rig.excitation import Scattered
 from valvemap_rig.scenario import Scenario
 from valvemap_rig.simulation import advance, initial

@@ -12,7 +12,8 @@ from valvemap.cli.options import ConfigOption, check_folder
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
-from valvemap.model.inversion import InverseStatus, Inversion
+from valvemap.model.inversion import Inversion
+from valvemap.vocabulary.statuses import InverseStatus
 
 MOST_ROWS: Final = 50
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.kafka.result_blocks import ResultsBlock
-from valvemap.model.samples import Codes, Floats, Quality, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.pipeline.ports import AlarmReport, AlarmResults, Results, Version
+from valvemap.vocabulary.statuses import Quality
 
 R = TypeVar("R")
 _NO_REPORTS: Final[tuple[AlarmReport, ...]] = ()

@@ -13,9 +13,9 @@ from valvemap.errors import CommandRejected
 from valvemap.kafka.commands import Command, Reply
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
-from valvemap.model.samples import Status
 from valvemap.pipeline.alarms import SERVICE_ALARM_NAMES, SERVICE_RULES, ServiceAlarm, ServiceAlarms
 from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
+from valvemap.vocabulary.statuses import Status
 
 
 class Post(Protocol):

@@ -34,6 +34,7 @@ from valvemap.pipeline.ports import (
     SignalResults,
     Version,
 )
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind
 
 _RESULTS: Final = "results"
 _FLOATS: Final = pa.list_(pa.float64())
@@ -245,23 +246,17 @@ def _as_survey(row: Mapping[str, Any]) -> Survey:
     return Survey(**{**row, **grids, "U": U, "dp": dp})
 
 
+_KINDS: Final = {Kind.NUMBER: pa.float64(), Kind.COUNT: pa.int64(), Kind.CODE: pa.uint8()}
 _ESTIMATOR: Final[Mapping[str, _Form]] = {
     "t": _plain(TIME),
     "quality": _plain(pa.uint8()),
     "theta": _vectors(),
     "std": _vectors(),
-    "predicted": _plain(pa.float64()),
-    "residual": _plain(pa.float64()),
-    "residual_rmse": _plain(pa.float64()),
-    "sample_count": _plain(pa.int64()),
-    "status": _plain(pa.uint8()),
-    "noise_std": _plain(pa.float64()),
     "survey": _nullable(_SURVEY, _survey, _as_survey),
     "change": _nullable(_CHANGE, vars, lambda row: Change(**row)),
     "structure": _nullable(pa.string(), str, str),
     "lags": _nullable(_FLOATS, list, lambda row: (row[0], row[1])),
-    "adaptation": _plain(pa.uint8()),
-    "systematic_std": _plain(pa.float64()),
+    **{q.field: _plain(_KINDS[q.kind]) for q in ESTIMATOR_QUANTITIES},
 }
 _INVERSE: Final[Mapping[str, _Form]] = {
     "t": _plain(TIME),

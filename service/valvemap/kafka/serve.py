@@ -27,13 +27,14 @@ from valvemap.kafka.operating import FleetOperator, Post
 from valvemap.kafka.reading import CommandPost, Heard, ResultsReader
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.settings import FleetConfig
-from valvemap.model.samples import Quality, Times
+from valvemap.model.samples import Times
 from valvemap.opcua_results.results_server import ResultsServer
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import AlarmChange, Health, PastCounters, PastStore, Results
 from valvemap.runtime.backoff import backoff
 from valvemap.runtime.live import DAY_NS, HEALTH_EVERY_S
 from valvemap.runtime.past import PastKeeper
+from valvemap.vocabulary.statuses import Quality
 
 _VALVES_AT_ONCE: Final = 32  # published before others have their turn
 _COMMIT_EVERY_S: Final = 5.0  # how far was read, once the history has it

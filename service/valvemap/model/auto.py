@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model import auto_lags
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.auto_anew import Rule
 from valvemap.model.auto_fits import refit
 from valvemap.model.auto_state import (
@@ -30,7 +29,8 @@ from valvemap.model.kernels import surface as kernel
 from valvemap.model.kernels.surface import Surface
 from valvemap.model.map_shapes import Shape
 from valvemap.model.model_structures import FiveTerms, Structure
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality
 
 UNKNOWN: Final = 1e4  # variance over σ² of a map that says nothing
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))

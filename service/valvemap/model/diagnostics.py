@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
 from valvemap.model.least_squares_state import RlsState, matrix_P
-from valvemap.model.samples import Floats, Quality, Samples
+from valvemap.model.samples import Floats, Samples
+from valvemap.vocabulary.statuses import Quality
 
 
 @dataclass(frozen=True)

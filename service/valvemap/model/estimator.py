@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.contents import Contents
 from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.vocabulary.statuses import Adaptation
 
 
 class StateMismatchError(ValueError):

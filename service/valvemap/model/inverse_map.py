@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import U_range_of, is_eq7, trusted
-from valvemap.model.inversion import InverseStatus, Inversion
+from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import inverse as kernel
 from valvemap.model.kernels.surface import T_REFERENCE, Surface
 from valvemap.model.linear_map import LinearMap
@@ -22,6 +22,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from valvemap.model.support import Support
+from valvemap.vocabulary.statuses import InverseStatus
 
 U_MAX: Final = 100.0
 TWO_SIDED_95: Final = 1.959963984540054

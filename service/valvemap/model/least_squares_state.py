@@ -7,7 +7,6 @@ from typing import ClassVar, TypeVar, assert_never
 
 import numpy as np
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.forgetting import (
@@ -64,6 +63,7 @@ from valvemap.model.kernels.rules import EVERY_NTH, RESETTING, Rule
 from valvemap.model.kernels.stepwise import run_stepwise
 from valvemap.model.place_grid import Grid, nowhere
 from valvemap.model.samples import Codes, Flags, Floats, Segments, Singles, Times, Trace
+from valvemap.vocabulary.statuses import Adaptation
 
 A = TypeVar("A", Floats, Times, Codes)
 
@@ -243,7 +243,7 @@ def _keeps(forgetting: Forgetting) -> bool:
 
 
 def adaptations(detectors: Floats, forgetting: Forgetting) -> Codes:
-    """:class:`~valvemap.model.adaptation.Adaptation` of M models from their detectors."""
+    """:class:`~valvemap.vocabulary.statuses.Adaptation` of M models from their detectors."""
     reacting = reaction.reacts(detectors, REACTION)
     if not _keeps(forgetting):
         return np.where(reacting, Adaptation.REACTING, Adaptation.UNDECIDED).astype(np.uint8)

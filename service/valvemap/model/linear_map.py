@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.model_structures import Structure
-from valvemap.model.samples import Floats, Quality, Samples, Status, Trace
+from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 
 @dataclass(frozen=True)

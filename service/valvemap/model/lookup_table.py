@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from valvemap.model.estimator import Estimator, State
 from valvemap.model.extrapolation import trusted
 from valvemap.model.inverse_map import invert
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.samples import Codes, Floats
 from valvemap.model.support import Support
+from valvemap.vocabulary.statuses import InverseStatus
 
 S = TypeVar("S", bound=State)
 LEVELS: Final = np.linspace(0.0, 100.0, 401)

@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.fleet import alone, member, repeated, update_one
 from valvemap.model.kernels import maximum_likelihood as kernel
 from valvemap.model.kernels import reaction
@@ -27,7 +26,8 @@ from valvemap.model.maximum_likelihood_state import (
     parameter_covariance,
 )
 from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class MaximumLikelihoodResult:
     root_margin : (N,)
         1 - max|root of D̂(q)| after each sample.
     status : (N,)
-        :class:`~valvemap.model.samples.Status`.
+        :class:`~valvemap.vocabulary.statuses.Status`.
     restarts : int
         How often the estimate was judged lost, and begun again from plain RLS.
     """

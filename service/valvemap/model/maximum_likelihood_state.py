@@ -124,7 +124,7 @@ class Run:
     share : (N,)
         Variance of the prediction over that before any sample.
     status : (N,)
-        :class:`~valvemap.model.samples.Status`.
+        :class:`~valvemap.vocabulary.statuses.Status`.
     """
 
     predicted: Floats

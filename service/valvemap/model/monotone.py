@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import nnls
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.model_structures import Structure, TensorSpline
 from valvemap.model.recursive_least_squares import (
     RecursiveLeastSquares,
@@ -15,6 +14,7 @@ from valvemap.model.recursive_least_squares import (
     parameter_covariance,
 )
 from valvemap.model.samples import Floats, Samples, Trace
+from valvemap.vocabulary.statuses import Adaptation
 
 GRID_U: Final = np.linspace(0.0, 100.0, 21)
 GRID_DP: Final = np.array([0.5, 2.0, 8.0, 25.0, 60.0, 110.0, 200.0])

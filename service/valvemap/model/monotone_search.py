@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.samples import Codes, Floats
+from valvemap.vocabulary.statuses import InverseStatus
 
 Points = NDArray[np.intp]
 Flow = Callable[[Floats, Points], Floats]

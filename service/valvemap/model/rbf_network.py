@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
 from valvemap.model.fleet import alone, update_one
 from valvemap.model.kernels import rbf_network as kernel
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Status, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality, Status
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.change import Change
 from valvemap.model.fleet import learn_many, member, update_one
 from valvemap.model.forgetting import Adaptive, Exponential, Forgetting, with_lam
@@ -28,7 +27,8 @@ from valvemap.model.least_squares_state import (
 )
 from valvemap.model.model_structures import FiveTerms, Structure, StructureWithPrior
 from valvemap.model.place_grid import grid_of, grid_of_rows
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality
 
 __all__ = [
     "Change",
@@ -194,7 +194,7 @@ class RlsResult:
     covariance : (n, n)
         Covariance of theta (σ² estimated from the innovations); NaN while not determined.
     status : (N,)
-        :class:`~valvemap.model.samples.Status`.
+        :class:`~valvemap.vocabulary.statuses.Status`.
     changes : (C, 3)
         A row per detected change of the plant (`Adaptive` only): sample of the alarm, first sample
         after the change as estimated, mean innovation from there to the alarm.

@@ -2,54 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from enum import IntEnum
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from valvemap.vocabulary.statuses import Quality
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Times = NDArray[np.int64]
 Codes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
-
-
-class Quality(IntEnum):
-    """How far one sample can be trusted; the quality gate decides."""
-
-    GOOD = 0
-    UNCERTAIN = 1
-    BAD = 2
-
-
-class Status(IntEnum):
-    """What an estimator did with one sample: numerical trouble is a value, not an exception."""
-
-    OK = 0
-    WARMING_UP = 1
-    UNEXCITED = 2
-    REJECTED = 3
-    FROZEN = 4
-    HELD = 5
-    EXTRAPOLATING = 6
-
-    @property
-    def sentence(self) -> str:
-        """A sentence for the operator."""
-        return _STATUS_SENTENCES[self]
-
-
-_STATUS_SENTENCES = {
-    Status.OK: "The sample was used and the parameters are determined.",
-    Status.WARMING_UP: "The samples so far do not determine all parameters.",
-    Status.UNEXCITED: "The inputs do not vary in some direction; the parameters there are held.",
-    Status.REJECTED: "The sample is not finite or of bad quality; the state was not touched.",
-    Status.FROZEN: "Adaptation is switched off; the sample was predicted only.",
-    Status.HELD: "The update would have left the range of numbers; the state was not touched.",
-    Status.EXTRAPOLATING: "Nothing was measured near this point, or it lies beyond what the "
-    "estimator can describe; nothing was learnt from it.",
-}
 
 
 @dataclass(frozen=True)

@@ -18,19 +18,16 @@ The identifiers and paths are a contract with every client and never change::
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cache
 
 from asyncua import ua
 
 from guarded_opcua import Unit
 from valvemap.errors import ConfigurationError
-from valvemap.model.adaptation import Adaptation
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Status
 from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Bounds, Kind, Quantity
+from valvemap.vocabulary.statuses import Described, FeedForwardStatus, InverseStatus
 
 NAMESPACE = SERVICE_NAMESPACE
 ROOT = "Identification"
@@ -74,9 +71,7 @@ class VariableNode:
     unit: Unit | None = None
     range: _Range | None = None
     dimensions: tuple[int, ...] | None = None
-    statuses: (
-        type[Status] | type[InverseStatus] | type[FeedForwardStatus] | type[Adaptation] | None
-    ) = None
+    statuses: type[Described] | None = None
     writable: bool = False
 
     @property
@@ -103,9 +98,7 @@ def estimator_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
     """What is shown of one estimator on one valve."""
-    prefix = f"{valve.name}.{estimator.name}"
-    _, Q_max = valve.Q_range
-    litres, doubles = Unit.LITRE_PER_MINUTE, ua.VariantType.Double
+    prefix, doubles = f"{valve.name}.{estimator.name}", ua.VariantType.Double
     return (
         VariableNode(
             f"{prefix}.ParameterVector",
@@ -126,55 +119,7 @@ def estimator_variables(
             ua.VariantType.String,
             dimensions=(0,),
         ),
-        VariableNode(
-            f"{prefix}.PredictedFlow",
-            "Flow that the parameters before the newest sample predicted for it.",
-            unit=litres,
-            range=valve.Q_range,
-        ),
-        VariableNode(
-            f"{prefix}.Residual",
-            "Measured minus predicted flow of the newest sample, before the update.",
-            unit=litres,
-            range=(-Q_max, Q_max),
-        ),
-        VariableNode(
-            f"{prefix}.ResidualRmse",
-            "Root mean square of the newest residuals.",
-            unit=litres,
-            range=(0.0, Q_max),
-        ),
-        VariableNode(
-            f"{prefix}.NoiseStd",
-            "Standard deviation of a recent measurement about the map: noise, and what the "
-            "structure cannot follow.",
-            unit=litres,
-            range=(0.0, Q_max),
-        ),
-        VariableNode(
-            f"{prefix}.SystematicStd",
-            "What the stated accuracy of the sensors makes of the flow at the newest sample, one "
-            "standard deviation: no number of samples averages it out.",
-            unit=litres,
-            range=(0.0, Q_max),
-        ),
-        VariableNode(
-            f"{prefix}.SampleCount",
-            "Samples taken in since the start or the last Reset.",
-            ua.VariantType.UInt64,
-        ),
-        VariableNode(
-            f"{prefix}.Status",
-            f"What the estimator did with the newest sample. {_sentences(Status)}",
-            ua.VariantType.Int32,
-            statuses=Status,
-        ),
-        VariableNode(
-            f"{prefix}.Adaptation",
-            f"What the estimator makes of its residuals. {_sentences(Adaptation)}",
-            ua.VariantType.Int32,
-            statuses=Adaptation,
-        ),
+        *(_quantity_variable(prefix, quantity, valve) for quantity in ESTIMATOR_QUANTITIES),
     )
 
 
@@ -630,9 +575,37 @@ def axis(title: str, unit: Unit, steps: Sequence[float]) -> ua.AxisInformation:
     )
 
 
+def _quantity_variable(prefix: str, quantity: Quantity, valve: ValveDescription) -> VariableNode:
+    statuses = quantity.statuses
+    described = "" if statuses is None else f" {_sentences(statuses)}"
+    _, Q_max = valve.Q_range
+    ranges = {
+        Bounds.NONE: None,
+        Bounds.FLOW: valve.Q_range,
+        Bounds.DIFFERENCE: (-Q_max, Q_max),
+        Bounds.SPREAD: (0.0, Q_max),
+    }
+    return VariableNode(
+        f"{prefix}.{quantity.name}",
+        quantity.sentence + described,
+        _KINDS[quantity.kind],
+        unit=None if quantity.unit is None else _UNITS[quantity.unit],
+        range=ranges[quantity.bounds],
+        statuses=statuses,
+    )
+
+
+_KINDS = {
+    Kind.NUMBER: ua.VariantType.Double,
+    Kind.COUNT: ua.VariantType.UInt64,
+    Kind.CODE: ua.VariantType.Int32,
+}
+_UNITS = {"l/min": Unit.LITRE_PER_MINUTE}
+
+
 @cache
-def _sentences(statuses: type[IntEnum]) -> str:
-    return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)  # type: ignore[attr-defined]
+def _sentences(statuses: type[Described]) -> str:
+    return " ".join(f"{member.value} {member.name}: {member.sentence}" for member in statuses)
 
 
 def _camel_case(name: str) -> str:

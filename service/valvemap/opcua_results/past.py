@@ -11,10 +11,12 @@ from asyncua import ua
 from guarded_opcua import Event, PastEvent, Records, Span
 from valvemap.opcua_results.information_model import ROOT
 from valvemap.pipeline.ports import SIGNALS, AlarmReport, PastStore
-from valvemap.runtime.past import ESTIMATED, REQUIRED_U
+from valvemap.runtime.past import REQUIRED_U
+from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 
 _NO_DATA: Final = np.uint32(ua.StatusCodes.BadNoData)
 _BAD: Final = 0x8000_0000
+_ESTIMATED: Final = frozenset(quantity.name for quantity in HISTORY_QUANTITIES)
 _PARTS: Final = {
     "Signals": frozenset(SIGNALS),
     "Inverse": frozenset({REQUIRED_U}),
@@ -29,7 +31,7 @@ def has_past(id_: str) -> bool:
     """
     _, _, rest = id_.partition(".")
     part, _, name = rest.partition(".")
-    return name in _PARTS.get(part, ESTIMATED)
+    return name in _PARTS.get(part, _ESTIMATED)
 
 
 class ResultsPast:

@@ -11,7 +11,7 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Quality, Times
+from valvemap.model.samples import Floats, Times
 from valvemap.opcua_results.information_model import (
     FRAME,
     FRAME_NAMES,
@@ -22,8 +22,8 @@ from valvemap.opcua_results.information_model import (
 from valvemap.opcua_results.result_values import Column, estimator_own_words, worse
 from valvemap.pipeline.ports import SIGNALS as SIGNAL_NAMES
 from valvemap.pipeline.ports import Results, ValveDescription
-
-_NUMBERS = ("PredictedFlow", "Residual", "ResidualRmse", "NoiseStd", "SampleCount", "Status")
+from valvemap.vocabulary.quantities import FRAME_QUANTITIES
+from valvemap.vocabulary.statuses import Quality
 
 
 def frame_names(valve: ValveDescription) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def frame_names(valve: ValveDescription) -> tuple[str, ...]:
     """
     columns = ["Sequence"]
     for estimator in valve.estimators:
-        columns += [f"{estimator.name}.{name}" for name in _NUMBERS]
+        columns += [f"{estimator.name}.{quantity.name}" for quantity in FRAME_QUANTITIES]
         columns += [
             f"{estimator.name}.ParameterVector.{name}" for name in estimator.parameter_names
         ]
@@ -74,12 +74,12 @@ def frames(valve: ValveDescription, results: Results, sequence: Times, now: int)
         found = results.estimators.get(described.name)
         n = len(described.parameter_names)
         if found is None:
-            columns.append(np.full((M, len(_NUMBERS) + n), np.nan))
+            columns.append(np.full((M, len(FRAME_QUANTITIES) + n), np.nan))
             continue
         codes = worse(codes, estimator_own_words(found))
         t = np.maximum(t, found.t)
-        columns += [found.predicted, found.residual, found.residual_rmse, found.noise_std]
-        columns += [found.sample_count, found.status, found.theta]
+        columns += [getattr(found, quantity.field) for quantity in FRAME_QUANTITIES]
+        columns.append(found.theta)
     columns += [results.inverse.required_U, results.inverse.status, _signals(results)]
     values = np.column_stack([np.asarray(column, np.float64) for column in columns])
     return Column(FRAME, values, codes, np.where(t, t, now))

@@ -42,8 +42,8 @@ from valvemap.opcua_results.result_frames import frame_names, frame_variables
 from valvemap.opcua_results.result_questions import ResultQuestions
 from valvemap.opcua_results.result_types import AddPart, Place
 from valvemap.opcua_results.result_variables import ResultVariables
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.ports import EstimatorDescription, ValveDescription
+from valvemap.vocabulary.statuses import FeedForwardStatus
 
 _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 

@@ -7,7 +7,7 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 from guarded_opcua import Clock
-from valvemap.model.samples import Quality, Times
+from valvemap.model.samples import Times
 from valvemap.opcua_results.changed_results import ChangedResults
 from valvemap.opcua_results.information_model import PENDING, SAMPLE_AGE
 from valvemap.opcua_results.result_alarms import ResultAlarms
@@ -18,6 +18,7 @@ from valvemap.opcua_results.result_slots import ValveSlots
 from valvemap.opcua_results.result_values import Column, columns_of
 from valvemap.opcua_results.result_variables import ResultVariables
 from valvemap.pipeline.ports import Health, Operator, Results
+from valvemap.vocabulary.statuses import Quality
 
 
 class ResultPublishing:

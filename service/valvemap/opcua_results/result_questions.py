@@ -6,13 +6,13 @@ from functools import partial
 from asyncua import ua
 
 from guarded_opcua import Argument, Role, Unit, add_method
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Floats, Status
+from valvemap.model.samples import Floats
 from valvemap.opcua_results.answers import answered
 from valvemap.opcua_results.information_model import BASELINE, INVERSE, U_RANGE
 from valvemap.opcua_results.result_notes import ResultNotes
 from valvemap.opcua_results.result_types import Place
 from valvemap.pipeline.ports import Answer, Operator
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _STATUS = Argument("Status", "How far the answer can be trusted", ua.VariantType.Int32)
 _U = Argument("U", "Control voltage", unit=Unit.PERCENT, value_range=U_RANGE)

@@ -27,9 +27,8 @@ import numpy as np
 from asyncua import ua
 from numpy.typing import NDArray
 
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.recursive_least_squares import Change
-from valvemap.model.samples import Floats, Quality, Status, Times
+from valvemap.model.samples import Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.opcua_results.information_model import (
     ALARMS,
@@ -53,6 +52,8 @@ from valvemap.pipeline.ports import (
     SignalResults,
     Version,
 )
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Undetermined
+from valvemap.vocabulary.statuses import InverseStatus, Quality, Status
 
 _Codes = ua.StatusCodes
 _BAD = 0x8000_0000
@@ -222,23 +223,19 @@ def _estimator_columns(
     codes, own = estimator_codes(results), estimator_own_words(results)
     doubtful = worse(codes, _Codes.UncertainInitialValue)
     t = np.where(results.t, results.t, now)
-    numbers: tuple[tuple[str, Floats], ...] = (
-        ("PredictedFlow", results.predicted),
-        ("Residual", results.residual),
-        ("ResidualRmse", results.residual_rmse),
-        ("NoiseStd", results.noise_std),
-    )
     yield Column(f"{name}.ParameterVector", results.theta, codes, t)
     yield Column(f"{name}.ParameterStd", results.std, codes, t)
-    for variable, values in numbers:  # a number that is none is not Good
-        yield Column(
-            f"{name}.{variable}", values, np.where(np.isfinite(values), codes, doubtful), t
-        )
-    stated = np.where(np.isfinite(results.systematic_std), codes, worse(codes, _Codes.BadNoData))
-    yield Column(f"{name}.SystematicStd", results.systematic_std, stated, t)
-    yield Column(f"{name}.SampleCount", results.sample_count, own, t)
-    yield Column(f"{name}.Status", results.status, own, t)
-    yield Column(f"{name}.Adaptation", results.adaptation, own, t)
+    of_nan = {  # a number that is none is not Good
+        Undetermined.UNCERTAIN: doubtful,
+        Undetermined.BAD: worse(codes, _Codes.BadNoData),
+    }
+    for quantity in ESTIMATOR_QUANTITIES:
+        values = getattr(results, quantity.field)
+        if quantity.undetermined is Undetermined.NEVER:
+            stated = own
+        else:
+            stated = np.where(np.isfinite(values), codes, of_nan[quantity.undetermined])
+        yield Column(f"{name}.{quantity.name}", values, stated, t)
     if by_name:
         yield _each(f"{name}.{PARAMETERS}", results.theta, codes, doubtful, t)
 

@@ -1,7 +1,10 @@
 """How a valve stands, in one word and one sentence: worst first. Pure."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+
+from valvemap.vocabulary.statuses import Adaptation, Described, InverseStatus, Status
 
 STALE_AFTER_S = 3.0  # without a new sample; three looks of the page
 CHANGE_SHOWN_S = 600.0  # a change of the valve stays on top for ten minutes
@@ -16,32 +19,27 @@ class Severity(IntEnum):
     ALARM = 3
 
 
-class Reason(IntEnum):
+class Reason(Described):
     """Why a valve stands as it does; a higher number is worse."""
 
-    OK = 0
-    FROZEN = 1
-    EXTRAPOLATING = 2
-    UNEXCITED = 3
-    WARMING_UP = 4
-    MISFIT = 5
-    HELD = 6
-    CHANGED = 7
-    REJECTED = 8
-    STALE = 9
-    SENSOR_FAILURE = 10
-    NO_SAMPLES = 11
-    UNREADABLE = 12
+    OK = 0, "ok", "Identified, and following."
+    FROZEN = 1, "adaptation off", "Adaptation is switched off: the map is kept as it is."
+    EXTRAPOLATING = 2, "extrapolating", "The valve works where nothing was measured before."
+    UNEXCITED = 3, "not excited", "The signals hold still; the map is kept as it is."
+    WARMING_UP = 4, "warming up", "Too few samples yet to know the whole map."
+    MISFIT = 5, "misfit", "The structure cannot follow this valve everywhere."
+    HELD = 6, "held", "An update would have left the range of numbers; the map is kept."
+    CHANGED = 7, "valve changed", "The valve changed abruptly."
+    REJECTED = 8, "samples rejected", "The newest samples are of bad quality and were not used."
+    STALE = 9, "no new samples", "No new sample arrives."
+    SENSOR_FAILURE = 10, "sensor failed", "A sensor has failed."
+    NO_SAMPLES = 11, "signals lost", "There is no connection to the valve's signals."
+    UNREADABLE = 12, "unreadable", "The service does not publish this valve any more."
 
     @property
     def severity(self) -> Severity:
         """How bad that is."""
         return _SEVERITIES[self]
-
-    @property
-    def sentence(self) -> str:
-        """What it means, for who looks at the page."""
-        return _SENTENCES[self]
 
 
 _SEVERITIES = {
@@ -59,32 +57,25 @@ _SEVERITIES = {
     Reason.NO_SAMPLES: Severity.ALARM,
     Reason.UNREADABLE: Severity.ALARM,
 }
-_SENTENCES = {
-    Reason.OK: "Identified, and following.",
-    Reason.FROZEN: "Adaptation is switched off: the map is kept as it is.",
-    Reason.EXTRAPOLATING: "The valve works where nothing was measured before.",
-    Reason.UNEXCITED: "The signals hold still; what they do not show is kept.",
-    Reason.WARMING_UP: "Too few samples yet to know the whole map.",
-    Reason.MISFIT: "The structure cannot follow this valve everywhere.",
-    Reason.HELD: "An update would have left the range of numbers; the map is kept.",
-    Reason.CHANGED: "The valve changed abruptly.",
-    Reason.REJECTED: "The newest samples are of bad quality and were not used.",
-    Reason.STALE: "No new sample arrives.",
-    Reason.SENSOR_FAILURE: "A sensor has failed.",
-    Reason.NO_SAMPLES: "There is no connection to the valve's signals.",
-    Reason.UNREADABLE: "The service does not show this valve any more.",
+INVERSE_SEVERITIES = {
+    InverseStatus.OK: Severity.GOOD,
+    InverseStatus.ABOVE_REACH: Severity.WARNING,
+    InverseStatus.BELOW_REACH: Severity.WARNING,
+    InverseStatus.NOT_MONOTONE: Severity.ALARM,
+    InverseStatus.UNIDENTIFIED: Severity.NOTE,
+    InverseStatus.NOT_FINITE: Severity.NOTE,
+    InverseStatus.OUTSIDE: Severity.WARNING,
+    InverseStatus.EXTRAPOLATING: Severity.WARNING,
 }
 
-_WARMING_UP, _UNEXCITED, _REJECTED, _FROZEN, _HELD, _EXTRAPOLATING = range(1, 7)  # Status
-_BY_STATUS = {
-    _WARMING_UP: Reason.WARMING_UP,
-    _UNEXCITED: Reason.UNEXCITED,
-    _REJECTED: Reason.REJECTED,
-    _FROZEN: Reason.FROZEN,
-    _HELD: Reason.HELD,
-    _EXTRAPOLATING: Reason.EXTRAPOLATING,
+_BY_STATUS: Mapping[int, Reason] = {
+    Status.WARMING_UP: Reason.WARMING_UP,
+    Status.UNEXCITED: Reason.UNEXCITED,
+    Status.REJECTED: Reason.REJECTED,
+    Status.FROZEN: Reason.FROZEN,
+    Status.HELD: Reason.HELD,
+    Status.EXTRAPOLATING: Reason.EXTRAPOLATING,
 }
-_MISFIT = 2  # Adaptation
 _BAD = 0x8000_0000
 _BAD_WAITING_FOR_INITIAL_DATA = 0x8032_0000
 _BAD_SENSOR_FAILURE = 0x808C_0000
@@ -129,7 +120,7 @@ def judge(seen: Standing) -> Reason:
         reasons.append(Reason.STALE)
     if seen.changed_s <= CHANGE_SHOWN_S:
         reasons.append(Reason.CHANGED)
-    if seen.adaptation == _MISFIT:
+    if seen.adaptation == Adaptation.MISFIT:
         reasons.append(Reason.MISFIT)
     return max(reasons)
 

@@ -1,5 +1,6 @@
 """Figures for Prometheus, read from the service's nodes when they are asked for."""
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from valvemap.page.observer import Link, Observer
+from valvemap.vocabulary.quantities import FRAME_QUANTITIES, Kind
 
 if TYPE_CHECKING:
     from valvemap.page.guard import Guard
@@ -83,7 +85,23 @@ class Metrics:
             samples.add_metric(name, row.samples)
             silent.add_metric(name, self._observer.silent_s(number))
         yield from (severity, rmse, samples, silent)
+        yield from self._of_estimators()
         yield from self._of_diagnostics()
+
+    def _of_estimators(self) -> Iterator[Metric]:
+        """The frame's quantities, by valve and estimator."""
+        for quantity in FRAME_QUANTITIES:
+            if quantity.series is None:
+                continue
+            family = CounterMetricFamily if quantity.kind is Kind.COUNT else GaugeMetricFamily
+            series = family(quantity.series, quantity.sentence, labels=["valve", "estimator"])
+            for number, columns in self._observer.frames.items():
+                valve = self._observer.valves[number]
+                for estimator in valve.estimators:
+                    value = columns.get(f"{estimator}.{quantity.name}", math.nan)
+                    if not math.isnan(value):
+                        series.add_metric([valve.name, estimator], value)
+            yield series
 
     def _of_diagnostics(self) -> Iterator[Metric]:
         """What became of the valves' data, and how fresh they are."""

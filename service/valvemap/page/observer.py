@@ -80,6 +80,7 @@ class Observer:
         self.time_line = TimeLine()
         self.valves: tuple[Valve, ...] = ()
         self.rows: dict[int, Row] = {}
+        self.frames: dict[int, dict[str, float]] = {}  # columns by name, the newest of each valve
         self.link, self.link_text, self.link_since = Link.CONNECTING, "", clock.now()
         self.generation = 0
         self._clock = clock
@@ -214,6 +215,7 @@ class Observer:
 
     def _take_standing(self, number: int, valve: Valve, frame: Reading, flow: Reading) -> None:
         columns = dict(zip(valve.frame_names, frame.value or (), strict=False))
+        self.frames[number] = columns
         of = {name: columns.get(f"{valve.primary}.{name}", float("nan")) for name in _SHOWN}
         self._hear(number, frame.t)
         adaptation = self.store.get(number, f"{valve.primary}.Adaptation")

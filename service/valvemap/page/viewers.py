@@ -14,12 +14,15 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from valvemap.errors import ValvemapError
+from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
 from valvemap.page.layout import Valve
 from valvemap.page.messages import pack_rows, pack_text
 from valvemap.page.observer import Observer
 from valvemap.page.packing import Packing
 from valvemap.page.ports import Wanted
 from valvemap.page.rates import TokenBucket
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _SLOW_READER_S = 10.0  # for one message to leave
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
@@ -252,6 +255,16 @@ def _greeting(observer: Observer) -> dict[str, Any]:
             {"name": valve.name, "estimators": valve.estimators, "primary": valve.primary}
             for valve in observer.valves
         ],
+        "quantities": [
+            {"name": q.name, "heading": q.heading, "decimals": q.decimals, "about": q.sentence}
+            for q in ESTIMATOR_QUANTITIES
+            if q.heading
+        ],
+        "words": {
+            "status": [(status.label, status.sentence) for status in Status],
+            "inverse": [(INVERSE_SEVERITIES[s], s.sentence) for s in InverseStatus],
+            "reason": [(reason.label, reason.sentence) for reason in Reason],
+        },
     }
 
 

@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
 from valvemap.pipeline.ports import AlarmReport, Remark
+from valvemap.vocabulary.statuses import Adaptation
 
 LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
 ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one

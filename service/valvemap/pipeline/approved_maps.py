@@ -6,11 +6,11 @@ import numpy as np
 
 from valvemap.errors import CommandRejected
 from valvemap.model.estimator import StateMismatchError
-from valvemap.model.samples import Status
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.baseline import Baseline, Difference, difference
 from valvemap.pipeline.estimator_commands import EstimatorCommands
+from valvemap.vocabulary.statuses import Status
 
 
 class ApprovedMaps:

@@ -4,7 +4,7 @@ import numpy as np
 
 from valvemap.errors import CommandRejected
 from valvemap.pipeline.all_valves import AllValves
-from valvemap.pipeline.feedforward import FeedForwardStatus
+from valvemap.vocabulary.statuses import FeedForwardStatus
 
 _AT_FIRST = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DISARMED}
 

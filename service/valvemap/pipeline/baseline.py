@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from valvemap.model.estimator import State, StateMismatchError
-from valvemap.model.samples import Status
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.valve_state import Lane, ValvePlan
+from valvemap.vocabulary.statuses import Status
 
 KEY: Final = "baseline 1"  # the form in which baselines are kept
 _GRID_U, _GRID_DP = 21, 15  # points at which maps are compared

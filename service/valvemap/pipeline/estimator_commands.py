@@ -6,10 +6,10 @@ import numpy as np
 
 from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
-from valvemap.model.samples import Status
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.valve_state import Forgetful, Required
+from valvemap.vocabulary.statuses import Status
 
 
 class EstimatorCommands:

@@ -13,11 +13,10 @@ heartbeat as long as the valve is led; that it stands still, or is 0, hands the 
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Final, Self, assert_never
 
-from valvemap.model.inversion import InverseStatus
-from valvemap.model.samples import Status
+from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus, Status
 
 MOST_STEP_S: Final = 0.2  # of slew in one command, however long ago the last one was
 HEARTBEAT_S: Final = 0.08  # asked every 0.1 s, that is at least five in a second
@@ -26,46 +25,6 @@ RETRY_S: Final = 0.08  # a refused command is written again; asked every 0.1 s
 GIVE_UP_S: Final = 0.2  # refused for so long, the fallback acts: 0.5 s later the source's own
 RESTART_S: Final = 2.0  # handed back because of a refusal, the valve is asked for again
 MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
-
-
-class FeedForwardStatus(IntEnum):
-    """Whether the answer is written to the valve, and if not, why."""
-
-    WRITING = 0
-    NOT_CONFIGURED = 1
-    DISARMED = 2
-    SOURCE_LOST = 3
-    REFUSED = 4
-    STALE = 5
-    BAD_SAMPLE = 6
-    NO_DEMAND = 7
-    MAP_NOT_GOOD = 8
-    EXTRAPOLATED = 9
-    ABOVE_REACH = 10
-    OUT_OF_RANGE = 11
-    TOO_UNSURE = 12
-
-    @property
-    def sentence(self) -> str:
-        """A sentence for the operator."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    FeedForwardStatus.WRITING: "RequiredU is written to the valve, no faster than the slew.",
-    FeedForwardStatus.NOT_CONFIGURED: "nodes.required_U is not configured.",
-    FeedForwardStatus.DISARMED: "Nobody has called Arm since the start or the last Disarm.",
-    FeedForwardStatus.SOURCE_LOST: "There is no connection to the source.",
-    FeedForwardStatus.REFUSED: "The source refuses the command or the heartbeat.",
-    FeedForwardStatus.STALE: "The newest sample is older than max_age_s.",
-    FeedForwardStatus.BAD_SAMPLE: "The newest sample is Bad or was rejected.",
-    FeedForwardStatus.NO_DEMAND: "Flow, pressure drop or temperature is not known.",
-    FeedForwardStatus.MAP_NOT_GOOD: "The map is not identified there, or falls with U.",
-    FeedForwardStatus.EXTRAPOLATED: "Nothing was measured near what is demanded.",
-    FeedForwardStatus.ABOVE_REACH: "The valve cannot pass so much at this pressure drop.",
-    FeedForwardStatus.OUT_OF_RANGE: "RequiredU is outside range_percent.",
-    FeedForwardStatus.TOO_UNSURE: "The 95 % interval of RequiredU is wider than max_width_percent.",
-}
 
 
 class Fallback(Enum):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.inversion import Inversion
-from valvemap.model.samples import Samples, Status, Times, Trace
+from valvemap.model.samples import Samples, Times, Trace
 from valvemap.pipeline.alarm_states import AlarmRule
 from valvemap.pipeline.alarms import SERVICE_RULES, ServiceAlarm
 from valvemap.pipeline.alignment import Alignment, ByValve
@@ -22,7 +22,6 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.baseline import Baseline, Difference
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.estimator_commands import EstimatorCommands
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.kept_columns import KeptColumns
 from valvemap.pipeline.kept_states import KeptStates
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
@@ -40,6 +39,7 @@ from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import Lane, Required, ValvePlan, ValveState
+from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
 class Identification:

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from valvemap.model.estimator import StateMismatchError, key_of
-from valvemap.model.samples import Status
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import AlignmentSettings
 from valvemap.pipeline.all_alarms import OF_SERVICE, AllAlarms
@@ -18,6 +17,7 @@ from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.timing import TimingSettings, TimingState
 from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState
+from valvemap.vocabulary.statuses import Status
 
 MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
 TIMING = "Signals"  # nor so: how its signals come

@@ -15,16 +15,7 @@ from valvemap.model.change import Change
 from valvemap.model.estimator import key_of
 from valvemap.model.extrapolation import U_range_of
 from valvemap.model.residual_spread import ResidualSpread, noise_std
-from valvemap.model.samples import (
-    Codes,
-    Floats,
-    Quality,
-    Samples,
-    Segments,
-    Status,
-    Times,
-    Trace,
-)
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.model.support import Support
 from valvemap.pipeline.estimator_states import states_of
@@ -36,6 +27,7 @@ from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
+from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 

@@ -13,8 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Floats, Quality, Samples, Segments, Times
+from valvemap.model.samples import Floats, Samples, Segments, Times
 from valvemap.pipeline.kernels import plausibility as kernel
+from valvemap.vocabulary.statuses import Quality
 
 SOME_BACKWARD: Final = 0.01  # share of samples: a clock steps now and then
 ENOUGH: Final = 2_000  # samples before a slope is judged

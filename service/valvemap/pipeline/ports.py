@@ -11,14 +11,14 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.inversion import Inversion
 from valvemap.model.recursive_least_squares import Change
-from valvemap.model.samples import Codes, Floats, Quality, Status, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.model.survey import Survey
 from valvemap.pipeline.data_changes import DataChanges
-from valvemap.pipeline.feedforward import FeedForwardStatus
 from valvemap.pipeline.nameplate import BLANK, Nameplate
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
+from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality, Status
 
 
 @dataclass(frozen=True)
@@ -404,18 +404,14 @@ class Results:
                     quality=Quality(int(found.quality[m])),
                     theta=found.theta[m],
                     std=found.std[m],
-                    predicted=float(found.predicted[m]),
-                    residual=float(found.residual[m]),
-                    residual_rmse=float(found.residual_rmse[m]),
-                    sample_count=int(found.sample_count[m]),
-                    status=Status(int(found.status[m])),
-                    noise_std=float(found.noise_std[m]),
                     survey=found.survey[m],
                     change=found.change[m],
                     structure=found.structure[m],
                     lags=found.lags[m],
-                    adaptation=Adaptation(int(found.adaptation[m])),
-                    systematic_std=float(found.systematic_std[m]),
+                    **{
+                        quantity.field: quantity.one(getattr(found, quantity.field)[m])
+                        for quantity in ESTIMATOR_QUANTITIES
+                    },
                 )
                 for name, found in self.estimators.items()
             },

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.auto import Auto
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.model.samples import Codes, Floats, Quality, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.alignment import COUNTER_NAMES as OF_ALIGNMENT
 from valvemap.pipeline.all_valves import AllValves, once_each
@@ -32,6 +31,7 @@ from valvemap.pipeline.ports import (
 )
 from valvemap.pipeline.sample_intake import SampleIntake
 from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, ValvePlan
+from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 COUNTERS = (*OF_ALIGNMENT, *NOT_LEARNT)
 

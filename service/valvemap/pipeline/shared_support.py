@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Codes, Flags, Samples, Segments, Status
+from valvemap.model.samples import Codes, Flags, Samples, Segments
 from valvemap.model.support import Support, SupportOfMany
+from valvemap.vocabulary.statuses import Status
 
 SPARE = 8  # one row more for so many, where all are taken
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
-from valvemap.model.samples import Status
 from valvemap.pipeline.alignment import Alignment
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.gate import Memory
 from valvemap.pipeline.kernels.waiting import Waiting
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
+from valvemap.vocabulary.statuses import Status
 
 _COUNTED = [slots.GIVEN_UP, slots.GAPS_KEPT, slots.DOUBTFUL, slots.TIMES_KEPT]
 _MOST_SAMPLES = 2.0**53  # that a float counts exactly

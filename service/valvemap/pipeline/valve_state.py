@@ -13,13 +13,13 @@ from valvemap.model.estimator import Estimator, State, StateMismatchError, Templ
 from valvemap.model.extrapolation import U_range_of, trusted
 from valvemap.model.forgetting import Adaptive
 from valvemap.model.inverse_map import inverse_table, invert
-from valvemap.model.inversion import InverseStatus, Inversion
+from valvemap.model.inversion import Inversion
 from valvemap.model.kernels import lack_of_fit
 from valvemap.model.kernels import residual_spread as of_spread
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import TWO_SIDED_95, ResidualSpread
-from valvemap.model.samples import Codes, Floats, Samples, Status
+from valvemap.model.samples import Codes, Floats, Samples
 from valvemap.model.sensor_accuracy import EXACT, SensorAccuracy, systematic_std
 from valvemap.model.support import Support
 from valvemap.model.survey import Survey, survey
@@ -30,6 +30,7 @@ from valvemap.pipeline.kernels import score as of_score
 from valvemap.pipeline.nameplate import BLANK, Nameplate
 from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.score import Score
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 AnyEstimator = Estimator[Any]
 

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from valvemap.model.samples import Floats, Quality, Samples, Trace
+from valvemap.model.samples import Floats, Samples, Trace
 from valvemap.pipeline.valve_state import Lane
 from valvemap.report.plots import plot_agreement, plot_map, plot_residuals
 from valvemap.report.thinning import Thinned
+from valvemap.vocabulary.statuses import Quality
 
 _GRID = 60
 

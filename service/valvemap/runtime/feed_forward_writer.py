@@ -11,16 +11,10 @@ from numpy.typing import NDArray
 from valvemap.clock import Clock
 from valvemap.errors import SourceRejected
 from valvemap.model.samples import Times
-from valvemap.pipeline.feedforward import (
-    FeedForwardState,
-    FeedForwardStatus,
-    Refusals,
-    Situation,
-    decide,
-    written,
-)
+from valvemap.pipeline.feedforward import FeedForwardState, Refusals, Situation, decide, written
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import AllSources
+from valvemap.vocabulary.statuses import FeedForwardStatus
 
 AGAIN_S = 0.05  # it goes on without samples; with them it has just been asked
 

@@ -10,7 +10,7 @@ import structlog
 from numpy.typing import NDArray
 
 from valvemap.errors import StorageError
-from valvemap.model.samples import Codes, Floats, Quality, Times
+from valvemap.model.samples import Codes, Floats, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import (
     SIGNALS,
@@ -20,14 +20,8 @@ from valvemap.pipeline.ports import (
     Piece,
     Results,
 )
-
-ESTIMATED: Final = {
-    "PredictedFlow": "predicted",
-    "Residual": "residual",
-    "ResidualRmse": "residual_rmse",
-    "NoiseStd": "noise_std",
-}
-"""Columns of an estimator's series, and the results that they are."""
+from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
+from valvemap.vocabulary.statuses import Quality
 
 REQUIRED_U: Final = "RequiredU"
 MOST_ROWS: Final = 1_000_000  # that wait to be kept: 60 MB; more are lost
@@ -178,7 +172,7 @@ def _noted(results: Results) -> Iterator[_Noted]:
     """Of each estimator, of the inverse map, and of signals that are Bad."""
     valves, inverse, signals = results.valves, results.inverse, results.signals
     for name, found in results.estimators.items():
-        columns = {column: getattr(found, of) for column, of in ESTIMATED.items()}
+        columns = {q.name: getattr(found, q.field) for q in HISTORY_QUANTITIES}
         yield _Noted(name, valves, found.quality, found.t, columns)
     yield _Noted(_INVERSE, valves, inverse.quality, inverse.t, {REQUIRED_U: inverse.required_U})
     if signals is not None:

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.clock import utc_ns
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Times
+from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.storage.dates import DateForm, date_nanoseconds, is_ambiguous
 from valvemap.storage.layout import REQUIRED
+from valvemap.vocabulary.statuses import Quality
 
 COLUMNS = (*REQUIRED, "T", "valve", "quality")
 

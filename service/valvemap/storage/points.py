@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from valvemap.errors import NoSuchFile, StorageError
-from valvemap.model.inversion import InverseStatus, Inversion
+from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Floats
+from valvemap.vocabulary.statuses import InverseStatus
 
 Points = tuple[Floats, Floats, Floats]
 

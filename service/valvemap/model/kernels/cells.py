@@ -21,7 +21,8 @@ from valvemap.model.kernels.grid import (
     WEIGHT,
 )
 from valvemap.model.kernels.surface import T_REFERENCE, T_UNIT, Surface, value
-from valvemap.model.samples import Floats, Status, Times
+from valvemap.model.samples import Floats, Times
+from valvemap.vocabulary.statuses import Status
 
 # Places in `scalars`: of the path, the noise, the competition, the watch for changes, the lags.
 LAST_U, TOWARDS = 0, 1

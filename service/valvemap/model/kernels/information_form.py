@@ -21,7 +21,8 @@ from valvemap.model.kernels.row_layout import (
     places_of,
 )
 from valvemap.model.kernels.rules import RESETTING, TRACE_LIMIT, rejection
-from valvemap.model.samples import Codes, Floats, Status
+from valvemap.model.samples import Codes, Floats
+from valvemap.vocabulary.statuses import Status
 
 INDEPENDENT = 1e-3  # least independence of the regressors for which U·D·Uᵀ is as exact as R
 

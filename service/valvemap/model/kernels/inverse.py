@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from valvemap.model.inversion import InverseStatus
 from valvemap.model.kernels.compiled import inner, kernel, maker
 from valvemap.model.kernels.spline import basis, hats
 from valvemap.model.samples import Floats
+from valvemap.vocabulary.statuses import InverseStatus
 
 FALL = 0.05
 STEPS = 60

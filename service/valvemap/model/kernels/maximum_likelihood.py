@@ -14,7 +14,8 @@ from valvemap.model.kernels.compiled import inner, kernel, lean_kernel, maker, s
 from valvemap.model.kernels.factors import project, rank_one, write_covariance
 from valvemap.model.kernels.residual_spread import EARLIER
 from valvemap.model.kernels.stability import lies_inside
-from valvemap.model.samples import Codes, Floats, Segments, Status
+from valvemap.model.samples import Codes, Floats, Segments
+from valvemap.vocabulary.statuses import Status
 
 Orders = NDArray[np.int64]
 

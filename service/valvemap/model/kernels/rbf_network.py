@@ -12,7 +12,7 @@ from valvemap.model.samples import Codes, Floats, Segments
 COUNT, POWER = range(2)
 MONITORS = 2
 
-# Statuses, as in valvemap.model.samples.Status.
+# Statuses, as in valvemap.vocabulary.statuses.Status.
 OK, WARMING_UP, HELD = 0, 1, 5
 
 LARGEST = 1e3  # beyond it, in units of the ranges, a sample is held off

@@ -73,7 +73,8 @@ from valvemap.model.kernels.rules import (
 )
 from valvemap.model.kernels.scores import SETTLED, gather, gather_moments
 from valvemap.model.kernels.triangles import add_square, rotate, take_in, whiten
-from valvemap.model.samples import Codes, Floats, Segments, Singles, Status, Times
+from valvemap.model.samples import Codes, Floats, Segments, Singles, Times
+from valvemap.vocabulary.statuses import Status
 
 TRACE_EVERY = 16
 STEP_U = 100.0 / (NODES_A - 1)  # %: of U to a step of the grid of places

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from valvemap.model.kernels.compiled import inner
-from valvemap.model.samples import Codes, Floats, Status
+from valvemap.model.samples import Codes, Floats
+from valvemap.vocabulary.statuses import Status
 
 # Kinds of forgetting; up to RESETTING P is divided by λ.
 EXPONENTIAL, VARIABLE, RESETTING, DIRECTIONAL, SUBSPACE, WINDOW = range(6)

@@ -20,7 +20,8 @@ from valvemap.model.kernels.row_layout import (
 )
 from valvemap.model.kernels.rules import RESETTING, WINDOW, Rule, rejection
 from valvemap.model.kernels.triangles import rotate, take_in, whiten
-from valvemap.model.samples import Floats, Segments, Status
+from valvemap.model.samples import Floats, Segments
+from valvemap.vocabulary.statuses import Status
 
 SINGULAR = 1e-9  # share of the information along X that must be left when a sample is taken out
 

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Segments, Status
+from valvemap.model.samples import Segments
 from valvemap.pipeline.kernels.compiled import kernel
+from valvemap.vocabulary.statuses import Status
 
 NO_STATUS = 255
 

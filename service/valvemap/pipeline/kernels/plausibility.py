@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from valvemap.model.kernels.prefetch import fetch
-from valvemap.model.samples import Quality, Segments
+from valvemap.model.samples import Segments
 from valvemap.pipeline.kernels.compiled import inner, kernel
+from valvemap.vocabulary.statuses import Quality
 
 SAMPLES, REVERSED, FORWARD, HIGH, LOWEST_U, AT_LOWEST, HIGHEST_U, AT_HIGHEST, WITH_T, HOT = range(
     10

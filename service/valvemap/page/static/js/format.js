@@ -47,42 +47,10 @@ export const SIGNAL_NAMES = {
   U: "U control voltage", p1: "p₁ before", p2: "p₂ behind", dp: "Δp", Q: "Q flow", T: "T oil",
 };
 
-export const STATUS = ["ok", "warming up", "not excited", "rejected", "frozen", "held", "extrapolating"];
-export const STATUS_SENTENCE = [
-  "Follows every sample.",
-  "Too few samples yet for all parameters.",
-  "The signals hold still; what they do not show is kept.",
-  "The newest samples are bad and not used.",
-  "Adaptation is switched off.",
-  "An update was refused: numbers out of range.",
-  "Works where nothing was measured before.",
-];
-export const INVERSE_STATUS = [
-  [0, "U delivers this flow."],
-  [2, "The valve cannot pass so much at this pressure drop."],
-  [2, "Even closed, the valve passes more than that."],
-  [3, "The map falls with U here: no U can be trusted."],
-  [1, "The map is not identified here yet."],
-  [1, "No number."],
-  [2, "Beyond the table: the nearest end is shown."],
-  [2, "Extrapolated: nothing was measured near. A guess."],
-];
-export const REASONS = [
-  "ok", "adaptation off", "extrapolating", "not excited", "warming up", "misfit", "held",
-  "valve changed", "samples rejected", "no new samples", "sensor failed", "signals lost", "unreadable",
-];
-export const REASON_SENTENCES = [
-  "Identified, and following.",
-  "Adaptation is switched off: the map is kept as it is.",
-  "The valve works where nothing was measured before.",
-  "The signals hold still; what they do not show is kept.",
-  "Too few samples yet to know the whole map.",
-  "The structure cannot follow this valve everywhere.",
-  "An update would have left the range of numbers; the map is kept.",
-  "The valve changed abruptly.",
-  "The newest samples are of bad quality and were not used.",
-  "No new sample arrives.",
-  "A sensor has failed.",
-  "There is no connection to the valve's signals.",
-  "The service does not show this valve any more.",
-];
+// Filled with the service's own words when the page connects: [label, sentence], for the inverse
+// [severity, sentence], by number.
+export const STATUS = [], INVERSE_STATUS = [], REASONS = [];
+
+export function learnWords({ status, inverse, reason }) {
+  [[STATUS, status], [INVERSE_STATUS, inverse], [REASONS, reason]].forEach(([kept, words]) => kept.splice(0, Infinity, ...words));
+}

@@ -1,5 +1,7 @@
 // The page's one connection: what it brings is kept here, and whoever draws asks for it.
 
+import { learnWords } from "./format.js";
+
 const RETRY_MS = [300, 1000, 2000];
 
 export class Live extends EventTarget {
@@ -7,6 +9,7 @@ export class Live extends EventTarget {
   text = "";
   url = "";
   valves = [];
+  quantities = []; // of each estimator: name, heading, decimals, about
   rows = new Map(); // valve number → {severity, reason, since, rmse, noise, samples, silent, predicted}
   events = [];
   heardAt = performance.now();
@@ -106,6 +109,8 @@ export class Live extends EventTarget {
       this.url = message.url;
       this.since = message.since;
       this.valves = message.valves;
+      this.quantities = message.quantities;
+      learnWords(message.words);
       if (this.#generation !== message.generation) {
         this.#generation = message.generation;
         this.#values.clear();

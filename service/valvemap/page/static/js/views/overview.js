@@ -1,7 +1,7 @@
 // All valves, worst first: why, and since when.
 
 import { h, mark, say } from "../dom.js";
-import { clock, count, counted, fixed, REASON_SENTENCES, REASONS, span } from "../format.js";
+import { clock, count, counted, fixed, REASONS, span } from "../format.js";
 
 const byName = new Intl.Collator("en", { numeric: true }).compare;
 const HEIGHT = 34; // px of a row; as in page.css
@@ -28,7 +28,7 @@ export function overviewView(root, { live }) {
   function sort() {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     rows = live.valves.map(({ name }, number) => ({ name, number, ...live.rows.get(number) })).filter((row) => row.severity !== undefined)
-      .filter((row) => !words.length || words.every((word) => `${row.name} ${REASONS[row.reason]} ${REASON_SENTENCES[row.reason]}`.toLowerCase().includes(word)));
+      .filter((row) => !words.length || words.every((word) => `${row.name} ${REASONS[row.reason].join(" ")}`.toLowerCase().includes(word)));
     const key = { severity: (r) => 1000 * r.severity + r.reason, why: (r) => r.reason, name: (r) => r.name }[order.by] ?? ((r) => r[order.by]);
     const sign = order.down ? -1 : 1;
     rows.sort((a, b) => {
@@ -68,11 +68,11 @@ export function overviewView(root, { live }) {
   function fill(element, row) {
     const [state, name, why, since, rmse, predicted, samples] = element.cells;
     mark(state.firstChild, "severity", row.severity);
-    say(state.firstChild, REASONS[row.reason]);
+    say(state.firstChild, REASONS[row.reason][0]);
     const href = `#/valve/${encodeURIComponent(row.name)}`;
     if (name.firstChild.getAttribute("href") !== href) name.firstChild.setAttribute("href", href);
     say(name.firstChild, row.name);
-    say(why, row.silent > 3 ? `No new sample for ${span(row.silent)}.` : REASON_SENTENCES[row.reason]);
+    say(why, row.silent > 3 ? `No new sample for ${span(row.silent)}.` : REASONS[row.reason][1]);
     say(since, clock(row.since));
     say(rmse, fixed(row.rmse, 2));
     say(predicted, fixed(row.predicted, 1));

@@ -2,7 +2,7 @@
 
 import { History, SECOND_AXIS, timeChart } from "../charts.js";
 import { css, h, lineVariable, mark, onTheme, paced, pen, say } from "../dom.js";
-import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, STATUS_SENTENCE, UNITS } from "../format.js";
+import { count, fixed, REASONS, short, SIGNAL_NAMES, span, STATUS, UNITS } from "../format.js";
 import { autocorrelation, histogram, quantile, whiteBound } from "../statistics.js";
 
 const SIGNALS = ["U", "p1", "p2", "dp", "Q", "T"];
@@ -21,7 +21,7 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
   const signals = Object.fromEntries(SIGNALS.map((name) => [name, signalTile(name)]));
   const badge = h("span.badge"), sentence = h("span.muted.sentence");
-  const table = estimatorTable(estimators, (name) => select(name));
+  const table = estimatorTable(estimators, live.quantities, (name) => select(name));
   const parameters = h("tbody"), parametersTitle = h("h2");
   const spread = h("canvas.bars", { role: "img", "aria-label": "Histogram of the residuals" }), follow = h("canvas.bars", { role: "img", "aria-label": "Autocorrelation of the residuals" });
   const spreadWords = h("p.words"), followWords = h("p.words");
@@ -113,9 +113,9 @@ export function valveView(root, { live, valve, estimator, choose }) {
     const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
     if (!row) return;
     mark(badge, "severity", row.severity);
-    say(badge, REASONS[row.reason] ?? "");
+    say(badge, REASONS[row.reason]?.[0] ?? "");
     const status = live.number(`${selected}.Status`);
-    say(sentence, `${selected}: ${STATUS_SENTENCE[status] ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
+    say(sentence, `${selected}: ${STATUS[status]?.[1] ?? "nothing known yet"} ${count(live.number(`${selected}.SampleCount`))} samples.`);
     mark(root, "stale", live.link !== "up" || row.silent > 3);
   }
 
@@ -179,8 +179,8 @@ export function valveView(root, { live, valve, estimator, choose }) {
 
   function showFacts() {
     const of = (name) => live.number(`${selected}.${name}`), lines = [];
-    const status = STATUS[of("Status")] ?? "–";
-    lines.push(["Status", `${status}: ${STATUS_SENTENCE[of("Status")] ?? ""}`]);
+    const [status, sentence] = STATUS[of("Status")] ?? ["–", ""];
+    lines.push(["Status", `${status}: ${sentence}`]);
     const age = live.number("Diagnostics.SampleAge");
     const row = live.rows.get(live.valves.findIndex((known) => known.name === valve.name));
     lines.push(["Newest sample", Number.isFinite(age) ? `${span(age)} old` : row ? `seen ${span(row.silent)} ago` : "–"]);
@@ -237,13 +237,13 @@ function signalTile(name) {
   };
 }
 
-function estimatorTable(estimators, onSelect) {
+function estimatorTable(estimators, quantities, onSelect) {
   const rows = estimators.map((name, k) => h("tr", { "data-estimator": name },
     h("td", {}, h("button", { type: "button", onclick: () => onSelect(name), "aria-label": `Show ${name}` },
       h("i.swatch", { style: { "--c": lineVariable(k) } }), name)),
-    h("td"), h("td.number"), h("td.number"), h("td.number"), h("td.number")));
+    h("td"), quantities.map(() => h("td.number"))));
   const element = h("table.estimators", {},
-    h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th", {}, "Status"), h("th.number", {}, "Q̂"), h("th.number", {}, "Q − Q̂"), h("th.number", {}, "RMSE"), h("th.number", {}, "Noise"))),
+    h("thead", {}, h("tr", {}, h("th", {}, "Name"), h("th", {}, "Status"), quantities.map(({ heading, about }) => h("th.number", { title: about }, heading)))),
     h("tbody", {}, rows));
   return {
     element,
@@ -252,8 +252,8 @@ function estimatorTable(estimators, onSelect) {
         const of = (what) => live.number(`${name}.${what}`), cells = rows[k].cells;
         const chosen = String(name === selected);
         if (rows[k].getAttribute("aria-selected") !== chosen) rows[k].setAttribute("aria-selected", chosen);
-        say(cells[1], STATUS[of("Status")] ?? "–");
-        ["PredictedFlow", "Residual", "ResidualRmse", "NoiseStd"].forEach((what, j) => say(cells[j + 2], fixed(of(what), j ? 2 : 1)));
+        say(cells[1], STATUS[of("Status")]?.[0] ?? "–");
+        quantities.forEach(({ name: what, decimals }, j) => say(cells[j + 2], fixed(of(what), decimals)));
       });
     },
   };

@@ -1,0 +1,65 @@
+"""The page of quantities and statuses, from the vocabulary's tables."""
+
+from documentation.tables import table
+from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
+from valvemap.vocabulary.statuses import (
+    Adaptation,
+    Described,
+    FeedForwardStatus,
+    InverseStatus,
+    Status,
+)
+
+_ENUMERATIONS: tuple[tuple[type[Described], str, str], ...] = (
+    (Status, "Status", "`s=<Valve>.<Estimator>.Status`: the use of the newest sample."),
+    (
+        Adaptation,
+        "Adaptation",
+        "`s=<Valve>.<Estimator>.Adaptation`: the explanation of the residuals.",
+    ),
+    (
+        InverseStatus,
+        "RequiredUStatus",
+        "`s=<Valve>.Inverse.RequiredUStatus`, and the status that `Invert` returns.",
+    ),
+    (
+        FeedForwardStatus,
+        "FeedForwardStatus",
+        "`s=<Valve>.Inverse.FeedForwardStatus`: whether RequiredU is written to the valve.",
+    ),
+)
+
+
+_INTRODUCTION = """\
+Each estimator publishes these quantities of each valve as `s=<Valve>.<Estimator>.<name>`.
+The series are those of `/metrics`, labelled by valve and estimator."""
+
+
+def vocabulary_page() -> str:
+    """The whole page."""
+    parts = [
+        "# Quantities and statuses",
+        _INTRODUCTION,
+        table(
+            ["name", "unit", "in Frame", "in history", "series", "meaning"],
+            [_row(quantity) for quantity in ESTIMATOR_QUANTITIES],
+        ),
+    ]
+    for statuses, title, where in _ENUMERATIONS:
+        rows = [[str(int(s)), f"`{s.name}`", s.label, s.sentence] for s in statuses]
+        parts += [f"## {title}", where, table(["value", "name", "on the page", "meaning"], rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _row(quantity: Quantity) -> list[str]:
+    series = quantity.series or ""
+    if series and quantity.kind is Kind.COUNT:
+        series += "_total"
+    return [
+        f"`{quantity.name}`",
+        quantity.unit or "",
+        "yes" if quantity.in_frame else "",
+        "yes" if quantity.in_history else "",
+        f"`{series}`" if series else "",
+        quantity.sentence,
+    ]

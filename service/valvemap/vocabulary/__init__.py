@@ -1,0 +1,1 @@
+"""Names, units and sentences of everything that is published: tables, nothing else."""

@@ -1,0 +1,165 @@
+"""The enumerations that are published, each member with a label and a sentence.
+
+Nodes (EnumStrings and descriptions), the page and the documentation take their words from here.
+"""
+
+from enum import IntEnum
+from typing import Self
+
+
+class Described(IntEnum):
+    """An enumeration of (value, label, sentence).
+
+    Attributes
+    ----------
+    label
+        Short, for a table's cell.
+    sentence
+        For the operator.
+
+    Examples
+    --------
+    >>> Status(1), Status(1).label
+    (<Status.WARMING_UP: 1>, 'warming up')
+    """
+
+    label: str
+    sentence: str
+
+    def __new__(cls, value: int, label: str = "", sentence: str = "") -> Self:
+        """Make a member."""
+        member = int.__new__(cls, value)
+        member._value_ = value
+        member.label, member.sentence = label, sentence
+        return member
+
+
+class Quality(IntEnum):
+    """Quality of one sample; the quality gate decides."""
+
+    GOOD = 0
+    UNCERTAIN = 1
+    BAD = 2
+
+
+class Status(Described):
+    """An estimator's use of one sample: numerical trouble is a value, not an exception."""
+
+    OK = 0, "ok", "The sample was used and the parameters are determined."
+    WARMING_UP = 1, "warming up", "The samples so far do not determine all parameters."
+    UNEXCITED = (
+        2,
+        "not excited",
+        "The inputs do not vary in some direction; the parameters there are held.",
+    )
+    REJECTED = (
+        3,
+        "rejected",
+        "The sample is not finite or of bad quality; the state was not touched.",
+    )
+    FROZEN = 4, "frozen", "Adaptation is switched off; the sample was predicted only."
+    HELD = 5, "held", "The update would have left the range of numbers; the state was not touched."
+    EXTRAPOLATING = (
+        6,
+        "extrapolating",
+        (
+            "Nothing was measured near this point, or the estimator cannot describe it; the state "
+            "was not touched."
+        ),
+    )
+
+
+class Adaptation(Described):
+    """An estimator's explanation of its residuals, and the memory that follows from it.
+
+    A residual that comes back at the same place (U, dp) is misfit; one that moves with time is
+    drift; before a place has been seen again the two cannot be distinguished. A residual that
+    follows the news in U is neither.
+
+    Examples
+    --------
+    >>> Adaptation.MISFIT.sentence
+    'Residuals come back at the same places: the structure does not fit; the memory is kept.'
+    """
+
+    STEADY = 0, "steady", "Residuals are noise; the memory is long."
+    UNDECIDED = (
+        1,
+        "undecided",
+        (
+            "Misfit and drift cannot be distinguished: too few places were visited again, or the "
+            "estimator does not distinguish them; the memory is as configured."
+        ),
+    )
+    MISFIT = (
+        2,
+        "misfit",
+        "Residuals come back at the same places: the structure does not fit; the memory is kept.",
+    )
+    DRIFT = (
+        3,
+        "drift",
+        (
+            "Places seen again show another flow than before: the valve moves, and the memory is "
+            "shortened to follow it."
+        ),
+    )
+    REACTING = (
+        4,
+        "reacting",
+        (
+            "The news in U from sample to sample goes with the residual: U reacts to the noise of "
+            "the same sample, or is as noisy itself; the map is biased by that."
+        ),
+    )
+
+
+class InverseStatus(Described):
+    """How far an inverse can be used; U is only ever given where it can."""
+
+    OK = 0, "ok", "U delivers the demanded flow at this pressure drop."
+    ABOVE_REACH = (
+        1,
+        "above reach",
+        "The valve cannot pass so much at this pressure drop; U = 100 %.",
+    )
+    BELOW_REACH = 2, "below reach", "Even the closed valve passes more than demanded; U = 0 %."
+    NOT_MONOTONE = 3, "not monotone", "The map falls with U here; no U can be trusted."
+    UNIDENTIFIED = 4, "unidentified", "The map is not identified here yet."
+    NOT_FINITE = (
+        5,
+        "not a number",
+        "The demand, the pressure drop or the temperature is not a number.",
+    )
+    OUTSIDE = (
+        6,
+        "outside",
+        "The pressure drop is outside the table; U is that of its nearest end.",
+    )
+    EXTRAPOLATING = (
+        7,
+        "extrapolating",
+        "Nothing was measured near this U, pressure drop and temperature; U is a guess.",
+    )
+
+
+class FeedForwardStatus(Described):
+    """Whether the answer is written to the valve, and if not, why."""
+
+    WRITING = 0, "writing", "RequiredU is written to the valve, no faster than the slew."
+    NOT_CONFIGURED = 1, "not configured", "nodes.required_U is not configured."
+    DISARMED = 2, "disarmed", "No client has called Arm since the start or the last Disarm."
+    SOURCE_LOST = 3, "source lost", "There is no connection to the source."
+    REFUSED = 4, "refused", "The source refuses the command or the heartbeat."
+    STALE = 5, "stale", "The newest sample is older than max_age_s."
+    BAD_SAMPLE = 6, "bad sample", "The newest sample is Bad or was rejected."
+    NO_DEMAND = 7, "no demand", "Flow, pressure drop or temperature is not known."
+    MAP_NOT_GOOD = 8, "map not good", "The map is not identified there, or falls with U."
+    EXTRAPOLATED = 9, "extrapolated", "Nothing was measured near what is demanded."
+    ABOVE_REACH = 10, "above reach", "The valve cannot pass so much at this pressure drop."
+    OUT_OF_RANGE = 11, "out of range", "RequiredU is outside range_percent."
+    TOO_UNSURE = (
+        12,
+        "too unsure",
+        "The 95 % interval of RequiredU is wider than max_width_percent.",
+    )
