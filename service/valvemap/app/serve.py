@@ -8,7 +8,7 @@ from dataclasses import replace
 import structlog
 
 from guarded_opcua import HardenedError, ServerSettings
-from valvemap.app.build import (
+from valvemap.app.connections import (
     build_history,
     build_live_settings,
     build_supervisor_settings,
