@@ -1,4 +1,4 @@
-"""From the configuration's words to what is identified; nothing here loads a server."""
+"""From the configuration to plans, alignment and layouts; nothing here loads a server."""
 
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any, TypeVar
