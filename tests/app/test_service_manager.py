@@ -213,7 +213,7 @@ async def test_the_source_that_is_silent_counts_not_the_one_that_beats(pulse, cl
 
 
 class Turns:
-    """Waits by turning the clock; ends the loop after so many."""
+    """Waits by turning the clock; ends the loop after a number of them."""
 
     def __init__(self, clock, turns):
         self._clock, self.left, self.waited = clock, turns, []

@@ -1,4 +1,4 @@
-"""The systemd unit: what it allows suffices for the service, and is little."""
+"""The systemd unit allows all that the service needs, and little more."""
 
 import os
 import re
@@ -21,7 +21,7 @@ MOST_EXPOSED = 2.0
 
 @pytest.fixture
 def unit(tmp_path, monkeypatch, capsys):
-    """Settings of a unit of some valves, each with its values in order."""
+    """Makes a unit of a configuration with this number of valves."""
 
     def make(valves=1):
         monkeypatch.chdir(tmp_path)

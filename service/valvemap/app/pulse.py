@@ -12,8 +12,8 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import Consumer
 
 CONNECTING_S: Final = 600.0
-"""s; longest silence of a supervisor that connects: no tick comes meanwhile, and of the requests
-for a slow server's thousands of nodes each may take the whole time-out."""
+"""s; longest silence of a supervisor that connects: no tick comes, and of the requests for
+a slow server's thousands of nodes each may take the whole time-out."""
 
 
 @dataclass
