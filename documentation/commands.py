@@ -11,7 +11,8 @@ _OPTION = re.compile(r"^(\* `[^`]+`)(.*)$", re.MULTILINE)
 _HEAD = """# Commands
 
 Exit code 0; 1 if it could not be done, 2 if it was asked wrongly. A mistake is one line that names
-thing, place and remedy. `valvemap COMMAND --help` says the same.
+thing, place and remedy. `valvemap COMMAND --help` says the same; `valvemap --version` prints the
+version.
 """
 
 

@@ -18,6 +18,7 @@ from release.packages import build_packages, export
 from release.verify import faults
 
 ROOT = Path(__file__).parents[2]
+DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 BASE = os.environ.get("VALVEMAP_TEST_BASE", "")
 """Another base image than the Dockerfile's, for machines that reach no registry of images."""
 
@@ -177,18 +178,27 @@ def test_a_release_without_images_says_so_and_verifies(clone, key, tmp_path, sig
     check_by_one_byte(out, signers(done))
 
 
+@pytest.fixture
+def base():
+    """A base image that the builder can use."""
+    builder = images.find_builder()
+    if builder is None:
+        pytest.skip("no image builder")
+    asked = BASE or re.search(r"^ARG PYTHON_IMAGE=(.+)$", DOCKERFILE, re.MULTILINE)[1]
+    pull = [builder.name, "pull", asked]
+    if not BASE and subprocess.run(pull, capture_output=True, check=False).returncode:
+        pytest.skip(f"{asked} cannot be reached; VALVEMAP_TEST_BASE may name another")
+    return asked
+
+
 @pytest.mark.image
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
 def test_a_whole_release_has_both_images_with_their_bills_and_verifies(
-    clone, key, tmp_path, signers
+    clone, key, tmp_path, signers, base
 ):
     out = tmp_path / "out"
-    done = released(clone, key, out, "--base", BASE)
-    if images.find_builder() is None:
-        assert done.returncode == 1
-        assert "IMAGES=no" in done.stderr
-        return
+    done = released(clone, key, out, "--base", base)
     assert done.returncode == 0, done.stderr
     bills = sorted(out.glob("*.cdx.json"))
     assert len(bills) == 2
