@@ -23,7 +23,7 @@ from release.dpkg import OS_RELEASE, STATUS, distribution, installed, is_databas
 from release.errors import ReleaseError
 from release.image_archive import ImageFiles, read_image
 
-_METADATA: Final = re.compile(r"(^|/)[^/]+\.dist-info/METADATA$")
+_METADATA: Final = re.compile(r"(^|/)[^/]+\.(dist-info/METADATA|egg-info/PKG-INFO)$")
 _INTERPRETER: Final = "PYTHON_VERSION"  # of the base image, whose Python dpkg does not know
 
 

@@ -93,6 +93,7 @@ def archive(tmp_path):
         **{
             f"{SITE}/numpy-2.0.0.dist-info/METADATA": metadata("numpy", "2.0.0"),
             f"{SITE}/valvemap-9.9.9.dist-info/METADATA": metadata("valvemap", "9.9.9"),
+            f"{SITE}/old-1.0.egg-info/PKG-INFO": metadata("old", "1.0"),
             "usr/local/lib/python3.12/site-packages/.wh.pip-24.0.dist-info": "",
         }
     )
@@ -107,7 +108,13 @@ def test_it_is_valid_and_names_what_the_image_has(archive):
     bill = image_bill(archive, [LOCK], "valvemap", "9.9.9")
     assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(bill) is None
     found = purls(bill)
-    assert {BASH, LIBC, "pkg:pypi/numpy@2.0.0", "pkg:generic/python@3.12.5"} <= found
+    assert {
+        BASH,
+        LIBC,
+        "pkg:pypi/numpy@2.0.0",
+        "pkg:pypi/old@1.0",
+        "pkg:generic/python@3.12.5",
+    } <= found
     assert "pkg:npm/uplot@1.6.32" in found
     assert not [purl for purl in found if "gone" in purl or "pip@" in purl]
 
