@@ -80,5 +80,5 @@ def _remove_below(files: dict[str, bytes], folder: str) -> None:
 def _member(archive: tarfile.TarFile, member: Any) -> Any:  # noqa: ANN401 - a name or its entry
     found = archive.extractfile(member)
     if found is None:
-        raise ReleaseError(f"{archive.name}: {member} is no file")
+        raise ReleaseError(f"{getattr(member, 'name', member)}: not a file of the archive")
     return found

@@ -40,7 +40,7 @@ def export(repository: Path, folder: Path) -> Source:
     ReleaseError
         if files differ from the commit: a release is made of committed files alone.
     """
-    git = ["git", "-C", repository]
+    git: list[str | Path] = ["git", "-C", repository]
     changed = run([*git, "status", "--porcelain"]).splitlines()
     if changed:
         raise ReleaseError(f"{len(changed)} files are not committed: commit or stash them first")
@@ -58,7 +58,14 @@ def build_packages(source: Source, out: Path, work: Path) -> None:
     tools = work / "tools"
     venv.create(tools, with_pip=True)
     python = tools / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip: list[str | Path] = [
+        python,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+    ]
     run([*pip, "--require-hashes", "--only-binary=:all:", "-r", source.folder / TOOLS])
-    build = [python, "-m", "hatchling", "build", "--directory", out]
+    build: list[str | Path] = [python, "-m", "hatchling", "build", "--directory", out]
     run(build, source.folder, {"SOURCE_DATE_EPOCH": str(source.epoch)})
