@@ -15,7 +15,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom lock clean
+.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -77,6 +77,17 @@ docs: $(DEV)
 sbom: $(DEV)
 	$(BIN)/python -m documentation.bill_of_materials
 
+# Wheel, sdist, images and their bills of materials, signed: make release KEY=FILE [DIST=FOLDER]
+# [PYTHON_IMAGE=NAME@DIGEST] [IMAGES=no]. KEY is a key of ssh-keygen; see docs/release.md.
+IMAGES ?= yes
+release: $(DEV)
+	@$(BIN)/python -m release --key="$(KEY)" --out="$(DIST)" --images="$(IMAGES)" \
+	    --base="$(PYTHON_IMAGE)"
+
+# make verify-release DIST=FOLDER SIGNERS=FILE
+verify-release:
+	@$(PYTHON) release/verify.py "$(DIST)" "$(SIGNERS)"
+
 # The widest first: what it pins fits everybody (Quix Streams wants an older pydantic).
 lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
@@ -93,6 +104,8 @@ lock:
 	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
 	    --extra dashboard --extra fleet --extra mqtt pyproject.toml -c requirements-dev.lock \
 	    -o requirements-fleet.lock
+	uv pip compile --universal --generate-hashes --no-annotate --no-header --python-version 3.11 \
+	    --group pyproject.toml:release -o requirements-release.lock
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

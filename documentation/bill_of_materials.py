@@ -2,8 +2,10 @@
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from email.message import Message
 from importlib import metadata
+from importlib.metadata import PackageMetadata
 from pathlib import Path
 
 from cyclonedx.contrib.license.factories import LicenseFactory
@@ -44,34 +46,42 @@ def bill_of_materials() -> str:
         licenses=[LicenseFactory().make_from_string("Apache-2.0")],
     )
     bom.metadata.component = own
-    parts = [*_packages(), *_scripts()]
+    parts = [*_packages(), *vendored_scripts()]
     for part in parts:
         bom.components.add(part)
     bom.register_dependency(own, parts)
     return JsonV1Dot6(bom).output_as_string(indent=2) + "\n"
 
 
-def _packages() -> Iterator[Component]:
-    """Packages of the lock file; a release may be any of several files."""
-    for block in re.split(r"\n(?=\S)", LOCK.read_text(encoding="utf-8")):
+def locked_digests(lock: Path) -> dict[tuple[str, str], list[str]]:
+    """SHA-256 digests of every name and version of a lock file; a release may be several files."""
+    found = {}
+    for block in re.split(r"\n(?=\S)", lock.read_text(encoding="utf-8")):
         if pinned := _PINNED.match(block):
             name, version = pinned.groups()
-            yield _component(name, version, "pypi", _HASH.findall(block), _licence(name))
+            found[name, version] = _HASH.findall(block)
+    return found
 
 
-def _scripts() -> Iterator[Component]:
+def vendored_scripts() -> Iterator[Component]:
     """Scripts that lie beside the page, as its table has them."""
     table = (VENDOR / "README.md").read_text(encoding="utf-8")
     for folder, version, package, licence in _VENDORED.findall(table):
         files = sorted((VENDOR / folder).glob("*.*"))
         digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-        yield _component(package, version, "npm", digests, licence)
+        yield component(package, version, "npm", digests, licence)
 
 
-def _component(
-    name: str, version: str, registry: str, digests: list[str], licence: str | None
+def component(
+    name: str,
+    version: str,
+    purl: PackageURL | str,
+    digests: Sequence[str] = (),
+    licence: str | None = None,
 ) -> Component:
-    purl = PackageURL(registry, None, name, version)
+    """One part; ``purl`` may be the registry that it comes from."""
+    if isinstance(purl, str):
+        purl = PackageURL(purl, None, name, version)
     return Component(
         name=name,
         version=version,
@@ -83,14 +93,22 @@ def _component(
     )
 
 
+def licence_of(metadata_of_package: PackageMetadata | Message) -> str | None:
+    """What a package's metadata give as its licence, if it is short enough to be a name."""
+    text = metadata_of_package["License-Expression"] or metadata_of_package["License"] or ""
+    return text if 0 < len(text) < 60 and "\n" not in text else None
+
+
+def _packages() -> Iterator[Component]:
+    for (name, version), digests in locked_digests(LOCK).items():
+        yield component(name, version, "pypi", digests, _licence(name))
+
+
 def _licence(package: str) -> str | None:
-    """What an installed package says of its licence, if it is short enough to be a name."""
     try:
-        said = metadata.metadata(package)
+        return licence_of(metadata.metadata(package))
     except metadata.PackageNotFoundError:  # of another platform
         return None
-    text = said.get("License-Expression") or said.get("License") or ""
-    return text if 0 < len(text) < 60 and "\n" not in text else None
 
 
 if __name__ == "__main__":

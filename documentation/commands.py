@@ -4,24 +4,23 @@ import re
 
 import typer
 from typer.cli import get_docs_for_click
-from typer.main import get_command
 
-from valvemap.cli import COMMANDS, application
+from valvemap.cli.command_table import COMMANDS, load_command
 
 _OPTION = re.compile(r"^(\* `[^`]+`)(.*)$", re.MULTILINE)
 _HEAD = """# Commands
 
 Exit code 0; 1 if it could not be done, 2 if it was asked wrongly. A mistake is one line that names
-thing, place and remedy. `valvemap COMMAND --help` says the same.
+thing, place and remedy. `valvemap COMMAND --help` says the same; `valvemap --version` prints the
+version.
 """
 
 
 def commands_page() -> str:
     """Every command with its arguments and options."""
-    group = get_command(application())
     parts = [_HEAD]
     for name in COMMANDS:
-        command = group.commands[name]  # type: ignore[attr-defined]
+        command = load_command(name)
         context = typer.Context(command, info_name=name)
         text = get_docs_for_click(obj=command, ctx=context, indent=1, call_prefix="valvemap")
         parts.append(_OPTION.sub(_without_markup, text))

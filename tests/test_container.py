@@ -286,13 +286,10 @@ def environment(name):
 
 
 def command_line(name):
-    import typer.main
+    from valvemap.cli.command_table import load_command
 
-    from valvemap.cli import application
-
-    group = typer.main.get_command(application())
     command = [re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", word) for word in SERVICES[name]["command"]]
-    return group.commands[command[0]], command
+    return load_command(command[0]), command
 
 
 @pytest.mark.parametrize("name", ["init", "rig"])
@@ -372,11 +369,9 @@ def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):
 
 
 def fleet_command():
-    import typer.main
+    from valvemap.cli.command_table import load_command
 
-    from valvemap.cli import application
-
-    return typer.main.get_command(application()).commands["fleet"]
+    return load_command("fleet")
 
 
 # -- the health check

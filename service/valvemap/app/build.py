@@ -1,46 +1,28 @@
-"""From the configuration's words to the objects that do the work."""
+"""From the configuration to plans, alignment and layouts; nothing here loads a server."""
 
-from collections.abc import Awaitable, Callable, Hashable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any, TypeVar
 
-from guarded_opcua import (
-    Limits,
-    OwnCertificate,
-    Pki,
-    ServerSettings,
-    ensure_certificate,
-    load_certificate,
-)
-from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT, load_users
 from valvemap.config.alarms import AlarmsConfig
 from valvemap.config.estimators import build_estimator
-from valvemap.config.models import Config, GateConfig, SourceConfig, ValveConfig
-from valvemap.config.secret_files import read_secret
+from valvemap.config.models import Config, GateConfig, ValveConfig
 from valvemap.config.signals import SignalsConfig
-from valvemap.errors import ConfigurationError
 from valvemap.model.estimator import Estimator
 from valvemap.model.sensor_accuracy import SensorAccuracy
-from valvemap.opcua_source.client import OpcUaSource, Security, SourceSettings, ValveNodes
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings
 from valvemap.pipeline.data_changes import Signal
 from valvemap.pipeline.feedforward import Fallback, FeedForward
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.quality_gate import SENSORS, QualityGate
 from valvemap.pipeline.timing import Timing, TimingSettings
-from valvemap.pipeline.units import MEASURED, QUANTITY_OF, READ, Measure
+from valvemap.pipeline.units import MEASURED, READ, Measure
 from valvemap.pipeline.valve_state import ValvePlan
-from valvemap.runtime.live import LiveSettings
-from valvemap.runtime.sources import Part, Sources
 from valvemap.runtime.state_keeper import KEPT_PER_S
-from valvemap.runtime.supervisor import SupervisorSettings
-from valvemap.storage.history import HistoryFile
 from valvemap.storage.layout import Layout, ValveLayout
 
 R = TypeVar("R")
 
 _AXIS_POINTS = 21
-_HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
 
 
 def build_identification(config: Config) -> Identification:
@@ -93,127 +75,18 @@ def build_plans(config: Config) -> list[ValvePlan]:
     return [_plan(valve, shared) for valve in config.valves]
 
 
-def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
-    """The clients of all source servers; they take samples once all is ``ready``."""
-    if not config.sources:
-        every = tuple(range(len(config.valves)))
-        return Sources([Part(None, build_source(config, ready), every)])
-    parts = []
-    for source in config.sources:
-        own = [n for n, valve in enumerate(config.valves) if valve.source == source.name]
-        client = build_source(config.only(source.name), ready)
-        parts.append(Part(source.name, client, tuple(own)))
-    return Sources(parts)
-
-
-def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
-    """The client of the source server; it takes samples once it is ``ready``.
-
-    Raises
-    ------
-    ConfigurationError
-        if there are several.
-    """
-    if config.sources:
-        names = ", ".join(source.name for source in config.sources)
-        raise ConfigurationError(f"there are several sources: --source NAME says which: {names}")
-    own = None if config.source.security == "None" else own_certificate(config)
-    settings = SourceSettings(
-        url=config.source.url,
-        security=Security(config.source.security),
-        pki=None if own is None else Pki(config.security.pki),
-        own=own,
-        user=config.source.user,
-        password=_password(config.source),
-        check_host_name=config.source.check_host_name,
-        require_crl=config.security.require_crl,
-        application_uri=None if own is not None else APPLICATION_URI,
-        publishing_interval_ms=config.source.publishing_interval_ms,
-        queue_size=config.source.queue_size,
-        history_s=config.source.history_s,
-        warm_start_s=config.source.warm_start_s,
-        timeout_s=config.source.timeout_s,
-    )
-    nodes = [
-        ValveNodes(
-            valve=valve.name,
-            **valve.nodes.model_dump(),
-            measures=_measures(valve, QUANTITY_OF),
-            insist=valve.insist,
-        )
-        for valve in config.valves
-    ]
-    return OpcUaSource(settings, nodes, ready=ready)
-
-
 def build_layout(config: Config) -> Layout:
     """Where recordings hold the valves' signals."""
     return Layout(
-        valves=tuple(
-            ValveLayout(valve.name, _measures(valve, MEASURED)) for valve in config.valves
-        ),
+        valves=tuple(ValveLayout(valve.name, measures(valve, MEASURED)) for valve in config.valves),
         time=config.recording.time,
         valve=config.recording.valve,
         quality=config.recording.quality,
     )
 
 
-def build_server_settings(config: Config) -> ServerSettings:
-    """Identity, endpoint and users of the results server."""
-    return ServerSettings(
-        url=config.server.url,
-        application_uri=APPLICATION_URI,
-        application_name=APPLICATION_NAME,
-        namespace_uri=APPLICATION_URI,
-        pki=Pki(config.security.pki),
-        require_crl=config.security.require_crl,
-        users=load_users(config.security.users),
-        anonymous_observer=config.server.anonymous_observer,
-        host_names=config.server.host_names,
-        limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
-        product=PRODUCT,
-    )
-
-
-def build_history(config: Config) -> HistoryFile | None:
-    """The file of what signals and results have been, if there is to be one."""
-    given = config.history
-    if given.file is None:
-        return None
-    return HistoryFile(given.file, given.keep_days * 86_400.0, given.most_mb * 1_000_000)
-
-
-def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:
-    """When results are stale, when states are kept, until when the certificate is valid."""
-    until_ns = 0
-    if certificate is not None:
-        until = load_certificate(certificate.certificate).not_valid_after_utc
-        until_ns = int(until.timestamp()) * 1_000_000_000
-    return LiveSettings(
-        certificate_until_ns=until_ns,
-        stale_after_s=config.alignment.stale_after_s,
-        reorder_s=config.alignment.reorder_ms * 1e-3,
-        checkpoint_interval_s=config.state.checkpoint_interval_s,
-    )
-
-
-def build_supervisor_settings(config: Config) -> SupervisorSettings:
-    """How long the start may take, how often the service looks at its clock."""
-    feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
-    settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
-    if config.sources:  # one that is away holds up none of the others
-        settings = replace(settings, startup_timeout_s=0.0)
-    return replace(settings, tick_s=_HEARTBEAT_TICK_S) if feeds_forward else settings
-
-
-def own_certificate(config: Config) -> OwnCertificate:
-    """The service's certificate, made at the first start; as a client and as a server."""
-    names = config.server.host_names or ("localhost", "127.0.0.1")
-    file_name = APPLICATION_NAME.replace(" ", "-")
-    return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)
-
-
-def _measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
+def measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
+    """Unit and scaling of each of these signals of a valve, as configured."""
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
@@ -284,11 +157,3 @@ _GATES = dict(zip(SENSORS, MEASURED, strict=True))
 def _axis(low: float, high: float) -> tuple[float, ...]:
     step = (high - low) / (_AXIS_POINTS - 1)
     return tuple(low + k * step for k in range(_AXIS_POINTS))
-
-
-def _password(source: SourceConfig) -> str | None:
-    if source.password is not None:
-        return source.password.get_secret_value()
-    if source.password_file is None:
-        return None
-    return read_secret(source.password_file)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from valvemap.app.build import build_source
+from valvemap.app.connections import build_source
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import SourceRejected

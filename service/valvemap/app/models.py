@@ -1,22 +1,25 @@
 """Maps for use elsewhere: from a saved model, or identified from recordings on the spot."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
-from valvemap.app.replay import BEST_FIT, Progress, Report, replay
-from valvemap.config.models import Config
 from valvemap.errors import ConfigurationError, StorageError
 from valvemap.storage.models import Model, is_model, load_model, save_model
 
-PREFERRED = "Auto"
+if TYPE_CHECKING:
+    from valvemap.app.replay import Progress, Report
+    from valvemap.config.models import Config
+
+PREFERRED: Final = "Auto"
 
 
 def open_model(
     file: Path,
     valve: str | None = None,
     estimator: str | None = None,
-    config: Config | None = None,
-    progress: Progress = lambda _file, _fraction: None,
+    config: "Config | None" = None,
+    progress: "Progress" = lambda _file, _fraction: None,
 ) -> Model:
     """Load a model (.json), or identify one from a recording.
 
@@ -47,9 +50,11 @@ def open_model(
             if wanted not in (None, there):
                 raise ConfigurationError(f"{file}: {what} {wanted!r} is not there; {there} is")
         return model
+    from valvemap.app.replay import replay  # noqa: PLC0415 - a saved map needs none of it
+
     report = replay([file], config, progress=progress)
     valve = _chosen(file, "valve", valve, list(report))
-    names = [name for name in report[valve] if name != BEST_FIT]
+    names = _recursive(report[valve])
     preferred = estimator or (PREFERRED if PREFERRED in names else names[0])
     name = _chosen(file, "estimator", preferred, names)
     found = report[valve][name]
@@ -66,7 +71,7 @@ def open_model(
     )
 
 
-def save_models(target: Path, report: Report) -> list[Path]:
+def save_models(target: Path, report: "Report") -> list[Path]:
     """Save what a replay identified: one model (``target`` ends in .json), or all in a folder.
 
     One model is that of the only valve by `Auto`, or by the only estimator. In a folder each is
@@ -81,19 +86,26 @@ def save_models(target: Path, report: Report) -> list[Path]:
     """
     if is_model(target):
         valve = _chosen(target, "valve", None, list(report))
-        names = [name for name in report[valve] if name != BEST_FIT]
+        names = _recursive(report[valve])
         name = _chosen(target, "estimator", PREFERRED if PREFERRED in names else None, names)
         return [_save(target, report, valve, name)]
     _make(target)
     return [
         _save(target / f"{valve}.{name}.json", report, valve, name)
         for valve, estimators in report.items()
-        for name in estimators
-        if name != BEST_FIT and _is_determined(report, valve, name)
+        for name in _recursive(estimators)
+        if _is_determined(report, valve, name)
     ]
 
 
-def _save(file: Path, report: Report, valve: str, name: str) -> Path:
+def _recursive(estimators: Iterable[str]) -> list[str]:
+    """Names of a replay's estimators, without its batch fit."""
+    from valvemap.app.replay import BEST_FIT  # noqa: PLC0415 - a saved map needs none of it
+
+    return [name for name in estimators if name != BEST_FIT]
+
+
+def _save(file: Path, report: "Report", valve: str, name: str) -> Path:
     found = report[valve][name]
     lane = found.lane
     rests_on = lane.spread, lane.support
@@ -101,7 +113,7 @@ def _save(file: Path, report: Report, valve: str, name: str) -> Path:
     return file
 
 
-def _is_determined(report: Report, valve: str, name: str) -> bool:
+def _is_determined(report: "Report", valve: str, name: str) -> bool:
     values = report[valve][name].parameters.values()
     return all(value == value for value in values)  # noqa: PLR0124 - NaN is not itself
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import structlog
 
 from guarded_opcua import ServerSettings
-from valvemap.app.build import build_identification, build_server_settings, build_sources
+from valvemap.app.build import build_identification
+from valvemap.app.connections import build_server_settings, build_sources
 from valvemap.app.warm_up import warm_up
 from valvemap.config.models import Config
 from valvemap.pipeline.identification import Identification

@@ -8,12 +8,8 @@ from pathlib import Path
 import numpy as np
 import structlog
 
-from valvemap.app.build import (
-    build_alignment,
-    build_source,
-    build_supervisor_settings,
-    build_timing,
-)
+from valvemap.app.build import build_alignment, build_timing
+from valvemap.app.connections import build_source, build_supervisor_settings
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
 from valvemap.errors import SourceError, StorageError

@@ -8,7 +8,7 @@ from dataclasses import replace
 import structlog
 
 from guarded_opcua import HardenedError, ServerSettings
-from valvemap.app.build import (
+from valvemap.app.connections import (
     build_history,
     build_live_settings,
     build_supervisor_settings,
@@ -16,7 +16,9 @@ from valvemap.app.build import (
 )
 from valvemap.app.memory import giving_back
 from valvemap.app.plan import Plan, make_plan
+from valvemap.app.pulse import Pulse
 from valvemap.app.reload import Reload, check_what_stays, in_one_line
+from valvemap.app.service_manager import ServiceManager, feed_watchdog
 from valvemap.app.shown import Shown
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
@@ -43,6 +45,7 @@ async def serve(
     identification: Identification | None = None,
     on_samples: SampleTap | None = None,
     reload: Reload | None = None,
+    manager: ServiceManager | None = None,
 ) -> None:
     """Identify and publish until ``stop`` is set; keep all states at the end.
 
@@ -60,6 +63,8 @@ async def serve(
         Sees every valve's samples as they are identified from.
     reload
         By which another configuration is asked for.
+    manager
+        Is notified when clients are served, while the service is alive, and when it ends.
 
     Raises
     ------
@@ -67,7 +72,7 @@ async def serve(
         at start: of the configuration, the source, the server's address, the stores; at the end:
         if the states cannot be kept.
     """
-    reload = reload or Reload(lambda: config)
+    reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
     plan: Plan | None = make_plan(config, server_settings, identification)
     before: Plan | None = None
     known: list[Checkpoint] = []
@@ -84,7 +89,7 @@ async def serve(
         while plan is not None:
             try:
                 following, states = await _live(
-                    plan, store, past, stop, on_samples, reload, known, shown
+                    plan, store, past, stop, on_samples, reload, known, shown, manager
                 )
             except (ValvemapError, HardenedError) as error:
                 if before is None or stop.is_set():
@@ -108,6 +113,7 @@ async def _live(
     reload: Reload,
     known: list[Checkpoint],
     shown: Shown,
+    manager: ServiceManager,
 ) -> tuple[Plan | None, list[Checkpoint]]:
     """Run one configuration until the end; return what is to run then, and all that is known."""
     config, clock = plan.config, SystemClock()
@@ -129,17 +135,20 @@ async def _live(
     plan.compiled.begin()
     if not was_warmed_up():
         await plan.compiled.ended()
-    stopping = asyncio.create_task(_pass_on(stop, live, ended))
+    manager.ready(f"{len(config.valves)} valves at {server.url}")
+    pulse = Pulse(live, clock)
+    watched = asyncio.create_task(feed_watchdog(manager, pulse, clock))
+    stopping = asyncio.create_task(_pass_on(stop, live, ended, manager))
     following = asyncio.create_task(_following(plan, reload, ended))
     try:
         supervision = build_supervisor_settings(config)
         supervision = replace(supervision, connected_before=plan.after_another)
-        await supervise_all(plan.source, live, clock, ended, supervision)
+        await supervise_all(plan.source, pulse, clock, ended, supervision)
     finally:
         server.take_no_commands()
-        for task in (stopping, following):
+        for task in (watched, stopping, following):
             task.cancel()
-        await asyncio.gather(stopping, following, return_exceptions=True)
+        await asyncio.gather(watched, stopping, following, return_exceptions=True)
         goes_on = not (following.cancelled() or stop.is_set())
         if not goes_on and not await live.keep(within_s=live.time_left_s):
             log.warning("disk too slow to keep the last states, those before are kept")
@@ -153,8 +162,11 @@ async def _live(
     return following.result(), states
 
 
-async def _pass_on(stop: asyncio.Event, live: LiveService, ended: asyncio.Event) -> None:
+async def _pass_on(
+    stop: asyncio.Event, live: LiveService, ended: asyncio.Event, manager: ServiceManager
+) -> None:
     await stop.wait()
+    manager.stopping()
     live.end_soon()
     ended.set()
 

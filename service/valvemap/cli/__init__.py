@@ -2,38 +2,15 @@
 
 import gc
 import sys
-from collections.abc import Mapping, Sequence
-from importlib import import_module
-from typing import Any, Final
+from typing import Annotated, Any
 
 import typer
+from typer.main import get_command
 
+from valvemap.cli.command_table import COMMANDS, LazyGroup
 from valvemap.errors import ValvemapError
 
-COMMANDS: Final[Mapping[str, str]] = {
-    "demo": "demo",
-    "rig": "rig",
-    "serve": "serve",
-    "dashboard": "dashboard",
-    "mqtt": "mqtt",
-    "replay": "replay",
-    "invert": "invert",
-    "export": "invert",
-    "report": "report",
-    "record": "serve",
-    "check-config": "serve",
-    "connect": "connect",
-    "init": "security",
-    "trust": "security",
-    "baseline": "baseline",
-    "history": "history",
-    "fleet": "fleet",
-    "schema": "package",
-    "unit": "package",
-    "warm-up": "serve",
-}
-"""Each command and the module that holds it: what others need is not imported, so `serve` starts
-in half the time."""
+__all__ = ["COMMANDS", "application", "main", "run"]
 
 _UsageError: Any = typer.BadParameter.__base__  # typer exports its children only
 
@@ -49,7 +26,7 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command; return its exit code."""
     try:
-        code = application(arguments[:1])(arguments, standalone_mode=False)
+        code = get_command(application()).main(arguments, standalone_mode=False)
     except typer.Exit as end:
         return int(end.exit_code)
     except _UsageError as error:
@@ -64,9 +41,10 @@ def run(arguments: list[str]) -> int:
     return int(code or 0)
 
 
-def application(asked: Sequence[str] = ()) -> typer.Typer:
-    """The command line with the commands ``asked`` for, with all if one of them is unknown."""
+def application() -> typer.Typer:
+    """The command line; a command's module is imported when the command runs."""
     app = typer.Typer(
+        cls=LazyGroup,
         name="valvemap",
         help="Identify hydraulic valves' flow maps online, over OPC UA.",
         no_args_is_help=True,
@@ -74,15 +52,28 @@ def application(asked: Sequence[str] = ()) -> typer.Typer:
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )
-    app.callback()(lambda: None)  # one command alone keeps its name, too
-    for name in asked if asked and COMMANDS.keys() >= set(asked) else COMMANDS:
-        module = import_module(f"{__name__}.{COMMANDS[name]}")
-        command = getattr(module, name.replace("-", "_"))
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
-        else:
-            app.command(name)(command)
+    app.callback()(_options)
     return app
+
+
+def _print_version(asked: bool) -> None:  # noqa: FBT001 - a callback of Typer
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"valvemap {version('valvemap')}")
+        raise typer.Exit
+
+
+def _options(
+    *,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Options of `valvemap` itself."""
 
 
 def _is_for_the_user(error: Exception) -> bool:

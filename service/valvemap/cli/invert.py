@@ -1,7 +1,7 @@
 """``valvemap invert`` and ``valvemap export``: the inverse map in use, outside the service."""
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 import typer
@@ -10,10 +10,12 @@ from rich.table import Table
 
 from valvemap.cli.options import ConfigOption, check_folder
 from valvemap.cli.progress import bars, of_files, working
-from valvemap.config.loading import load_config
 from valvemap.errors import ConfigurationError
 from valvemap.model.inversion import Inversion
 from valvemap.vocabulary.statuses import InverseStatus
+
+if TYPE_CHECKING:
+    from valvemap.config.models import Config
 
 MOST_ROWS: Final = 50
 
@@ -60,7 +62,7 @@ def invert(
     if (points is None) == (flow is None or drop is None):
         raise typer.BadParameter("give --Q and --dp, or --from a CSV file")
     check_folder("--to", out)
-    loaded = None if config is None else load_config(config)
+    loaded = _configured(config)
     if points is not None:
         Q, dp, T = read_points(points)
     else:
@@ -106,7 +108,7 @@ def export(
 
     check_form(out)
     check_folder("--to", out)
-    loaded = None if config is None else load_config(config)
+    loaded = _configured(config)
     with bars() as progress:
         model = open_model(file, valve, estimator, loaded, of_files(progress))
     T = temperature if temperature is not None else model.T
@@ -133,6 +135,14 @@ def export(
     share = float(np.mean(table.guessed))
     if share > 0.0:
         typer.echo(f"{share:.0%} of the points are extrapolated, and marked so in the table")
+
+
+def _configured(config: Path | None) -> "Config | None":
+    if config is None:
+        return None
+    from valvemap.config.loading import load_config
+
+    return load_config(config)
 
 
 def _numbers(option: str, text: str) -> list[float]:

@@ -4,11 +4,16 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from valvemap.errors import ConfigurationError
+
+START_S: Final = 600  # s; the first start of a machine compiles all kernels before it is ready
+WATCHDOG_S: Final = 60  # s; a connected source's supervisor ticks every 0.25 s
+MEMORY_MIB: Final = 1_024  # MiB; twice the peak of a start that compiles all kernels (470 MiB)
+VALVE_MIB: Final = 1  # MiB; ten times the state of a valve (docs/performance.md): its queues, too
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")  # as useradd takes them
 _UNIT = """\
@@ -21,28 +26,46 @@ After=network-online.target time-sync.target
 Wants=network-online.target
 
 [Service]
+Type=notify
 ExecStart={command} serve --config {config}
+ExecReload=/bin/kill -HUP $MAINPID
 WorkingDirectory={folder}
 Environment=VALVEMAP_SOURCE__STARTUP_TIMEOUT_S=0
 Environment=NUMBA_CACHE_DIR=/var/cache/valvemap
 User={user}
 KillSignal=SIGINT
+TimeoutStartSec={start_s}
 TimeoutStopSec=60
+WatchdogSec={watchdog_s}
 Restart=on-failure
 RestartSec=5
 RestartPreventExitStatus=2
 CacheDirectory=valvemap
+MemoryMax={memory_mib}M
 UMask=0077
 NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+SystemCallFilter=@system-service
+SystemCallFilter=~@privileged
+SystemCallErrorNumber=EPERM
+SystemCallArchitectures=native
 ProtectSystem=strict
 ProtectHome=read-only
 ReadWritePaths={folder}
 PrivateTmp=yes
 PrivateDevices=yes
+ProtectProc=invisible
+ProtectClock=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
 ProtectKernelTunables=yes
 ProtectKernelModules=yes
 ProtectControlGroups=yes
+RemoveIPC=yes
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX
+RestrictNamespaces=yes
+RestrictRealtime=yes
 RestrictSUIDSGID=yes
 LockPersonality=yes
 
@@ -70,7 +93,7 @@ def unit(
     """Print a systemd unit that serves a configuration from boot on."""
     from valvemap.config.loading import load_config
 
-    load_config(config)
+    valves = len(load_config(config).valves)
     script = Path(sys.executable).with_name("valvemap")
     command = str(script) if script.exists() else f"{sys.executable} -m service"
     file, folder = config.absolute(), Path.cwd()  # relative paths in it are meant from here
@@ -79,4 +102,13 @@ def unit(
             raise ConfigurationError(f"{text}: systemd does not take such a name as it is")
     if not _USER.fullmatch(user):
         raise typer.BadParameter(f"--user {user!r}: small letters, digits, _ and - are allowed")
-    typer.echo(_UNIT.format(command=command, config=file, folder=folder, user=user), nl=False)
+    text = _UNIT.format(
+        command=command,
+        config=file,
+        folder=folder,
+        user=user,
+        start_s=START_S,
+        watchdog_s=WATCHDOG_S,
+        memory_mib=MEMORY_MIB + VALVE_MIB * valves,
+    )
+    typer.echo(text, nl=False)

@@ -1,6 +1,7 @@
 """Commands around the live service: ``serve``, ``record``, ``check-config``, ``warm-up``."""
 
 import asyncio
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,7 @@ def serve(config: ConfigOption = None) -> None:
 
     from valvemap.app.reload import Reload
     from valvemap.app.serve import serve as run
+    from valvemap.app.service_manager import ServiceManager
     from valvemap.app.signals import stop_on_signal
 
     loaded = load_config(config)
@@ -30,7 +32,7 @@ def serve(config: ConfigOption = None) -> None:
     async def until_stopped() -> None:
         stop, reload = asyncio.Event(), Reload(lambda: load_config(config))
         with stop_on_signal(stop, reload.ask_by_signal):
-            await run(loaded, stop, reload=reload)
+            await run(loaded, stop, reload=reload, manager=ServiceManager.of(os.environ))
 
     asyncio.run(until_stopped())
 

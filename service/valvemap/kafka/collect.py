@@ -9,12 +9,8 @@ from typing import Any, Final
 import numpy as np
 import structlog
 
-from valvemap.app.build import (
-    build_alignment,
-    build_sources,
-    build_supervisor_settings,
-    build_timing,
-)
+from valvemap.app.build import build_alignment, build_timing
+from valvemap.app.connections import build_sources, build_supervisor_settings
 from valvemap.app.warm_up import compile_alignment
 from valvemap.clock import Clock, SystemClock
 from valvemap.errors import ConfigurationError, SourceError, StorageError

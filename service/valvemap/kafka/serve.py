@@ -9,7 +9,7 @@ import numpy as np
 import structlog
 
 from guarded_opcua import ServerSettings
-from valvemap.app.build import (
+from valvemap.app.connections import (
     build_history,
     build_live_settings,
     build_server_settings,

@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
-from scipy.optimize import nnls
 
 from valvemap.model.model_structures import Structure, TensorSpline
 from valvemap.model.recursive_least_squares import (
@@ -135,6 +133,9 @@ def nearest(theta: Floats, covariance: Floats, D: Floats) -> Floats:
     rows, z = D * scale, theta / scale
     if (rows @ z >= 0.0).all():
         return theta
+    from scipy.linalg import LinAlgError, cholesky, solve_triangular  # noqa: PLC0415 - 0.25 s
+    from scipy.optimize import nnls  # noqa: PLC0415 - which a map that rises does not need
+
     correlation = covariance / np.outer(scale, scale)
     try:
         L = cholesky(correlation + 1e-12 * np.eye(len(z)), lower=True)

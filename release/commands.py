@@ -1,0 +1,39 @@
+"""Foreign programs: each call either succeeds or ends the release with its last words."""
+
+import os
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from release.errors import ReleaseError
+
+
+def run(
+    command: Sequence[str | Path],
+    folder: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> str:
+    """Run a program to its end and return its output.
+
+    Raises
+    ------
+    ReleaseError
+        naming the program and the last line of its errors.
+    """
+    words = [str(word) for word in command]
+    try:
+        done = subprocess.run(  # noqa: S603 - the programs of a release
+            words,
+            cwd=folder,
+            env={**os.environ, **(environment or {})},
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+    except OSError as error:
+        raise ReleaseError(f"{words[0]}: {(error.strerror or str(error)).lower()}") from None
+    if done.returncode:
+        last = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
+        raise ReleaseError(f"{' '.join(words[:3])}: exit code {done.returncode}: {last}")
+    return done.stdout

@@ -1,0 +1,92 @@
+"""Container images, by the first builder there is: buildah, podman or docker."""
+
+import gzip
+import os
+import shutil
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from release.commands import run
+from release.packages import Source
+
+VARIANTS: Final[Mapping[str, Mapping[str, str]]] = {
+    "image": {},
+    "fleet-image": {"FLEET": "yes"},
+}
+"""Each image of the Dockerfile by its name in a release, and its build arguments."""
+
+_COMPRESSION: Final = 6
+
+
+@dataclass(frozen=True)
+class Builder:
+    """A program that builds images; ``{…}`` in its words are filled in for each.
+
+    Every image is kept in Docker's format: that of OCI has no health check.
+    """
+
+    name: str
+    build: tuple[str, ...]
+    save: tuple[str, ...]
+    check: tuple[str, ...]
+    environment: tuple[tuple[str, str], ...] = ()
+
+    def is_there(self) -> bool:
+        """Whether the program is installed and, where it is a client, its server answers."""
+        if shutil.which(self.name) is None:
+            return False
+        asked = [self.name, *self.check]
+        done = subprocess.run(asked, capture_output=True, check=False)  # noqa: S603 - of the table
+        return done.returncode == 0
+
+
+BUILDERS: Final = (
+    Builder(
+        "buildah",
+        ("build", "--format=docker", "--timestamp={epoch}"),
+        ("push", "{tag}", "docker-archive:{file}:{tag}"),
+        ("--version",),
+        (("BUILDAH_ISOLATION", "chroot"),),  # also where no user namespaces are allowed
+    ),
+    Builder(
+        "podman",
+        ("build", "--format=docker", "--timestamp={epoch}"),
+        ("save", "--format=docker-archive", "--output={file}", "{tag}"),
+        ("info",),
+    ),
+    Builder("docker", ("build",), ("save", "--output={file}", "{tag}"), ("info",)),
+)
+
+
+def find_builder() -> Builder | None:
+    """The first of the builders that can be used."""
+    return next((builder for builder in BUILDERS if builder.is_there()), None)
+
+
+def build_image(
+    builder: Builder, source: Source, tag: str, arguments: Mapping[str, str], file: Path
+) -> None:
+    """Build one image of the source's Dockerfile; save it as `docker save` does."""
+    words = {"tag": tag, "file": str(file), "epoch": str(source.epoch)}
+    given = [f"--build-arg={name}={value}" for name, value in arguments.items()]
+    environment = {n: os.environ.get(n, value) for n, value in builder.environment}
+    build = [word.format(**words) for word in builder.build]
+    run([builder.name, *build, f"--tag={tag}", *given, source.folder], None, environment)
+    save = [word.format(**words) for word in builder.save]
+    run([builder.name, *save], None, environment)
+
+
+def pack(file: Path) -> Path:
+    """Compress an archive, without name and time; the plain one is removed."""
+    packed = file.with_suffix(file.suffix + ".gz")
+    with (
+        file.open("rb") as plain,
+        packed.open("wb") as out,
+        gzip.GzipFile("", "wb", _COMPRESSION, out, mtime=0) as compressed,
+    ):
+        shutil.copyfileobj(plain, compressed, 1 << 20)
+    file.unlink()
+    return packed

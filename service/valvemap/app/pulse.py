@@ -1,0 +1,85 @@
+"""The supervisor's pulse: whether each source's supervision still calls its consumer."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+from valvemap.clock import Clock
+from valvemap.errors import SourceError
+from valvemap.model.samples import Times
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.runtime.supervisor import Consumer
+
+CONNECTING_S: Final = 600.0
+"""s; longest silence of a supervisor that connects: no tick comes, and of the requests for
+a slow server's thousands of nodes each may take the whole time-out."""
+
+
+@dataclass
+class _Beat:
+    """Of one source: when the last call began or ended, and whether none has to follow soon."""
+
+    at: float
+    connected: bool = False
+    under_way: bool = False
+
+    @property
+    def allowance_s(self) -> float:
+        return 0.0 if self.connected or self.under_way else CONNECTING_S
+
+
+class Pulse:
+    """A consumer that passes every call on and notes when it begins and ends.
+
+    Parameters
+    ----------
+    consumer
+        Receives the calls.
+    clock
+        Of the notes.
+    """
+
+    def __init__(self, consumer: Consumer, clock: Clock) -> None:
+        self._consumer, self._clock = consumer, clock
+        self._began = _Beat(clock.monotonic())
+        self._beats: dict[int, _Beat] = {}  # by the first valve of each source
+
+    def overdue_s(self, now: float, tick_s: float) -> float:
+        """By how much the supervisor's next beat is overdue, s; at most 0: it is alive.
+
+        A connected source beats at least every ``tick_s``; one that connects may be silent for
+        ``CONNECTING_S`` more. A call that does not return is a missing beat.
+        """
+        beats = self._beats.values() or [self._began]
+        return now - min(beat.at + tick_s + beat.allowance_s for beat in beats)
+
+    async def connected(self, source_started: int, valves: Times | None = None) -> None:
+        """As `Consumer.connected`."""
+        with self._call(valves) as beat:
+            beat.connected = True
+            await self._consumer.connected(source_started, valves)
+
+    async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
+        """As `Consumer.take`."""
+        with self._call(valves):
+            await self._consumer.take(changes, valves)
+
+    async def tick(self, valves: Times | None = None) -> None:
+        """As `Consumer.tick`."""
+        with self._call(valves):
+            await self._consumer.tick(valves)
+
+    async def lost(self, reason: SourceError, valves: Times | None = None) -> None:
+        """As `Consumer.lost`."""
+        with self._call(valves) as beat:
+            beat.connected = False
+            await self._consumer.lost(reason, valves)
+
+    @contextmanager
+    def _call(self, valves: Times | None) -> Iterator[_Beat]:
+        first = -1 if valves is None or not len(valves) else int(valves[0])
+        beat = self._beats.setdefault(first, _Beat(0.0))
+        beat.at, beat.under_way = self._clock.monotonic(), True
+        yield beat
+        beat.at, beat.under_way = self._clock.monotonic(), False

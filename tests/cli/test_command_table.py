@@ -1,0 +1,134 @@
+"""The command line reads one table: help imports no command, and a command only its own needs."""
+
+import json
+import resource
+import statistics
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+
+from valvemap.cli import run
+from valvemap.cli.command_table import COMMANDS, load_command
+
+MOST_HELP_S, MOST_INVERT_S = 0.3, 0.7
+RUNS = 10
+
+_SERVERS = {
+    "asyncua",
+    "guarded_opcua",
+    "valvemap.opcua_results",
+    "starlette",
+    "uvicorn",
+    "structlog",
+}
+_HEAVY = _SERVERS | {"numpy", "numba", "scipy", "rich", "valvemap.config", "virtual_rig"}
+
+
+def loaded_by(*arguments):
+    """Which modules one command has imported at its end."""
+    code = (
+        "import json, sys; from valvemap.cli import run; code = run(sys.argv[1:]);"
+        "print('\\n' + json.dumps([code, sorted(sys.modules)]))"
+    )
+    asked = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    code, modules = json.loads(done.stdout.splitlines()[-1])
+    return code, set(modules)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A recording, and the model of eq. (7) saved from it."""
+    folder = tmp_path_factory.mktemp("quick")
+    recording = folder / "plant.csv"
+    rows = [
+        f"{k / 100},{(37 * k) % 101},{60 + (7 * k) % 90},5,{(37 * k) % 101 / 2},40\n"
+        for k in range(900)
+    ]
+    recording.write_text("t,U,p1,p2,Q,T\n" + "".join(rows), encoding="utf-8")
+    assert run(["replay", str(recording), "--save", str(folder / "models")]) == 0
+    return recording, sorted((folder / "models").glob("*.json"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_s_line_of_help_is_the_first_of_its_docstring(name):
+    assert COMMANDS[name].help == load_command(name).help.splitlines()[0]
+
+
+def test_every_command_is_listed_with_its_line(capsys):
+    assert run(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name, entry in COMMANDS.items():
+        assert f"\n  {name} " in text
+        assert entry.help.split()[0] in text
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["nonsense"], []])
+def test_help_imports_no_command_and_nothing_heavy(arguments):
+    _, modules = loaded_by(*arguments)
+    assert modules & _HEAVY == set()
+    commands = {f"valvemap.cli.{entry.module}" for entry in COMMANDS.values()}
+    assert modules & commands == set()
+
+
+@pytest.mark.parametrize("name", ["history", "invert", "serve", "trust"])
+def test_a_command_imports_no_other_command(name):
+    _, modules = loaded_by(name, "--help")
+    commands = {f"valvemap.cli.{entry.module}" for entry in COMMANDS.values()}
+    assert modules & commands == {f"valvemap.cli.{COMMANDS[name].module}"}
+
+
+def test_invert_of_a_saved_map_loads_no_server_and_no_configuration(files):
+    for model in files[1]:
+        code, modules = loaded_by("invert", model, "--Q", "20", "--dp", "70")
+        assert code == 0
+        assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
+        assert modules & {"scipy.linalg", "scipy.optimize", "valvemap.runtime.live"} == set()
+
+
+def test_export_of_a_saved_map_loads_no_server_and_no_configuration(files, tmp_path):
+    for model in files[1]:
+        code, modules = loaded_by("export", model, "--to", tmp_path / f"{model.stem}.csv")
+        assert code == 0
+        assert modules & (_SERVERS | {"valvemap.config.models", "valvemap.app.replay"}) == set()
+
+
+@pytest.mark.parametrize("command", ["invert", "export", "replay"])
+def test_a_recording_is_read_without_a_server(files, tmp_path, command):
+    more = {"invert": ["--Q", "20", "--dp", "70"], "export": ["--to", tmp_path / "table.csv"]}
+    code, modules = loaded_by(command, files[0], *more.get(command, []))
+    assert code == 0
+    assert modules & (_SERVERS - {"structlog"}) == set()
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"valvemap {version('valvemap')}\n"
+
+
+def test_a_mistyped_command_is_one_line_that_suggests_a_near_one(capsys):
+    assert run(["invrt"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'invrt'" in line
+    assert "'invert'" in line
+
+
+@pytest.mark.alone
+def test_help_and_invert_are_quick(files):
+    model = next(file for file in files[1] if "Auto" in file.name)
+    assert median_s("--help") <= MOST_HELP_S
+    assert median_s("invert", model, "--Q", "20", "--dp", "70") <= MOST_INVERT_S
+
+
+def median_s(*arguments):
+    """Processor time of a command, the median of some runs."""
+    asked = [sys.executable, "-m", "valvemap", *map(str, arguments)]
+    seconds = []
+    for _ in range(RUNS):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(asked, capture_output=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return statistics.median(seconds)
