@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from valvemap.clock import Clock
 from valvemap.errors import ValvemapError
 from valvemap.page.commands import carry_out
+from valvemap.page.door import Door
 from valvemap.page.guard import Guard
 from valvemap.page.log_ins import Clients, LogIns
 from valvemap.page.metrics import CONTENT_TYPE, Metrics
@@ -54,7 +56,8 @@ class Page:
         rig: str | None = None,
     ) -> None:
         self.settings = settings
-        self.viewers = Viewers(settings.viewers)
+        self.door = Door(settings, clock)
+        self.viewers = Viewers(settings.viewers, settings.viewers_of_address, clock)
         self.observer = Observer(
             client,
             clock,
@@ -63,8 +66,18 @@ class Page:
         )
         self.log_ins = LogIns(clients, settings, clock)
         self._has_rig = rig is not None
-        self.guard = Guard(self._application(), settings)
-        self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins)
+        self.guard = Guard(self._noting_log_ins(self._application()), settings)
+        self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins, self.door)
+
+    def _noting_log_ins(self, application: ASGIApp) -> ASGIApp:
+        """An application that lets connections of users who are logged in stay."""
+
+        async def noting(scope: Scope, receive: Receive, send: Send) -> None:
+            secret = HTTPConnection(scope).cookies.get(_COOKIE)
+            self.door.note_log_in(scope, is_logged_in=self.log_ins.holds(secret))
+            await application(scope, receive, send)
+
+        return noting
 
     def _application(self) -> Starlette:
         return Starlette(
@@ -111,7 +124,8 @@ class Page:
         match await _body(request):
             case {"user": str() as user, "password": str() as password} if user and password:
                 try:
-                    secret = await self.log_ins.log_in(user, password)
+                    host = request.client.host if request.client else ""
+                    secret = await self.log_ins.log_in(user, password, host)
                 except ValvemapError as error:
                     return _answer(403, error=str(error))
             case _:

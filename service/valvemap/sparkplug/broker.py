@@ -119,9 +119,7 @@ class PahoSession:
         self._client.loop_start()
         await self._wait(self._accepted, "it does not take the connection")
         if not self._guard.received:  # else packets would not be bounded
-            raise SinkRejected(
-                "this version of paho-mqtt is not supported: it bypasses the packet guard"
-            )
+            raise SinkRejected("this version of paho-mqtt bypasses the packet guard")
         for topic in self._topics:
             await self._subscribe(topic)
 
