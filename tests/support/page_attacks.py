@@ -1,16 +1,22 @@
-"""What one host does to keep others from the page; each attack goes on until it is cancelled."""
+"""What hosts do to keep others from the page: ``python page_attacks.py URL ATTACK ADDRESS...``.
+
+Each attack continues until the process is killed.
+"""
 
 import asyncio
 import contextlib
 import itertools
 import json
+import os
 import ssl
+import sys
 
 import httpx
 from websockets.asyncio.client import connect
 
-ATTACKER, WATCH = "127.0.0.2", {"watch": {"valve": "V1", "estimator": None, "overview": True}}
+WATCH = {"watch": {"valve": "V1", "estimator": None, "overview": True}}
 
+UNDER_WAY_S = 2.0
 LARGEST = b"GET /vendor/plotly/plotly-gl3d.min.js HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 
@@ -21,7 +27,7 @@ class Visitor:
         self.url, self.address = url, address
 
     def browser(self, **more):
-        transport = httpx.AsyncHTTPTransport(local_address=self.address, verify=False)  # noqa: S501
+        transport = httpx.AsyncHTTPTransport(local_address=self.address, verify=False)
         return httpx.AsyncClient(transport=transport, base_url=self.url, **more)
 
     async def get(self, path="/"):
@@ -66,7 +72,8 @@ def unverified():
 
 async def guess_the_operator_s_password(visitor):
     for number in itertools.count():
-        await visitor.log_in("operator", f"wrong {number}")
+        with contextlib.suppress(httpx.HTTPError):
+            await visitor.log_in("operator", f"wrong {number}")
         await asyncio.sleep(0.05)
 
 
@@ -75,7 +82,8 @@ async def guess_at_invented_names(visitor):
 
     async def guess():
         while True:
-            await visitor.log_in(f"nobody {next(numbers)}", "wrong")
+            with contextlib.suppress(httpx.HTTPError):
+                await visitor.log_in(f"nobody {next(numbers)}", "wrong")
             await asyncio.sleep(0.5)
 
     await asyncio.gather(*(guess() for _ in range(10)))
@@ -158,14 +166,32 @@ async def view_as_a_page_does(visitor):
     await asyncio.gather(*(view() for _ in range(60)))
 
 
+async def do_all(visitor):
+    await asyncio.gather(*(attack(visitor) for attack in PLAIN))
+
+
+async def main(url, attack, *addresses):
+    os.nice(19)  # as if it computed elsewhere
+    hosts = [Visitor(url, address) for address in addresses]
+    attacking = asyncio.gather(*(ATTACKS[attack](host) for host in hosts))
+    await asyncio.sleep(UNDER_WAY_S)
+    sys.stdout.write("under way\n")
+    sys.stdout.flush()
+    await attacking
+
+
 PLAIN = (
     guess_the_operator_s_password,
     guess_at_invented_names,
     say_nothing,
+    view_silently,
     never_end_a_request,
     send_half_a_log_in,
     read_no_answer,
-    view_silently,
     view_as_a_page_does,
 )
 ENCRYPTED = (start_no_handshake,)
+ATTACKS = {attack.__name__: attack for attack in (*PLAIN, *ENCRYPTED, do_all)}
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))

@@ -18,6 +18,7 @@ import structlog
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
+from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
 
 log = structlog.get_logger(__name__)
@@ -95,6 +96,7 @@ class Door:
     def __init__(self, settings: PageSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self.refusals: Counter[str] = Counter()
+        self._handshakes = Buckets(settings.handshakes_per_s, settings.handshake_burst, clock)
         self._opening: set[asyncio.Task[None]] = set()
         self._places: Admission[Place] = Admission(
             clock,
@@ -181,8 +183,9 @@ class Door:
                 log.warning("a connection cannot be accepted", reason=str(error))
                 await asyncio.sleep(_NO_DESCRIPTOR_S)
                 continue
-            place = Place(connected, self._clock)
-            if self._places.admit(place, str(address[0])):
+            place, host = Place(connected, self._clock), str(address[0])
+            may_open = tls is None or self._handshakes.take(host)
+            if may_open and self._places.admit(place, host):
                 opening = loop.create_task(self._open_one(place, connected, protocol, tls))
                 self._opening.add(opening)
                 opening.add_done_callback(self._opening.discard)

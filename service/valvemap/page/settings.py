@@ -27,6 +27,8 @@ class PageSettings:
     connections, connections_of_address, connections_per_s
         Connections at once, and those of one address, viewers included; how many of one address
         are considered in a second. Each takes one descriptor.
+    handshakes_per_s, handshake_burst
+        TLS handshakes of one address: each takes some 2 ms of the processor.
     handshake_s, request_s, answer_s
         For TLS; from connecting, or from the last answer, to a request; for its answer to be read.
     requests_per_s, request_burst
@@ -53,7 +55,9 @@ class PageSettings:
     viewers_of_address: int = 25
     connections: int = 120
     connections_of_address: int = 60
-    connections_per_s: int = 100
+    connections_per_s: int = 500
+    handshakes_per_s: float = 50.0
+    handshake_burst: float = 200.0
     handshake_s: float = 5.0
     request_s: float = 15.0
     answer_s: float = 60.0
