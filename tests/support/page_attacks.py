@@ -115,6 +115,10 @@ async def start_no_handshake(visitor):
     await hold(visitor, 1_100)
 
 
+async def stop_in_the_handshake(visitor):
+    await hold(visitor, 300, b"\x16\x03\x01\x02\x00\x01")
+
+
 async def never_end_a_request(visitor):
     await hold(visitor, 260, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ")
 
@@ -153,6 +157,47 @@ async def view_silently(visitor):
     await asyncio.gather(*(view() for _ in range(50)))
 
 
+async def flood(visitor, frames):
+    """Open viewers that send frames as fast as they are taken, and read nothing."""
+    netloc = visitor.url.partition("//")[2]
+    request = (
+        f"GET /live HTTP/1.1\r\nHost: {netloc}\r\nOrigin: {visitor.url}\r\n"
+        "Connection: Upgrade\r\nUpgrade: websocket\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+
+    async def send():
+        while True:
+            with contextlib.suppress(OSError):
+                _, writer = await visitor.connect()
+                try:
+                    writer.write(request.encode())
+                    writer.transport.pause_reading()
+                    while True:
+                        writer.write(frames)
+                        await writer.drain()
+                        await asyncio.sleep(0.001)
+                finally:
+                    writer.transport.abort()
+            await asyncio.sleep(0.05)
+
+    await asyncio.gather(*(send() for _ in range(10)))
+
+
+async def ping_and_read_nothing(visitor):
+    await flood(visitor, 100 * (b"\x89\xfd\0\0\0\0" + bytes(125)))
+
+
+async def never_end_a_message(visitor):
+    await flood(visitor, b"\x01\x80\0\0\0\0" + 5_000 * b"\x00\x80\0\0\0\0")
+
+
+async def ask_and_read_nothing(visitor):
+    asked = json.dumps(WATCH).encode()
+    frame = bytes([0x81, 0x80 | len(asked)]) + bytes(4) + asked
+    await flood(visitor, frame)
+
+
 async def view_as_a_page_does(visitor):
     async def view():
         while True:
@@ -189,8 +234,11 @@ PLAIN = (
     send_half_a_log_in,
     read_no_answer,
     view_as_a_page_does,
+    ping_and_read_nothing,
+    never_end_a_message,
+    ask_and_read_nothing,
 )
-ENCRYPTED = (start_no_handshake,)
+ENCRYPTED = (start_no_handshake, stop_in_the_handshake)
 ATTACKS = {attack.__name__: attack for attack in (*PLAIN, *ENCRYPTED, do_all)}
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ import structlog
 
 from guarded_opcua.admission import Admission
 from valvemap.clock import Clock
-from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
 
 log = structlog.get_logger(__name__)
@@ -96,7 +95,6 @@ class Door:
     def __init__(self, settings: PageSettings, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self.refusals: Counter[str] = Counter()
-        self._handshakes = Buckets(settings.handshakes_per_s, settings.handshake_burst, clock)
         self._opening: set[asyncio.Task[None]] = set()
         self._places: Admission[Place] = Admission(
             clock,
@@ -105,6 +103,15 @@ class Door:
             settings.connections_per_s,
             lambda place: (place.step, place.opened),
             lambda _newcomer: {place for place in self._places if place.is_logged_in},
+            self._give_way,
+        )
+        self._handshaking: Admission[Place] = Admission(
+            clock,
+            settings.handshakes,
+            settings.handshakes_of_address,
+            settings.handshakes_per_s,
+            lambda place: place.opened,
+            lambda _newcomer: (),
             self._give_way,
         )
 
@@ -184,9 +191,8 @@ class Door:
                 await asyncio.sleep(_NO_DESCRIPTOR_S)
                 continue
             place, host = Place(connected, self._clock), str(address[0])
-            may_open = tls is None or self._handshakes.take(host)
-            if may_open and self._places.admit(place, host):
-                opening = loop.create_task(self._open_one(place, connected, protocol, tls))
+            if self._places.admit(place, host):
+                opening = loop.create_task(self._open_one(place, host, connected, protocol, tls))
                 self._opening.add(opening)
                 opening.add_done_callback(self._opening.discard)
             else:
@@ -197,6 +203,7 @@ class Door:
     async def _open_one(
         self,
         place: Place,
+        host: str,
         connected: socket.socket,
         protocol: Callable[[Place], asyncio.Protocol],
         tls: ssl.SSLContext | None,
@@ -212,12 +219,35 @@ class Door:
             }
         )
         try:
+            if tls is not None:
+                await self._start_of_handshake(place, connected, host)
             await loop.connect_accepted_socket(lambda: protocol(place), connected, ssl=tls, **waits)
         except OSError:  # ssl.SSLError, ConnectionError, TimeoutError: the peer's doing
             self.refusals[_HANDSHAKE] += 1
         finally:
+            self._handshaking.leave(place)
             if place.transport is None:
+                connected.close()
                 self.leave(place)
+
+    async def _start_of_handshake(self, place: Place, connected: socket.socket, host: str) -> None:
+        """Wait for a first byte: asyncio's TLS takes 300 kB, which silence does not get.
+
+        Raises
+        ------
+        OSError
+        """
+        loop = asyncio.get_running_loop()
+        begun = asyncio.Event()
+        connected.setblocking(False)  # noqa: FBT003 - as in socket
+        loop.add_reader(connected, begun.set)
+        try:
+            async with asyncio.timeout(self._settings.handshake_s):
+                await begun.wait()
+        finally:
+            loop.remove_reader(connected)
+        if not connected.recv(1, socket.MSG_PEEK) or not self._handshaking.admit(place, host):
+            raise ConnectionAbortedError
 
     def _give_way(self, place: Place) -> None:
         self.refusals[_CROWDED] += 1

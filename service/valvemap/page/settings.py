@@ -27,8 +27,9 @@ class PageSettings:
     connections, connections_of_address, connections_per_s
         Connections at once, and those of one address, viewers included; how many of one address
         are considered in a second. Each takes one descriptor.
-    handshakes_per_s, handshake_burst
-        TLS handshakes of one address: each takes some 2 ms of the processor.
+    handshakes, handshakes_of_address, handshakes_per_s
+        TLS handshakes under way, and those of one address; those of one address in a second. Each
+        takes 300 kB and some 2 ms of the processor.
     handshake_s, request_s, answer_s
         For TLS; from connecting, or from the last answer, to a request; for its answer to be read.
     requests_per_s, request_burst
@@ -56,8 +57,9 @@ class PageSettings:
     connections: int = 120
     connections_of_address: int = 60
     connections_per_s: int = 500
-    handshakes_per_s: float = 50.0
-    handshake_burst: float = 200.0
+    handshakes: int = 20
+    handshakes_of_address: int = 10
+    handshakes_per_s: int = 50
     handshake_s: float = 5.0
     request_s: float = 15.0
     answer_s: float = 60.0
