@@ -129,7 +129,7 @@ class Admission(Generic[Holder]):
 
 
 def address_of(host: str) -> str:
-    """The address that a host counts as: an IPv6 host has the 2⁶⁴ of its network at will.
+    """The address by which a host is counted: an IPv6 host can use all 2⁶⁴ of its network.
 
     >>> address_of("2001:db8::1") == address_of("2001:db8::ffff:2"), address_of("::ffff:10.0.0.1")
     (True, '10.0.0.1')

@@ -1,4 +1,4 @@
-"""Places are dealt out fairly among addresses, whoever asks how often."""
+"""Places are dealt out fairly among addresses, however often one asks."""
 
 from hypothesis import given, seed
 from hypothesis import strategies as st

@@ -48,7 +48,7 @@ class Hall:
         self.theirs.close()
 
     def after(self, seconds):
-        """Look after so long; return whether the connection was ended."""
+        """Whether the connection is ended after these seconds."""
         self.clock.advance(seconds)
         self.door.end_overstaying()
         return self.place.transport.aborted
@@ -85,7 +85,7 @@ async def get(url):
 
 @contextlib.asynccontextmanager
 async def holding(url, number, said=b""):
-    """Hold so many connections that say this, and no more."""
+    """Hold a number of connections that say this, and no more."""
     visitor = Visitor(url, SELF)
     held = []
     for _ in range(number):

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.alone, pytest.mark.timeout(120)]
 
 
 class PageProcess:
-    """The page in a process of its own."""
+    """The page in a separate process."""
 
     def __init__(self, process):
         self.process = process

@@ -48,7 +48,7 @@ def guarded(packets, **bounds):
 
 
 class HostileBroker:
-    """Answers as MQTT demands until a client has subscribed; then sends what it was made with."""
+    """Answers as MQTT demands until a client has subscribed; then sends its pieces."""
 
     def __init__(self, *pieces):
         self._pieces = pieces
@@ -176,7 +176,7 @@ async def test_a_flood_of_packets_within_the_bound_takes_no_memory_either():
         try:
             before, done = rss(), asyncio.Event()
             watching = asyncio.create_task(highest_rss(done))
-            await asyncio.sleep(1.0)  # nobody takes what came
+            await asyncio.sleep(1.0)  # no received()
             done.set()
             assert await watching - before <= 16 * MIB
             assert 0 < len(session.received()) <= 100

@@ -90,7 +90,7 @@ async def guess_at_invented_names(visitor):
 
 
 async def hold(visitor, connections, said=b""):
-    """Hold so many connections, each made again when it is closed."""
+    """Hold a number of connections, each made again when it is closed."""
     await asyncio.gather(*(_hold_one(visitor, said) for _ in range(connections)))
 
 

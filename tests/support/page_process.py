@@ -1,4 +1,4 @@
-"""The page in a process of its own: ``python page_process.py [CERTIFICATE KEY]``, until SIGTERM.
+"""The page in a separate process: ``python page_process.py [CERTIFICATE KEY]``, until SIGTERM.
 
 Prints its URL. The service behind it takes a password check's time, and "right" from everybody.
 """

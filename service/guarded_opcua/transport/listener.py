@@ -110,7 +110,7 @@ class Listener:
             slowest.abort()
 
     def _logged_in(self, _newcomer: object = None) -> Container[Any]:
-        """Connections that somebody is logged in on."""
+        """Connections with an active session."""
         return {session.line for session in self._shared.sessions if session.active}
 
     def _give_way(self, connection: Connection) -> None:

@@ -22,8 +22,8 @@ from valvemap.page.settings import PageSettings
 
 log = structlog.get_logger(__name__)
 
-_LOOK_S = 1.0  # s; between two looks for connections that overstay
-_CLOSING_S = 3.0  # s; for a peer to take what was sent last, and to say goodbye
+_LOOK_S = 1.0  # s; between two checks of all connections
+_CLOSING_S = 3.0  # s; for a peer to read the last bytes and to close its end
 _NO_DESCRIPTOR_S = 0.1  # s; until the next try to accept
 _UNSENT_BYTES = 1024 * 1024  # bytes; what may wait for one viewer, pongs included
 PLACE = "place"  # in the state of a request's scope

@@ -90,15 +90,19 @@ class LogIns:
         if not self._tries.take(f"{user} at {address}" if is_known else address):
             raise CommandRejected(_TOO_MANY)
         async with self._turns.turn(address, is_known=is_known):
-            self._check_lock(user, address)  # others of its address may have failed meanwhile
+            self._check_lock(user, address)  # others of its address may have failed since
             service, rig = await self._connected(user, password, address)
         self._wrong.forget(user, address)
         self._remember(user, address)
         secret = secrets.token_urlsafe(32)
         digest = _digest(secret)
         self._of[digest] = LogIn(user, service, rig, self._clock.monotonic())
-        self._open.admit(digest, user)
+        is_admitted = self._open.admit(digest, user)
+        if not is_admitted:
+            self._end(digest)
         await self._close_ended()
+        if not is_admitted:
+            raise CommandRejected("this user logs in too often: try again in some seconds")
         return secret
 
     async def _connected(
@@ -138,7 +142,7 @@ class LogIns:
         return found
 
     def holds(self, secret: str | None) -> bool:
-        """Whether somebody is logged in with that secret; that is no use of it."""
+        """Whether a user is logged in with that secret; that is no use of it."""
         return bool(secret) and _digest(secret or "") in self._of
 
     async def log_out(self, secret: str | None) -> None:

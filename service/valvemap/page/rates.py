@@ -21,7 +21,7 @@ class TokenBucket:
         self._tokens, self._then = burst, clock.monotonic()
 
     def take(self, number: float = 1.0) -> bool:
-        """Take so many tokens, if there are as many."""
+        """Take this number of tokens, if there are as many."""
         now = self._clock.monotonic()
         self._tokens = min(self._burst, self._tokens + self._rate * (now - self._then))
         self._then = now

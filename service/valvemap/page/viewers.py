@@ -67,7 +67,7 @@ class Viewers:
     Parameters
     ----------
     most, most_of_address
-        So many at once, and from one address.
+        Viewers at once, and those of one address.
     clock
         Time.
     """

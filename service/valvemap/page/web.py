@@ -29,7 +29,7 @@ from valvemap.page.viewers import Viewers
 STATIC = Path(__file__).parent / "static"
 _COOKIE = "valvemap"
 _BODY_S = 5.0  # for a request's body to arrive
-_PIECE_BYTES = 65_536  # of a file; so much of it waits for its reader
+_PIECE_BYTES = 65_536  # bytes; of a file, sent at once
 
 
 class Page:
