@@ -3,13 +3,14 @@
 import asyncio
 import contextlib
 import socket
+import ssl
 
 import pytest
 
 from support.page_attacks import Visitor
 from support.served_page import served
 from support.shown_service import ShownService
-from valvemap.clock import ManualClock
+from valvemap.clock import ManualClock, SystemClock
 from valvemap.page.door import Door, Place, Step
 from valvemap.page.settings import PageSettings
 
@@ -155,3 +156,24 @@ async def test_refused_connections_are_counted_where_prometheus_looks():
         text = (await browser.get("/metrics")).text
     assert 'valvemap_page_refused_total{why="crowded"} 4.0' in text
     assert "valvemap_page_connections 2.0" in text
+
+
+async def test_a_connection_of_another_kind_is_refused_and_its_place_free():
+    """What is no TLS, or ends before it, leaves nothing behind."""
+    door = Door(PageSettings(handshake_s=0.3), SystemClock())
+    listening = socket.create_server(("127.0.0.1", 0))
+    url = f"https://127.0.0.1:{listening.getsockname()[1]}"
+    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    opening = asyncio.create_task(door.open(listening, lambda _: asyncio.Protocol(), tls))
+    try:
+        async with holding(url, 3), holding(url, 3, b"GET / HTTP/1.1\r\n\r\n") as held:
+            held[0][1].transport.abort()
+            async with asyncio.timeout(5):
+                while sum(door.refusals.values()) < 6:  # noqa: ASYNC110 - a counter has no event
+                    await asyncio.sleep(0.01)
+        assert len(door) == 0
+        assert door.refusals["handshake"] == 6
+    finally:
+        opening.cancel()
+        await asyncio.gather(opening, return_exceptions=True)
+        listening.close()

@@ -8,9 +8,10 @@ step; whose browser is logged in stays.
 import asyncio
 import socket
 import ssl
+import sys
 from collections import Counter
 from collections.abc import Callable, MutableMapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from enum import IntEnum
 from typing import Any, assert_never
 
@@ -227,7 +228,6 @@ class Door:
         finally:
             self._handshaking.leave(place)
             if place.transport is None:
-                connected.close()
                 self.leave(place)
 
     async def _start_of_handshake(self, place: Place, connected: socket.socket, host: str) -> None:
@@ -237,6 +237,15 @@ class Door:
         ------
         OSError
         """
+        with ExitStack() as failing:
+            failing.callback(connected.close)  # no transport has it yet, which would close it
+            if sys.platform != "win32":  # its loop cannot wait for a byte without taking it
+                await self._first_byte(connected)
+            if not self._handshaking.admit(place, host):
+                raise ConnectionAbortedError
+            failing.pop_all()
+
+    async def _first_byte(self, connected: socket.socket) -> None:
         loop = asyncio.get_running_loop()
         begun = asyncio.Event()
         connected.setblocking(False)  # noqa: FBT003 - as in socket
@@ -246,7 +255,7 @@ class Door:
                 await begun.wait()
         finally:
             loop.remove_reader(connected)
-        if not connected.recv(1, socket.MSG_PEEK) or not self._handshaking.admit(place, host):
+        if not connected.recv(1, socket.MSG_PEEK):
             raise ConnectionAbortedError
 
     def _give_way(self, place: Place) -> None:
