@@ -159,7 +159,7 @@ async def test_refused_connections_are_counted_where_prometheus_looks():
 
 
 async def test_a_connection_of_another_kind_is_refused_and_its_place_free():
-    """What is no TLS, or ends before it, leaves nothing behind."""
+    """Plain HTTP, silence and an early end free their places."""
     door = Door(PageSettings(handshake_s=0.3), SystemClock())
     listening = socket.create_server(("127.0.0.1", 0))
     url = f"https://127.0.0.1:{listening.getsockname()[1]}"

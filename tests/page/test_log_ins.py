@@ -179,6 +179,13 @@ async def test_a_flood_of_names_is_slowed_down():
     assert len(visit.plant.made) == 10
 
 
+async def test_a_name_that_no_user_can_have_is_not_tried():
+    visit = Visit()
+    answer = await visit.log_in(user="x" * 65)
+    assert (answer.status_code, visit.plant.made) == (403, [])
+    assert visit.page.log_ins.refused == 1
+
+
 async def test_a_made_up_cookie_is_nobody():
     visit = Visit()
     await visit.log_in()

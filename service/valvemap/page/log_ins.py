@@ -17,9 +17,10 @@ from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
 from valvemap.page.turns import Turns
 
-_MOST_NAMES = 10_000  # whose wrong passwords are remembered; 2 MB
+_MOST_NAMES = 1_000  # whose wrong passwords are remembered, as at the service
 _MOST_KNOWN = 1_000  # pairs of user and address that have logged in
 _FROM_ANYWHERE = 10  # times the wrong passwords of one address lock the user for all strangers
+_LONGEST_NAME = 64  # characters; the service has no longer ones
 _TOO_MANY = "too many tries: wait some minutes"
 
 Clients = Callable[[str, str, str], tuple[Client, Client | None]]
@@ -71,7 +72,7 @@ class LogIns:
             lambda _newcomer: (),
             lambda digest: self._ended.append(self._of.pop(digest)),
         )
-        self.failed = 0
+        self.failed = self.refused = 0
 
     def __len__(self) -> int:
         return len(self._of)
@@ -84,7 +85,15 @@ class LogIns:
         ValvemapError
             in words for the user: wrong password, too many tries, the service's refusal.
         """
-        address = address_of(host)
+        try:
+            return await self._log_in(user, password, address_of(host))
+        except CommandRejected:
+            self.refused += 1
+            raise
+
+    async def _log_in(self, user: str, password: str, address: str) -> str:
+        if len(user) > _LONGEST_NAME:
+            raise CommandRejected(f"a user has at most {_LONGEST_NAME} characters")
         is_known = (user, address) in self._known
         self._check_lock(user, address)
         if not self._tries.take(f"{user} at {address}" if is_known else address):

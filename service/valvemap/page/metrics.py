@@ -71,6 +71,7 @@ class Metrics:
         refused.add_metric(["viewers"], self._viewers.refused)
         refused.add_metric(["senseless"], self._viewers.senseless)
         refused.add_metric(["log_in"], self._log_ins.failed)
+        refused.add_metric(["tries"], self._log_ins.refused)
         yield refused
 
     def _of_valves(self) -> Iterator[Metric]:
