@@ -556,6 +556,7 @@ class HardenedServer(Startable):
             turns=FairTurns(self._clock),
             logins=LoginQueue(settings.users, self._clock),
             anonymous_allowed=settings.none_on_loopback or settings.anonymous_observer,
+            gateways=settings.gateways,
             traffic=self._traffic,
         )
         listener = Listener(shared)

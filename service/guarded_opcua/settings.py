@@ -168,6 +168,10 @@ class ServerSettings:
     none_on_loopback
         Also offer SecurityPolicy None, with anonymous users as observers; only for 127.0.0.1
         and ::1.
+    gateways
+        Application URIs of clients by way of which users log in, e.g. a web page. The AuditEntryId
+        of their ActivateSession is the address that the user came from, for the lock-out. A channel
+        without security proves no URI: there, any peer on this machine can name addresses.
     anonymous_observer
         Let anonymous users observe on the secured endpoints too.
     host_names
@@ -189,6 +193,7 @@ class ServerSettings:
     require_crl: bool = True
     users: UserStore = field(default_factory=UserStore)
     none_on_loopback: bool = False
+    gateways: frozenset[str] = frozenset()
     anonymous_observer: bool = False
     host_names: tuple[str, ...] = ()
     limits: Limits = field(default_factory=Limits)

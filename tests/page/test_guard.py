@@ -7,7 +7,7 @@ from support.shown_service import ShownService
 from valvemap.clock import SystemClock
 from valvemap.errors import ConfigurationError
 from valvemap.page.settings import PageSettings
-from valvemap.page.web import Page
+from valvemap.page.web import STATIC, Page
 
 OWN = "http://127.0.0.1:8080"
 
@@ -83,6 +83,20 @@ async def test_every_answer_forbids_scripts_frames_and_requests_elsewhere():
 async def test_no_path_leaves_the_page_s_files(path):
     async with browser(page()) as visitor:
         assert (await visitor.get(path)).status_code == 404
+
+
+async def test_a_file_comes_whole_and_once_as_long_as_it_stays_the_same():
+    for path in ("/js/main.js", "/vendor/plotly/plotly-gl3d.min.js", "/"):
+        file = STATIC / (path.lstrip("/") or "index.html")
+        async with browser(page()) as visitor:
+            first = await visitor.get(path)
+            assert (first.content, len(file.read_bytes())) == (
+                file.read_bytes(),
+                int(first.headers["content-length"]),
+            )
+            headers = {"If-None-Match": first.headers["etag"]}
+            assert (await visitor.get(path, headers=headers)).status_code == 304
+            assert (await visitor.head(path)).headers["etag"] == first.headers["etag"]
 
 
 async def test_garbage_where_a_log_in_is_expected_is_an_answer_not_a_fault():

@@ -246,8 +246,10 @@ async def test_a_page_of_elsewhere_gets_no_socket():
 
 async def test_too_many_viewers_are_turned_away_and_counted():
     async with served(ShownService(), viewers=2) as (page, url):
-        async with viewer(url), viewer(url) as second:
-            await second.recv()
+        async with viewer(url) as first, viewer(url) as second:
+            for one in (first, second):
+                await one.send(json.dumps(WATCH))
+                await Seen(one).until(lambda s: "Signals.U" in s.numbers)
             with pytest.raises((InvalidStatus, ConnectionClosed)):
                 async with viewer(url) as third:
                     await third.recv()

@@ -1,10 +1,12 @@
 """Only who is logged in acts, with the rights of that user; everybody else looks."""
 
+import asyncio
+
 import httpx
 
 from support.shown_service import ShownService
 from valvemap.clock import ManualClock
-from valvemap.errors import SourceRejected
+from valvemap.errors import SourceLost, SourceRejected
 from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
 
@@ -16,8 +18,10 @@ class Plant:
 
     def __init__(self):
         self.made = []
+        self.addresses = []
 
-    def clients(self, user, password):
+    def clients(self, user, password, address):
+        self.addresses.append(address)
         service, rig = ShownService(), ShownService()
         if password != "right":
             service.connect = self._refuse
@@ -35,14 +39,19 @@ class Visit:
         self.plant, self.clock = Plant(), ManualClock()
         own = PageSettings(**settings)
         self.page = Page(ShownService(), self.plant.clients, own, self.clock, "opc.tcp://rig:1/")
-        transport = httpx.ASGITransport(app=self.page.guard)
-        self.browser = httpx.AsyncClient(transport=transport, base_url=OWN)
+        self.browser = self.browser_at("10.0.0.1")
+
+    def browser_at(self, address):
+        transport = httpx.ASGITransport(app=self.page.guard, client=(address, 50_000))
+        return httpx.AsyncClient(transport=transport, base_url=OWN)
 
     async def post(self, path, **body):
         return await self.browser.post(path, json=body, headers={"Origin": OWN})
 
-    async def log_in(self, password="right"):  # noqa: S107
-        return await self.post("/log-in", user="operator", password=password)
+    async def log_in(self, password="right", address=None, user="operator"):  # noqa: S107
+        browser = self.browser if address is None else self.browser_at(address)
+        body = {"user": user, "password": password}
+        return await browser.post("/log-in", json=body, headers={"Origin": OWN})
 
 
 async def test_a_stranger_writes_nothing():
@@ -93,11 +102,88 @@ async def test_wrong_passwords_are_said_and_stop_before_the_service_locks_the_us
     assert (await visit.log_in()).status_code == 200
 
 
+async def test_wrong_passwords_lock_the_address_they_come_from_and_no_other():
+    visit = Visit()
+    for address in ("10.0.0.2", "10.0.0.3", "10.0.0.4"):
+        answers = [await visit.log_in("wrong", address) for _ in range(5)]
+        assert "wait" in answers[-1].json()["error"]
+    assert (await visit.log_in("right", "10.0.0.2")).status_code == 403
+    assert (await visit.log_in("right", "10.0.0.9")).status_code == 200
+
+
+async def test_an_ipv6_network_guesses_as_one_address():
+    visit = Visit()
+    for number in range(1, 9):
+        await visit.log_in("wrong", f"2001:db8::{number}")
+    assert len(visit.plant.made) == 3
+    assert (await visit.log_in("right", "2001:db8:0:1::1")).status_code == 200
+
+
+async def test_guesses_from_many_addresses_lock_out_strangers_and_no_known_address():
+    visit = Visit()
+    await visit.log_in("right", "10.0.0.9")
+    for number in range(20):
+        for _ in range(3):
+            await visit.log_in("wrong", f"10.0.1.{number}")
+    assert visit.page.log_ins.failed == 30
+    assert (await visit.log_in("right", "10.0.2.1")).status_code == 403
+    assert (await visit.log_in("right", "10.0.0.9")).status_code == 200
+    visit.clock.advance(306.0)
+    assert (await visit.log_in("right", "10.0.2.1")).status_code == 200
+
+
+async def test_a_service_that_is_away_is_no_wrong_password():
+    visit = Visit()
+
+    async def gone():
+        raise SourceLost("gone")
+
+    visit.plant._refuse = gone
+    for _ in range(5):
+        assert "gone" in (await visit.log_in("wrong")).json()["error"]
+    assert (await visit.log_in()).status_code == 200
+
+
+async def test_the_service_hears_from_where_a_user_logs_in():
+    visit = Visit()
+    await visit.log_in("right", "::ffff:10.0.0.7")
+    assert visit.plant.addresses == ["10.0.0.7"]
+
+
+async def test_who_logs_in_often_loses_own_log_ins_and_nobody_else_s():
+    visit = Visit()
+    await visit.log_in(user="anna")
+    for _ in range(9):
+        visit.clock.advance(10.0)
+        assert (await visit.log_in()).status_code == 200
+    assert [user for user, service, _ in visit.plant.made if not service.closed] == [
+        *("anna", *4 * ("operator",))
+    ]
+    assert len(visit.page.log_ins) == 5
+
+
+async def test_a_flood_of_names_from_elsewhere_holds_up_no_operator():
+    visit = Visit()
+    await visit.log_in()
+    flood = [visit.log_in("wrong", "10.0.0.2", f"user{n}") for n in range(50)]
+    answers = asyncio.gather(*flood)
+    assert (await visit.log_in()).status_code == 200
+    await answers
+    assert (await visit.log_in(address="10.0.0.3")).status_code == 200
+
+
 async def test_a_flood_of_names_is_slowed_down():
     visit = Visit()
     for number in range(30):
         await visit.post("/log-in", user=f"user{number}", password="wrong")
     assert len(visit.plant.made) == 10
+
+
+async def test_a_name_that_no_user_can_have_is_not_tried():
+    visit = Visit()
+    answer = await visit.log_in(user="x" * 65)
+    assert (answer.status_code, visit.plant.made) == (403, [])
+    assert visit.page.log_ins.refused == 1
 
 
 async def test_a_made_up_cookie_is_nobody():

@@ -54,16 +54,18 @@ class RawPeer:
         self.channel.set_channel(response.Parameters, ua.SecurityTokenRequestType.Issue, None)
         self.number = 1
 
-    async def create_session(self):
+    async def create_session(self, application_uri=""):
         request = ua.CreateSessionRequest()
+        request.Parameters.ClientDescription.ApplicationUri = application_uri
         request.Parameters.SessionName = "raw"
         request.Parameters.RequestedSessionTimeout = 60_000
         response = await self.call(request, ua.CreateSessionResponse)
         self.token = response.Parameters.AuthenticationToken
         return response.Parameters
 
-    async def activate(self, token=None):
+    async def activate(self, token=None, audit_entry=""):
         request = ua.ActivateSessionRequest()
+        request.RequestHeader.AuditEntryId = audit_entry
         request.Parameters.UserIdentityToken = token or ua.AnonymousIdentityToken("anonymous")
         return await self.call(request, ua.ActivateSessionResponse)
 

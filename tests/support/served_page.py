@@ -16,7 +16,7 @@ async def served(shown, **settings):
     page = Page(shown, lambda *_: (shown, None), own, SystemClock())
     listening, stop = open_socket(own), asyncio.Event()
     tasks = [
-        asyncio.create_task(serve(page.guard, own, listening, stop)),
+        asyncio.create_task(serve(page.guard, own, listening, stop, page.door)),
         asyncio.create_task(page.observer.run()),
     ]
     try:

@@ -47,6 +47,7 @@ class FakeBroker:
     """Fulfils `valvemap.sparkplug.ports.Broker`; ``said`` is what surely arrived."""
 
     url = "mqtt://fake:1"
+    refused_packets = 0
 
     def __init__(self):
         self.up = True

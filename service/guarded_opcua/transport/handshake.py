@@ -1,6 +1,7 @@
 """What is answered before somebody is logged in: channel, discovery, sessions (Part 4, 5.5-5.7)."""
 
 import contextlib
+import ipaddress
 import re
 from collections.abc import Awaitable, Iterator
 from functools import partial
@@ -196,7 +197,7 @@ class Handshake:
                 params.UserTokenSignature,
                 challenge,
                 shared.users,
-                session.host,
+                self._origin(session, _entry(header)),
                 shared.logins,
                 shared.trust,
                 partial(shared.audit.certificate_refused, session.host),
@@ -231,6 +232,16 @@ class Handshake:
         self._shared.sessions.close(session, keep_subscriptions=keep)
         self._shared.audit.session_closed(Actor(session, session.host, _entry(header)))
         return ua.CloseSessionResponse()
+
+    def _origin(self, session: Session, entry: str) -> str:
+        """Where a user comes from: behind a gateway, the address that the gateway names."""
+        if session.application_uri not in self._shared.gateways:
+            return session.host
+        try:
+            behind = ipaddress.ip_network(entry, strict=False)
+        except ValueError:
+            return session.host
+        return f"{behind} by way of {session.host}"
 
     def _verify(self, session: Session, signature: ua.SignatureData) -> None:
         """Check that whoever activates holds the key of the channel's certificate."""

@@ -3,13 +3,14 @@
 import asyncio
 import os
 import socket
-from collections import Counter
 from collections.abc import Container
 from functools import partial
+from typing import Any
 
 from asyncua import ua
 from asyncua.common.utils import ServiceError
 
+from guarded_opcua.admission import Admission
 from guarded_opcua.audit import Actor
 from guarded_opcua.logs import bounded_logger
 from guarded_opcua.security.identity import still_accepted
@@ -28,10 +29,16 @@ class Listener:
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
-        self._connections: set[Connection] = set()
-        self._of_host: Counter[str] = Counter()
-        self._openings: Counter[str] = Counter()  # in this second
-        self._second = 0
+        limits = shared.limits
+        self._connections: Admission[Connection] = Admission(
+            shared.clock,
+            limits.connections,
+            limits.connections_per_host,
+            limits.connections_per_second,
+            lambda connection: (connection.progress, connection.since),
+            self._logged_in,
+            self._give_way,
+        )
         self._server: asyncio.Server | None = None
         self._reaper: asyncio.Task[None] | None = None
 
@@ -69,7 +76,7 @@ class Listener:
             self._server.close()
         for session in self._shared.sessions:
             self._shared.sessions.close(session, code=ua.StatusCodes.BadServerHalted)
-        for connection in list(self._connections):
+        for connection in self._connections:
             connection.close()
         if self._server is not None:
             await self._server.wait_closed()
@@ -81,32 +88,16 @@ class Listener:
         The address that holds most gives way, with what came least far, the oldest first; who is
         logged in stays.
         """
-        limits, host = self._shared.limits, connection.host
-        second = int(self._shared.clock.monotonic())
-        if second != self._second:
-            self._second = second
-            self._openings.clear()
-        self._openings[host] += 1
-        if self._openings[host] > limits.connections_per_second:
-            return self._refuse(connection)
-        if self._of_host[host] >= limits.connections_per_host and not self._make_room({host}):
-            return self._refuse(connection)
-        full = len(self._connections) >= limits.connections
-        if full and not self._make_room(self._of_host):
-            return self._refuse(connection)
-        self._connections.add(connection)
-        self._of_host[host] += 1
-        return True
+        if self._connections.admit(connection, connection.host):
+            return True
+        self._shared.traffic.refused_connections += 1
+        _log.warning("%s: refused: too many connections", connection.host)
+        return False
 
     def forget(self, connection: Connection) -> None:
         """Forget a connection that is gone."""
-        if connection not in self._connections:
-            return
-        self._connections.discard(connection)
-        self._of_host[connection.host] -= 1
-        if not self._of_host[connection.host]:
-            del self._of_host[connection.host]
-        self._shared.sessions.lose_line(connection)
+        if self._connections.leave(connection):
+            self._shared.sessions.lose_line(connection)
 
     def sent(self, connection: Connection) -> None:
         """Note that something was sent; the slowest reader goes if all hold too much."""
@@ -118,22 +109,14 @@ class Listener:
             _log.warning("%s: disconnected: reads too slowly", slowest.host)
             slowest.abort()
 
-    def _refuse(self, connection: Connection) -> bool:
-        self._shared.traffic.refused_connections += 1
-        _log.warning("%s: refused: too many connections", connection.host)
-        return False
+    def _logged_in(self, _newcomer: object = None) -> Container[Any]:
+        """Connections with an active session."""
+        return {session.line for session in self._shared.sessions if session.active}
 
-    def _make_room(self, hosts: Container[str]) -> bool:
-        """End a connection that nobody is logged in on; whether there was one."""
-        lines = {id(session.line) for session in self._shared.sessions if session.active}
-        idle = [one for one in self._connections if one.host in hosts and id(one) not in lines]
-        if not idle:
-            return False
-        victim = min(idle, key=lambda one: (-self._of_host[one.host], one.progress, one.since))
-        _log.warning("%s: disconnected: gives way to others", victim.host)
-        self.forget(victim)
-        victim.abort()
-        return True
+    def _give_way(self, connection: Connection) -> None:
+        _log.warning("%s: disconnected: gives way to others", connection.host)
+        self._shared.sessions.lose_line(connection)
+        connection.abort()
 
     async def _reap_for_ever(self) -> None:
         while True:
@@ -148,15 +131,15 @@ class Listener:
         for session in self._shared.sessions.drop_timed_out():
             self._shared.audit.session_closed(Actor(session, session.host), timed_out=True)
         limits, now = self._shared.limits, self._shared.clock.monotonic()
-        lines = {id(session.line) for session in self._shared.sessions if session.active}
-        for connection in list(self._connections):
+        logged_in = self._logged_in()
+        for connection in self._connections:
             blocked = connection.blocked_since
             if blocked is not None and now - blocked > limits.slow_reader_seconds:
                 _log.warning("%s: disconnected: reads too slowly", connection.host)
                 connection.abort()
             elif connection.channel.expired:
                 connection.fail(ua.StatusCodes.BadSecureChannelClosed, "channel not renewed")
-            elif id(connection) not in lines and now - connection.idle_since > (
+            elif connection not in logged_in and now - connection.idle_since > (
                 limits.handshake_seconds
             ):
                 connection.fail(ua.StatusCodes.BadTimeout, "nobody logged in")
@@ -169,7 +152,7 @@ class Listener:
         self._shared.users.refresh()
         if not self._shared.trust.look_again():
             return
-        for connection in list(self._connections):
+        for connection in self._connections:
             await asyncio.sleep(0)
             if connection.is_closing:
                 continue

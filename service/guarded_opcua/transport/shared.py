@@ -73,6 +73,8 @@ class Shared:
         Where bytes arrive; emptied before the next ones do.
     logins
         Looks at passwords, one at a time.
+    gateways
+        Application URIs of clients by way of which users log in.
     """
 
     limits: Limits
@@ -86,6 +88,7 @@ class Shared:
     turns: FairTurns
     logins: LoginQueue
     anonymous_allowed: bool
+    gateways: frozenset[str] = frozenset()
     traffic: Traffic = field(default_factory=Traffic)
     channel_numbers: ChannelNumbers = field(default_factory=ChannelNumbers)
     offered: list[ua.EndpointDescription] = field(default_factory=list)

@@ -12,7 +12,7 @@ from guarded_opcua import (
     load_certificate,
 )
 from valvemap.app.build import measures
-from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT, load_users
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT, load_users
 from valvemap.config.models import Config, SourceConfig
 from valvemap.config.secret_files import read_secret
 from valvemap.errors import ConfigurationError
@@ -91,6 +91,7 @@ def build_server_settings(config: Config) -> ServerSettings:
         users=load_users(config.security.users),
         anonymous_observer=config.server.anonymous_observer,
         host_names=config.server.host_names,
+        gateways=frozenset({PAGE_URI}),
         limits=Limits(publishing_interval_ms=config.server.min_publishing_interval_ms),
         product=PRODUCT,
     )

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 
 from valvemap.app.page_access import Watched, settings_of
@@ -15,6 +14,7 @@ from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
 
 _TIMEOUT_S = 3.0  # for every answer: a service that is gone shows after so long
+_FAREWELL_S = 2.0  # for goodbyes to the service
 
 
 async def run_dashboard(
@@ -35,20 +35,34 @@ async def run_dashboard(
     source = settings_of(watched, _TIMEOUT_S)
     rig_url = watched.rig_url
 
-    def clients(user: str, password: str) -> tuple[Client, Client | None]:
-        own = replace(source, user=user, password=password)
+    def clients(user: str, password: str, address: str) -> tuple[Client, Client | None]:
+        own = replace(source, user=user, password=password, on_behalf_of=address)
         rig = None if rig_url is None else replace(own, url=rig_url)
         return (
             ResultsClient(own, SERVICE_NAMESPACE),
             None if rig is None else ResultsClient(rig, RIG_NAMESPACE),
         )
 
-    clock = SystemClock()
-    page = Page(ResultsClient(source, SERVICE_NAMESPACE), clients, page_settings, clock, rig_url)
-    listening = open_socket(page_settings, or_any=any_port)
-    say(url_of(page_settings, listening))
+    page = Page(
+        ResultsClient(source, SERVICE_NAMESPACE), clients, page_settings, SystemClock(), rig_url
+    )
+    await serve_page(page, stop, say, any_port=any_port)
+
+
+async def serve_page(
+    page: Page, stop: asyncio.Event, say: Callable[[str], None], *, any_port: bool = False
+) -> None:
+    """Serve a page until ``stop`` is set; whatever its peers do, it ends within some seconds.
+
+    Raises
+    ------
+    ValvemapError
+        of the page's address.
+    """
+    listening = open_socket(page.settings, or_any=any_port)
+    say(url_of(page.settings, listening))
     observing = asyncio.create_task(page.observer.run())
-    serving = asyncio.create_task(serve(page.guard, page_settings, listening, stop))
+    serving = asyncio.create_task(serve(page.guard, page.settings, listening, stop, page.door))
     try:
         await asyncio.wait({observing, serving}, return_when=asyncio.FIRST_COMPLETED)
         if observing.done():
@@ -57,6 +71,8 @@ async def run_dashboard(
         stop.set()
         await serving
         observing.cancel()
-        with suppress(asyncio.CancelledError):
-            await observing
-        await page.log_ins.close()
+        ending = {observing, asyncio.create_task(page.log_ins.close())}
+        _, silent = await asyncio.wait(ending, timeout=_FAREWELL_S)
+        for task in silent:  # a service that does not answer goodbye is left
+            task.cancel()
+        await asyncio.gather(*ending, return_exceptions=True)

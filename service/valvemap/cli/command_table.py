@@ -38,7 +38,9 @@ COMMANDS: Final[Mapping[str, Entry]] = {
         "invert",
         "Export the inverse map as a lookup table with a stated error, for a PLC or a program.",
     ),
-    "report": Entry("report", "Rebuild the paper's figures and tables, and judge its claims (in a clone)."),
+    "report": Entry(
+        "report", "Rebuild the paper's figures and tables, and judge its claims (in a clone)."
+    ),
     "record": Entry("serve", "Record the source's samples to a file."),
     "check-config": Entry("serve", "Check a configuration file and say what it would do."),
     "connect": Entry(

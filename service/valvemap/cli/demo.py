@@ -15,7 +15,7 @@ from rich.table import Table
 
 from guarded_opcua import Role, ServerSettings, UserStore
 from valvemap.app.build import build_identification
-from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PRODUCT
+from valvemap.app.identities import APPLICATION_NAME, APPLICATION_URI, PAGE_URI, PRODUCT
 from valvemap.app.serve import serve
 from valvemap.app.signals import stop_on_signal
 from valvemap.app.warm_up import warm_up
@@ -125,6 +125,7 @@ def _settings(config: Config, users: UserStore) -> ServerSettings:
         namespace_uri=APPLICATION_URI,
         users=users,
         none_on_loopback=True,
+        gateways=frozenset({PAGE_URI}),
         product=PRODUCT,
     )
 

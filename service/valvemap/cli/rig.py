@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from guarded_opcua import Limits, Pki, Role, ServerSettings, UserStore
-from valvemap.app.identities import PRODUCT, RIG_NAME, RIG_URI, load_users
+from valvemap.app.identities import PAGE_URI, PRODUCT, RIG_NAME, RIG_URI, load_users
 from valvemap.app.signals import stop_on_signal, stop_with_parent
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.options import FolderOption, RevocationOption
@@ -158,6 +158,7 @@ async def _serve(
         require_crl=require_crl,
         users=users,
         none_on_loopback=under_demo,
+        gateways=frozenset({PAGE_URI}),
         host_names=tuple(hosts),
         limits=limits,
         product=PRODUCT,

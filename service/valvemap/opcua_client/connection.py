@@ -74,6 +74,8 @@ class SourceSettings:
     user, password
         Credentials; anonymous if ``user`` is None. The password shows in no representation and
         never travels in the clear, except to this very host.
+    on_behalf_of
+        Address of the peer that logs in by way of us; the server counts its wrong passwords.
     check_host_name
         The server's certificate must name the host of ``url``.
     require_crl
@@ -107,6 +109,7 @@ class SourceSettings:
     own: OwnCertificate | None = None
     user: str | None = None
     password: str | None = field(default=None, repr=False)
+    on_behalf_of: str = ""
     check_host_name: bool = True
     require_crl: bool = True
     application_uri: str | None = None
@@ -297,7 +300,7 @@ async def open_connection(settings: SourceSettings, ticket: Ticket | None = None
     client.secure_channel_timeout = _CHANNEL_LIFETIME_MS
     transport = BoundedClient(settings.timeout_s)
     transport.pre_request_hook = client.uaclient.pre_request_hook
-    transport.session = session = BatchSession(transport)
+    transport.session = session = BatchSession(transport, settings.on_behalf_of)
     client.uaclient = transport
     if settings.user is not None:
         client.set_user(settings.user)

@@ -23,9 +23,10 @@ class BatchSession(UaSession):
     Private seams of asyncua: ``UaSession._send_request``, ``_set_state``, ``ensure_publish_loop``.
     """
 
-    def __init__(self, client: BoundedClient) -> None:
+    def __init__(self, client: BoundedClient, audit_entry: str = "") -> None:
         super().__init__(client)
         self._transport = client
+        self._audit_entry = audit_entry
 
     async def request(self, request: object, *, timeout: float | None = None) -> bytes:  # noqa: ASYNC109 - asyncua's way
         """Send a request and return the response's body from its TypeId on."""
@@ -46,6 +47,7 @@ class BatchSession(UaSession):
         self, parameters: ua.ActivateSessionParameters
     ) -> ua.ActivateSessionResult:
         request = ua.ActivateSessionRequest(Parameters=parameters)
+        request.RequestHeader.AuditEntryId = self._audit_entry
         result = (await self._ask(request, ua.ActivateSessionResponse)).Parameters
         self._set_state(SessionState.ACTIVATED)
         return result

@@ -3,20 +3,28 @@
 import asyncio
 import hashlib
 import secrets
+from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from guarded_opcua.admission import Admission, address_of
+from guarded_opcua.security.lock_out import Failures
 from valvemap.clock import Clock
-from valvemap.errors import CommandRejected, ValvemapError
+from valvemap.errors import CommandRejected, SourceRejected, ValvemapError
 from valvemap.page.ports import Client
-from valvemap.page.rates import TokenBucket
+from valvemap.page.rates import Buckets
 from valvemap.page.settings import PageSettings
+from valvemap.page.turns import Turns
 
-_MOST_NAMES = 1_000  # whose wrong passwords are remembered; at 0.2 tries a second an hour's worth
+_MOST_NAMES = 1_000  # whose wrong passwords are remembered, as at the service
+_MOST_KNOWN = 1_000  # pairs of user and address that have logged in
+_FROM_ANYWHERE = 10  # times the wrong passwords of one address lock the user for all strangers
+_LONGEST_NAME = 64  # characters; the service has no longer ones
+_TOO_MANY = "too many tries: wait some minutes"
 
-Clients = Callable[[str, str], tuple[Client, Client | None]]
-"""From user and password to the clients of the service and, in a demo, of the rig."""
+Clients = Callable[[str, str, str], tuple[Client, Client | None]]
+"""From user, password and the browser's address to clients of the service and of a demo's rig."""
 
 
 @dataclass
@@ -32,6 +40,9 @@ class LogIn:
 class LogIns:
     """All log-ins by a secret that only the browser's cookie holds.
 
+    Wrong passwords lock a user for the address they came from, as at the OPC UA server. Ten times
+    as many from anywhere lock the user for all addresses but those that have logged in before.
+
     Parameters
     ----------
     clients
@@ -46,57 +57,91 @@ class LogIns:
         self._clients = clients
         self._settings = settings
         self._clock = clock
-        self._tries = TokenBucket(settings.log_ins_per_s, settings.log_in_burst, clock)
+        self._tries = Buckets(settings.log_ins_per_s, settings.log_in_burst, clock)
+        self._wrong = Failures(_MOST_NAMES, settings.wrong_pause_s)
+        self._known: OrderedDict[tuple[str, str], None] = OrderedDict()  # user and address
+        self._turns = Turns()
         self._of: dict[str, LogIn] = {}
-        self._wrong: dict[str, tuple[int, float]] = {}  # in a row, and when the last was
-        self._one_at_a_time = asyncio.Lock()
-        self.failed = 0
+        self._ended: list[LogIn] = []  # to be closed
+        self._open: Admission[str] = Admission(
+            clock,
+            settings.log_ins,
+            settings.log_ins_of_user,
+            settings.log_ins,
+            lambda digest: self._of[digest].used,
+            lambda _newcomer: (),
+            lambda digest: self._ended.append(self._of.pop(digest)),
+        )
+        self.failed = self.refused = 0
 
     def __len__(self) -> int:
         return len(self._of)
 
-    async def log_in(self, user: str, password: str) -> str:
-        """Log in; return the secret for the cookie.
+    async def log_in(self, user: str, password: str, host: str) -> str:
+        """Log in from a host; return the secret for the cookie.
 
         Raises
         ------
         ValvemapError
             in words for the user: wrong password, too many tries, the service's refusal.
         """
-        async with self._one_at_a_time:
-            await self.forget_unused()
-            if len(self._of) >= self._settings.log_ins:
-                raise CommandRejected("too many users are logged in")
-            if not self._tries.take() or self._is_paused(user):
-                raise CommandRejected("too many tries: wait some minutes")
-            service, rig = self._clients(user, password)
-            try:
-                await service.connect()
-                if rig is not None:
-                    await rig.connect()
-            except ValvemapError:
-                self.failed += 1
-                self._note_wrong(user)
-                await _close(service, rig)
-                raise
-            self._wrong.pop(user, None)
-            secret = secrets.token_urlsafe(32)
-            self._of[_digest(secret)] = LogIn(user, service, rig, self._clock.monotonic())
-            return secret
+        try:
+            return await self._log_in(user, password, address_of(host))
+        except CommandRejected:
+            self.refused += 1
+            raise
 
-    def _is_paused(self, user: str) -> bool:
-        """Whether one more wrong password could lock the user out at the service."""
-        count, last = self._wrong.get(user, (0, 0.0))
-        if self._clock.monotonic() - last > self._settings.wrong_pause_s:
-            self._wrong.pop(user, None)
-            return False
-        return count >= self._settings.wrong_passwords
+    async def _log_in(self, user: str, password: str, address: str) -> str:
+        if len(user) > _LONGEST_NAME:
+            raise CommandRejected(f"a user has at most {_LONGEST_NAME} characters")
+        is_known = (user, address) in self._known
+        self._check_lock(user, address)
+        if not self._tries.take(f"{user} at {address}" if is_known else address):
+            raise CommandRejected(_TOO_MANY)
+        async with self._turns.turn(address, is_known=is_known):
+            self._check_lock(user, address)  # others of its address may have failed since
+            service, rig = await self._connected(user, password, address)
+        self._wrong.forget(user, address)
+        self._remember(user, address)
+        secret = secrets.token_urlsafe(32)
+        digest = _digest(secret)
+        self._of[digest] = LogIn(user, service, rig, self._clock.monotonic())
+        is_admitted = self._open.admit(digest, user)
+        if not is_admitted:
+            self._end(digest)
+        await self._close_ended()
+        if not is_admitted:
+            raise CommandRejected("this user logs in too often: try again in some seconds")
+        return secret
 
-    def _note_wrong(self, user: str) -> None:
-        count, _ = self._wrong.pop(user, (0, 0.0))
-        self._wrong[user] = (count + 1, self._clock.monotonic())
-        if len(self._wrong) > _MOST_NAMES:
-            del self._wrong[next(iter(self._wrong))]
+    async def _connected(
+        self, user: str, password: str, address: str
+    ) -> tuple[Client, Client | None]:
+        service, rig = self._clients(user, password, address)
+        try:
+            await service.connect()
+            if rig is not None:
+                await rig.connect()
+        except ValvemapError as error:
+            self.failed += 1
+            if isinstance(error, SourceRejected):
+                self._wrong.add(user, address, self._clock.monotonic())
+            await _close(service, rig)
+            raise
+        return service, rig
+
+    def _check_lock(self, user: str, address: str) -> None:
+        now, allowed = self._clock.monotonic(), self._settings.wrong_passwords
+        of_address = self._wrong.of_origin(user, address, now) >= allowed
+        of_name = self._wrong.of_name(user, now) >= _FROM_ANYWHERE * allowed
+        if of_address or (of_name and (user, address) not in self._known):
+            raise CommandRejected(_TOO_MANY)
+
+    def _remember(self, user: str, address: str) -> None:
+        self._known[user, address] = None
+        self._known.move_to_end((user, address))
+        if len(self._known) > _MOST_KNOWN:
+            self._known.popitem(last=False)
 
     def find(self, secret: str | None) -> LogIn | None:
         """Who holds that secret."""
@@ -105,25 +150,36 @@ class LogIns:
             found.used = self._clock.monotonic()
         return found
 
+    def holds(self, secret: str | None) -> bool:
+        """Whether a user is logged in with that secret; that is no use of it."""
+        return bool(secret) and _digest(secret or "") in self._of
+
     async def log_out(self, secret: str | None) -> None:
         """End a log-in; nothing happens if it has ended."""
-        found = self._of.pop(_digest(secret), None) if secret else None
-        if found is not None:
-            await _close(found.service, found.rig)
+        if secret and self.holds(secret):
+            self._end(_digest(secret))
+        await self._close_ended()
 
     async def forget_unused(self) -> None:
-        """End log-ins that nobody uses."""
+        """End log-ins that are not used."""
         oldest = self._clock.monotonic() - self._settings.log_in_idle_s
-        for digest, log_in in list(self._of.items()):
-            if log_in.used < oldest:
-                del self._of[digest]
-                await _close(log_in.service, log_in.rig)
+        for digest in [digest for digest, log_in in self._of.items() if log_in.used < oldest]:
+            self._end(digest)
+        await self._close_ended()
 
     async def close(self) -> None:
         """End all of them."""
-        for log_in in self._of.values():
-            await _close(log_in.service, log_in.rig)
-        self._of.clear()
+        for digest in list(self._of):
+            self._end(digest)
+        await self._close_ended()
+
+    def _end(self, digest: str) -> None:
+        self._open.leave(digest)
+        self._ended.append(self._of.pop(digest))
+
+    async def _close_ended(self) -> None:
+        ended, self._ended = self._ended, []
+        await asyncio.gather(*(_close(log_in.service, log_in.rig) for log_in in ended))
 
 
 async def _close(service: Client, rig: Client | None) -> None:

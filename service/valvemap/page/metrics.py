@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
+from valvemap.page.door import REASONS
 from valvemap.page.observer import Link, Observer
 from valvemap.vocabulary.quantities import FRAME_QUANTITIES, Kind
 
 if TYPE_CHECKING:
+    from valvemap.page.door import Door
     from valvemap.page.guard import Guard
     from valvemap.page.log_ins import LogIns
     from valvemap.page.viewers import Viewers
@@ -22,12 +24,18 @@ class Metrics:
     """All figures of one page process."""
 
     def __init__(
-        self, observer: Observer, viewers: "Viewers", guard: "Guard", log_ins: "LogIns"
+        self,
+        observer: Observer,
+        viewers: "Viewers",
+        guard: "Guard",
+        log_ins: "LogIns",
+        door: "Door",
     ) -> None:
         self._observer = observer
         self._viewers = viewers
         self._guard = guard
         self._log_ins = log_ins
+        self._door = door
         self._registry = CollectorRegistry(auto_describe=False)
         self._registry.register(self)
 
@@ -50,14 +58,22 @@ class Metrics:
         yield GaugeMetricFamily(
             "valvemap_page_log_ins", "Users logged in on the page.", value=float(len(self._log_ins))
         )
+        yield GaugeMetricFamily(
+            "valvemap_page_connections", "Connections to the page.", value=float(len(self._door))
+        )
         refused = CounterMetricFamily(
-            "valvemap_page_refused", "Requests that the page refused.", labels=["why"]
+            "valvemap_page_refused",
+            "Requests that the page refused, and connections that it refused or ended.",
+            labels=["why"],
         )
         for why in ("host", "origin", "rate", "size"):
             refused.add_metric([why], self._guard.refusals[why])
+        for why in REASONS:
+            refused.add_metric([why], self._door.refusals[why])
         refused.add_metric(["viewers"], self._viewers.refused)
         refused.add_metric(["senseless"], self._viewers.senseless)
         refused.add_metric(["log_in"], self._log_ins.failed)
+        refused.add_metric(["tries"], self._log_ins.refused)
         yield refused
 
     def _of_valves(self) -> Iterator[Metric]:

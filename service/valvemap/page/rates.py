@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 
+from guarded_opcua.admission import address_of
 from valvemap.clock import Clock, SystemClock
 
 _CLOCK = SystemClock()
@@ -19,14 +20,14 @@ class TokenBucket:
         self._rate, self._burst, self._clock = rate, burst, clock
         self._tokens, self._then = burst, clock.monotonic()
 
-    def take(self) -> bool:
-        """Take one token, if there is one."""
+    def take(self, number: float = 1.0) -> bool:
+        """Take this number of tokens, if there are as many."""
         now = self._clock.monotonic()
         self._tokens = min(self._burst, self._tokens + self._rate * (now - self._then))
         self._then = now
-        if self._tokens < 1.0:
+        if self._tokens < number:
             return False
-        self._tokens -= 1.0
+        self._tokens -= number
         return True
 
 
@@ -37,8 +38,9 @@ class Buckets:
         self._rate, self._burst, self._clock, self._most = rate, burst, clock, most
         self._of: OrderedDict[str, TokenBucket] = OrderedDict()
 
-    def take(self, address: str) -> bool:
-        """Take one token of that address."""
+    def take(self, host: str) -> bool:
+        """Take one token of that host's address."""
+        address = address_of(host)
         bucket = self._of.pop(address, None) or TokenBucket(self._rate, self._burst, self._clock)
         self._of[address] = bucket
         if len(self._of) > self._most:

@@ -6,22 +6,27 @@ import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-import h11
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from uvicorn.server import ServerState
 
 from valvemap.errors import ValvemapError
+from valvemap.page.door import PLACE, Door, Place, Step
+from valvemap.page.rates import TokenBucket
 from valvemap.page.settings import PageSettings
 
-_REQUEST_S = 10.0  # from connecting to the end of the first request's head
 _KEEP_ALIVE_S = 15
 _PING_S = 20.0  # a viewer that is gone without a word is noticed within twice that
 _HEAD_BYTES = 16 * 1024
 _MESSAGE_BYTES = 4 * 1024  # of a viewer; what a page sends has some 100 bytes
-_FAREWELL_S = 2
+_VIEWER_BYTES_PER_S, _VIEWER_BURST_BYTES = 8_192.0, 32_768.0  # a page sends some 2 kB a second
+_MOST_FRAMES = 64  # of one message; browsers send one
+_FAREWELL_S = 1
 _BACKLOG = 64
 
 
@@ -37,7 +42,7 @@ def open_socket(settings: PageSettings, *, or_any: bool = False) -> socket.socke
     PageError
     """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # sends at once
     if sys.platform != "win32":  # there, it would share a port that is taken
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -60,13 +65,12 @@ def url_of(settings: PageSettings, listening: socket.socket) -> str:
 
 
 async def serve(
-    app: ASGIApp, settings: PageSettings, listening: socket.socket, stop: asyncio.Event
+    app: ASGIApp, settings: PageSettings, listening: socket.socket, stop: asyncio.Event, door: Door
 ) -> None:
     """Serve until ``stop`` is set."""
     config = uvicorn.Config(
-        app,
-        http=_bounded_protocol(settings.connections),
-        ws="websockets-sansio",
+        _noting_steps(app),
+        ws=_Live,
         ws_max_size=_MESSAGE_BYTES,
         ws_max_queue=8,
         ws_ping_interval=_PING_S,
@@ -83,7 +87,7 @@ async def serve(
         ssl_certfile=settings.certificate,
         ssl_keyfile=None if settings.key is None else str(settings.key),
     )
-    server = _Server(config)
+    server = _Server(config, door)
     serving = asyncio.create_task(server.serve(sockets=[listening]))
     stopped = asyncio.create_task(stop.wait())
     try:
@@ -95,42 +99,85 @@ async def serve(
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to whoever started it."""
+    """Takes connections from a door; leaves signals to its caller."""
+
+    def __init__(self, config: uvicorn.Config, door: Door) -> None:
+        super().__init__(config)
+        self._door = door
+        self._open: asyncio.Task[None] | None = None
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        (listening,) = sockets or []
 
-def _bounded_protocol(most: int) -> type[H11Protocol]:
-    """HTTP connections: so many at once, and none that says nothing."""
-    open_: set[object] = set()
+        def protocol(place: Place) -> asyncio.Protocol:
+            return _Http(place, self._door, self.config, self.server_state)
 
-    class Bounded(H11Protocol):
-        _patience: asyncio.TimerHandle | None = None
+        self.servers = []  # of asyncio; it would agree on TLS before anything could be refused
+        self._open = asyncio.create_task(self._door.open(listening, protocol, self.config.ssl))
+        self.started = True
 
-        def connection_made(self, transport: Any) -> None:  # noqa: ANN401 - asyncio's
-            if len(open_) >= most:
-                transport.abort()
-                return
-            open_.add(self)
-            super().connection_made(transport)
-            self._patience = self.loop.call_later(_REQUEST_S, self._look)
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        if self._open is not None:
+            self._open.cancel()
+            await asyncio.gather(self._open, return_exceptions=True)
+        await super().shutdown(sockets)
+        self._door.hang_up()
+        await asyncio.sleep(0)  # connections note that they are lost
 
-        def connection_lost(self, exc: Exception | None) -> None:
-            open_.discard(self)
-            if self._patience is not None:
-                self._patience.cancel()
-                super().connection_lost(exc)
 
-        def handle_websocket_upgrade(self, event: h11.Request) -> None:
-            super().handle_websocket_upgrade(event)
-            open_.discard(self)  # from now on a viewer, and counted there
-            if self._patience is not None:
-                self._patience.cancel()
+class _Http(H11Protocol):
+    """A connection that keeps its place until it is lost."""
 
-        def _look(self) -> None:
-            if self.cycle is None and not self.transport.is_closing():
-                self.transport.abort()
+    def __init__(
+        self, place: Place, door: Door, config: uvicorn.Config, state: ServerState
+    ) -> None:
+        super().__init__(config, state, {PLACE: place})
+        self._place, self._door = place, door
+        self.ws_protocol_class = partial(_Live, place=place, door=door)  # type: ignore[assignment]
 
-    return Bounded
+    def connection_made(self, transport: Any) -> None:  # noqa: ANN401 - asyncio's
+        self._place.transport = transport
+        self._place.go_to(Step.SILENT)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._door.leave(self._place)
+        super().connection_lost(exc)
+
+
+class _Live(WebSocketsSansIOProtocol):
+    """A viewer's connection; one that sends far more than a page does is ended."""
+
+    def __init__(self, *arguments: Any, place: Place, door: Door, **more: Any) -> None:  # noqa: ANN401
+        super().__init__(*arguments, **more)
+        self._place, self._door = place, door
+        self._may_send = TokenBucket(_VIEWER_BYTES_PER_S, _VIEWER_BURST_BYTES)
+
+    def data_received(self, data: bytes) -> None:
+        if self._may_send.take(len(data)) and len(self.frames) < _MOST_FRAMES:
+            super().data_received(data)
+        else:
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._door.leave(self._place)
+        super().connection_lost(exc)
+
+
+def _noting_steps(app: ASGIApp) -> ASGIApp:
+    """An application that notes how far each connection has come."""
+
+    async def noting(scope: Scope, receive: Receive, send: Send) -> None:
+        place: Place = scope["state"][PLACE]
+        is_viewer = scope["type"] == "websocket"
+        place.go_to(Step.VIEWING if is_viewer else Step.ANSWERING)
+        try:
+            await app(scope, receive, send)
+        finally:
+            place.go_to(Step.CLOSING if is_viewer else Step.WAITING)
+
+    return noting

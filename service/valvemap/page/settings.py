@@ -22,15 +22,25 @@ class PageSettings:
         foreign name can be bound to this address.
     certificate, key
         PEM files for https. Off loopback nobody can log in without them.
-    viewers, connections
-        Open pages, and connections, at once.
+    viewers, viewers_of_address
+        Open pages at once, and those of one address (an IPv6 network of 64 bits counts as one).
+    connections, connections_of_address, connections_per_s
+        Connections at once, and those of one address, viewers included; how many of one address
+        are considered in a second. Each takes one descriptor.
+    handshakes, handshakes_of_address, handshakes_per_s
+        TLS handshakes under way, and those of one address; those of one address in a second. Each
+        takes 300 kB and some 2 ms of the processor.
+    handshake_s, request_s, answer_s
+        For TLS; from connecting, or from the last answer, to a request; for its answer to be read.
     requests_per_s, request_burst
         Of one address.
-    log_ins, log_ins_per_s, log_in_burst
-        Users logged in at once; tries, over all addresses.
+    log_ins, log_ins_of_user
+        Log-ins at once, and those of one user; the one that was not used for longest ends.
+    log_ins_per_s, log_in_burst
+        Tries of one address.
     wrong_passwords, wrong_pause_s
-        Wrong passwords of one user in a row, and the wait after them: fewer than the service locks
-        the user out for (5), and longer than it remembers (300 s).
+        Wrong passwords of one user from one address, and the wait after them: fewer than the
+        service locks the user out for (5), and longer than it remembers (300 s).
     log_in_idle_s
         A log-in that is not used for so long ends.
     body_bytes
@@ -43,10 +53,20 @@ class PageSettings:
     certificate: Path | None = None
     key: Path | None = None
     viewers: int = 50
-    connections: int = 200
+    viewers_of_address: int = 25
+    connections: int = 120
+    connections_of_address: int = 60
+    connections_per_s: int = 500
+    handshakes: int = 20
+    handshakes_of_address: int = 10
+    handshakes_per_s: int = 50
+    handshake_s: float = 5.0
+    request_s: float = 15.0
+    answer_s: float = 60.0
     requests_per_s: float = 50.0
     request_burst: float = 300.0
     log_ins: int = 8
+    log_ins_of_user: int = 4
     log_ins_per_s: float = 0.2
     log_in_burst: float = 10.0
     wrong_passwords: int = 3

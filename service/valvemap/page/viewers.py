@@ -9,10 +9,13 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
+from guarded_opcua.admission import Admission
+from valvemap.clock import Clock
 from valvemap.errors import ValvemapError
 from valvemap.page.judgement import INVERSE_SEVERITIES, Reason
 from valvemap.page.layout import Valve
@@ -25,6 +28,7 @@ from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES
 from valvemap.vocabulary.statuses import InverseStatus, Status
 
 _SLOW_READER_S = 10.0  # for one message to leave
+_OPENED_PER_S = 50  # WebSockets of one address; a wall of screens that starts opens some 20
 _MESSAGES_PER_S, _BURST = 20.0, 60.0  # what a hand on a slider sends, and some more
 _POLICY_VIOLATION, _TRY_AGAIN_LATER = 1008, 1013  # close codes, RFC 6455 and IANA
 
@@ -42,6 +46,7 @@ class Viewer:
     """
 
     socket: WebSocket
+    number: int = 0  # of all viewers; later ones have higher ones
     watched: str | None = None
     estimator: str | None = None
     overview: bool = False
@@ -51,20 +56,36 @@ class Viewer:
     greeted: tuple[int, str, str] | None = None
     rows_seen: dict[int, Any] = field(default_factory=dict)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
+    has_asked: bool = False
+    gives_way: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
     """All open pages.
 
+    Where there are too many, one of the address that has most gives way: the newest, but rather one
+    that has asked for nothing. One that has asked stays, unless its address has more than the
+    newcomer's would have.
+
     Parameters
     ----------
-    most
-        So many at once.
+    most, most_of_address
+        Viewers at once, and those of one address.
+    clock
+        Time.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._open: set[Viewer] = set()
+    def __init__(self, most: int, most_of_address: int, clock: Clock) -> None:
+        self._open: Admission[Viewer] = Admission(
+            clock,
+            most,
+            most_of_address,
+            _OPENED_PER_S,
+            lambda viewer: (viewer.has_asked, -viewer.number),
+            self._staying,
+            lambda viewer: viewer.gives_way.set(),
+        )
+        self._numbers = count(1)
         self._packing = Packing()
         self.refused = 0
         self.senseless = 0
@@ -92,28 +113,52 @@ class Viewers:
 
     async def serve(self, socket: WebSocket, observer: Observer) -> None:
         """Talk with one page until it goes."""
-        if len(self._open) >= self._most:
+        viewer = Viewer(socket, next(self._numbers))
+        if not self._open.admit(viewer, _host_of(viewer)):
             self.refused += 1
             await socket.close(_TRY_AGAIN_LATER)
             return
-        await socket.accept()
-        viewer = Viewer(socket)
-        viewer.changed.set()
-        self._open.add(viewer)
-        sending = asyncio.create_task(self._send_for_ever(viewer, observer))
-        listening = asyncio.create_task(self._listen(viewer, observer))
         try:
-            done, _ = await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
+            await self._talk(viewer, observer)
+        finally:
+            self._open.leave(viewer)
+
+    async def _talk(self, viewer: Viewer, observer: Observer) -> None:
+        await viewer.socket.accept()
+        viewer.changed.set()
+        tasks = [
+            asyncio.create_task(talk)
+            for talk in (
+                self._send_for_ever(viewer, observer),
+                self._listen(viewer, observer),
+                viewer.gives_way.wait(),
+            )
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
         finally:
-            self._open.discard(viewer)
-            for task in (sending, listening):
+            self._open.leave(viewer)
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(sending, listening, return_exceptions=True)
-            if socket.client_state is WebSocketState.CONNECTED:
+            await asyncio.gather(*tasks, return_exceptions=True)
+            if viewer.gives_way.is_set():
+                self.refused += 1
+            if viewer.socket.client_state is WebSocketState.CONNECTED:
                 with suppress(RuntimeError, OSError):
-                    await socket.close(_POLICY_VIOLATION)
+                    await viewer.socket.close(
+                        _TRY_AGAIN_LATER if viewer.gives_way.is_set() else _POLICY_VIOLATION
+                    )
+
+    def _staying(self, newcomer: Viewer) -> frozenset[Viewer]:
+        """Viewers that have asked, of addresses that hold no more than the newcomer's would."""
+        fair = self._open.held_at(_host_of(newcomer)) + 1
+        return frozenset(
+            viewer
+            for viewer in self._open
+            if viewer.has_asked and self._open.held_at(_host_of(viewer)) <= fair
+        )
 
     async def _listen(self, viewer: Viewer, observer: Observer) -> None:
         bucket = TokenBucket(_MESSAGES_PER_S, _BURST)
@@ -141,6 +186,7 @@ class Viewers:
                 if valve != viewer.watched or estimator != viewer.estimator:
                     viewer.seen = 0
                 viewer.watched, viewer.estimator = valve, estimator
+                viewer.has_asked = True
                 viewer.overview = overview
                 viewer.rows_seen.clear()
                 viewer.changed.set()
@@ -242,6 +288,10 @@ class Viewers:
         packed = self._packing.values(observer.store, number, viewer.seen, viewer.names_seen)
         viewer.seen, viewer.names_seen = observer.store.revision, self._packing.names
         return packed
+
+
+def _host_of(viewer: Viewer) -> str:
+    return viewer.socket.client.host if viewer.socket.client else ""
 
 
 def _greeting(observer: Observer) -> dict[str, Any]:

@@ -2,19 +2,22 @@
 
 import asyncio
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.requests import ClientDisconnect, Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from valvemap.clock import Clock
 from valvemap.errors import ValvemapError
 from valvemap.page.commands import carry_out
+from valvemap.page.door import Door
 from valvemap.page.guard import Guard
 from valvemap.page.log_ins import Clients, LogIns
 from valvemap.page.metrics import CONTENT_TYPE, Metrics
@@ -26,6 +29,7 @@ from valvemap.page.viewers import Viewers
 STATIC = Path(__file__).parent / "static"
 _COOKIE = "valvemap"
 _BODY_S = 5.0  # for a request's body to arrive
+_PIECE_BYTES = 65_536  # bytes; of a file, sent at once
 
 
 class Page:
@@ -54,7 +58,8 @@ class Page:
         rig: str | None = None,
     ) -> None:
         self.settings = settings
-        self.viewers = Viewers(settings.viewers)
+        self.door = Door(settings, clock)
+        self.viewers = Viewers(settings.viewers, settings.viewers_of_address, clock)
         self.observer = Observer(
             client,
             clock,
@@ -63,8 +68,18 @@ class Page:
         )
         self.log_ins = LogIns(clients, settings, clock)
         self._has_rig = rig is not None
-        self.guard = Guard(self._application(), settings)
-        self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins)
+        self.guard = Guard(self._noting_log_ins(self._application()), settings)
+        self._metrics = Metrics(self.observer, self.viewers, self.guard, self.log_ins, self.door)
+
+    def _noting_log_ins(self, application: ASGIApp) -> ASGIApp:
+        """An application that lets connections of users who are logged in stay."""
+
+        async def noting(scope: Scope, receive: Receive, send: Send) -> None:
+            secret = HTTPConnection(scope).cookies.get(_COOKIE)
+            self.door.note_log_in(scope, is_logged_in=self.log_ins.holds(secret))
+            await application(scope, receive, send)
+
+        return noting
 
     def _application(self) -> Starlette:
         return Starlette(
@@ -77,7 +92,7 @@ class Page:
                 Route("/log-in", self._log_in, methods=["POST"]),
                 Route("/log-out", self._log_out, methods=["POST"]),
                 Route("/command", self._command, methods=["POST"]),
-                Mount("/", _Files(directory=STATIC, html=True)),
+                Mount("/", _Files(STATIC)),
             ]
         )
 
@@ -111,7 +126,8 @@ class Page:
         match await _body(request):
             case {"user": str() as user, "password": str() as password} if user and password:
                 try:
-                    secret = await self.log_ins.log_in(user, password)
+                    host = request.client.host if request.client else ""
+                    secret = await self.log_ins.log_in(user, password, host)
                 except ValvemapError as error:
                     return _answer(403, error=str(error))
             case _:
@@ -140,12 +156,55 @@ class Page:
 
 
 class _Files(StaticFiles):
-    """The page's files; asked for anew after an update, otherwise kept by the browser."""
+    """The page's files, kept in memory: a reader, however slow, holds no descriptor.
 
-    def file_response(self, *args: Any, **kwargs: Any) -> Response:  # noqa: ANN401 - Starlette's
-        response = super().file_response(*args, **kwargs)
+    Browsers ask for them again after an update, and keep them otherwise.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(directory=directory, html=True)
+        self._kept: dict[str, tuple[int, bytes]] = {}  # by path: when it was written, and what
+
+    def file_response(
+        self,
+        full_path: str | os.PathLike[str],
+        stat_result: os.stat_result,
+        scope: Scope,
+        status_code: int = 200,
+    ) -> Response:
+        response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers["Cache-Control"] = "no-cache"
-        return response
+        if not isinstance(response, FileResponse):  # the browser has it
+            return response
+        written, content = self._kept.get(str(full_path), (-1, b""))
+        if written != stat_result.st_mtime_ns:
+            content = Path(full_path).read_bytes()
+            self._kept[str(full_path)] = (stat_result.st_mtime_ns, content)
+        return _Kept(content, response)
+
+
+class _Kept(Response):
+    """A file from memory, sent as fast as it is read."""
+
+    def __init__(self, content: bytes, as_file: FileResponse) -> None:
+        super().__init__(status_code=as_file.status_code)
+        self.raw_headers = [
+            (name, value) for name, value in as_file.raw_headers if name != b"accept-ranges"
+        ]
+        self._content = memoryview(content)
+
+    async def __call__(self, _scope: Scope, _receive: Receive, send: Send) -> None:
+        await send(
+            {
+                "type": "http.response.start",
+                "status": self.status_code,
+                "headers": self.raw_headers,
+            }
+        )
+        for at in range(0, len(self._content), _PIECE_BYTES):
+            piece = bytes(self._content[at : at + _PIECE_BYTES])
+            await send({"type": "http.response.body", "body": piece, "more_body": True})
+        await send({"type": "http.response.body", "body": b""})
 
 
 async def _body(request: Request) -> dict[str, Any]:

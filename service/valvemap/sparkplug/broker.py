@@ -15,6 +15,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from valvemap.errors import ConfigurationError, SinkError, SinkLost, SinkRejected
 from valvemap.sparkplug.edge_node import Message
+from valvemap.sparkplug.packet_guard import PacketGuard, PacketRefused
 from valvemap.sparkplug.settings import BrokerSettings
 
 _MOST_RECEIVED: Final = 100  # that nobody has taken; the newest count
@@ -35,6 +36,7 @@ class PahoBroker:
     def __init__(self, settings: BrokerSettings) -> None:
         self._settings = settings
         self._tls = _tls(settings) if settings.tls else None
+        self.refused_packets = 0
 
     @property
     def url(self) -> str:
@@ -52,7 +54,9 @@ class PahoBroker:
             if it refuses us, or is not to be trusted.
         """
         settings = self._settings
-        client = Client(
+        guard = PacketGuard(settings.url)
+        client = _GuardedClient(
+            guard,
             CallbackAPIVersion.VERSION2,
             client_id=settings.client_id,
             clean_session=True,
@@ -65,7 +69,7 @@ class PahoBroker:
             client.username_pw_set(settings.user, settings.password)
         if self._tls is not None:
             client.tls_set_context(self._tls)
-        session = PahoSession(client, settings, topics)
+        session = PahoSession(client, settings, topics, guard, self._count_refused)
         try:
             await session.begin()
         except BaseException:
@@ -73,12 +77,23 @@ class PahoBroker:
             raise
         return session
 
+    def _count_refused(self) -> None:
+        self.refused_packets += 1
+
 
 class PahoSession:
     """Fulfils :class:`valvemap.sparkplug.ports.Session`; made by :class:`PahoBroker`."""
 
-    def __init__(self, client: Client, settings: BrokerSettings, topics: Sequence[str]) -> None:
+    def __init__(
+        self,
+        client: Client,
+        settings: BrokerSettings,
+        topics: Sequence[str],
+        guard: PacketGuard,
+        count_refused: Callable[[], None],
+    ) -> None:
         self._client, self._settings, self._topics = client, settings, topics
+        self._guard, self._count_refused = guard, count_refused
         self._loop = asyncio.get_running_loop()
         self._accepted: asyncio.Future[bool] = self._loop.create_future()
         self._confirmed: dict[int, asyncio.Future[bool]] = {}
@@ -103,6 +118,8 @@ class PahoSession:
             raise SinkLost(f"{settings.url}: {_words(error)}") from error
         self._client.loop_start()
         await self._wait(self._accepted, "it does not take the connection")
+        if not self._guard.received:  # else packets would not be bounded
+            raise SinkRejected("this version of paho-mqtt bypasses the packet guard")
         for topic in self._topics:
             await self._subscribe(topic)
 
@@ -124,9 +141,7 @@ class PahoSession:
     def received(self) -> list[Message]:
         """Take the messages that came."""
         self._check()
-        taken = list(self._received)
-        self._received.clear()
-        return taken
+        return [self._received.popleft() for _ in range(len(self._received))]
 
     async def close(self) -> None:
         """End it; safe to call twice, and after a loss."""
@@ -185,8 +200,8 @@ class PahoSession:
         self._soon(self._take_confirmation, number, reasons[0])
 
     def _on_message(self, _client: Client, _userdata: object, message: Any) -> None:  # noqa: ANN401
-        if len(message.payload) <= _LARGEST:
-            self._soon(self._received.append, Message(message.topic, message.payload, message.qos))
+        if len(message.payload) <= _LARGEST:  # by paho's thread: a deque is safe, and bounded
+            self._received.append(Message(message.topic, message.payload, message.qos))
 
     def _on_disconnect(
         self,
@@ -214,6 +229,9 @@ class PahoSession:
 
     def _end(self, reason: ReasonCode) -> None:
         self._ended.set()
+        if self._failure is None and self._guard.refusal is not None:
+            self._failure = self._guard.refusal
+            self._count_refused()
         if self._failure is None:
             self._failure = SinkLost(f"{self._settings.url}: the connection broke: {reason}")
         for answer in (self._accepted, *self._confirmed.values()):
@@ -251,6 +269,27 @@ async def _in_thread(work: Callable[[], object]) -> None:
 
     Thread(target=run, daemon=True).start()
     await done
+
+
+class _GuardedClient(Client):
+    """Reads a packet's header before the packet, and shows both directions to a guard."""
+
+    def __init__(self, guard: PacketGuard, *arguments: Any, **more: Any) -> None:  # noqa: ANN401
+        super().__init__(*arguments, **more)
+        self._guard = guard
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        data = super()._sock_recv(bufsize)
+        try:
+            self._guard.receive(data)
+        except PacketRefused as refusal:
+            raise ConnectionAbortedError(str(refusal)) from refusal  # Paho ends the connection
+        return data
+
+    def _sock_send(self, buf: bytes | bytearray) -> int:
+        sent = super()._sock_send(buf)
+        self._guard.send(bytes(buf[:sent]))
+        return sent
 
 
 class _Closing(ssl.SSLSocket):

@@ -69,6 +69,10 @@ class Broker(Protocol):
     """Where sessions are made."""
 
     @property
+    def refused_packets(self) -> int:
+        """Packets that were not received, each with its connection."""
+
+    @property
     def url(self) -> str:
         """Where it is."""
 

@@ -15,7 +15,7 @@ from valvemap.sparkplug.metrics import flag_in
 from valvemap.sparkplug.outbox import Outbox
 from valvemap.sparkplug.ports import Broker, Session
 from valvemap.sparkplug.schema import DecodeError
-from valvemap.sparkplug.shown import CONNECTIONS, LOST, Shown
+from valvemap.sparkplug.shown import CONNECTIONS, LOST, REFUSED, Shown
 
 log = structlog.get_logger(__name__)
 
@@ -187,6 +187,7 @@ class Sender:
     def _count_losses(self) -> None:
         lost, now = self._outbox.lost, self._clock.monotonic()
         self._shown.count(LOST, lost, self._clock.now())
+        self._shown.count(REFUSED, self._broker.refused_packets, self._clock.now())
         if lost != self._losses_said and now - self._losses_said_at >= _SAID_AGAIN_S:
             self._losses_said, self._losses_said_at = lost, now
             log.warning("values found no room", lost=lost)

@@ -10,11 +10,13 @@ from valvemap.sparkplug.schema import DataType
 
 LOST: Final = "MQTT.Lost"
 OVERFLOWS: Final = "MQTT.Overflows"
+REFUSED: Final = "MQTT.Refused"
 CONNECTIONS: Final = "MQTT.Connections"
 CONNECTED: Final = "MQTT.ServiceConnected"
 _OWN: Final = {
     LOST: DataType.UINT64,
     OVERFLOWS: DataType.UINT64,
+    REFUSED: DataType.UINT64,
     CONNECTIONS: DataType.UINT64,
     CONNECTED: DataType.BOOLEAN,
 }

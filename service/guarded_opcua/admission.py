@@ -1,0 +1,147 @@
+"""Who holds one of a bounded number of places: a fair share for each address. Pure."""
+
+import ipaddress
+from collections import Counter
+from collections.abc import Callable, Container, Hashable, Iterator
+from typing import Any, Generic, Protocol, TypeVar
+
+Holder = TypeVar("Holder", bound=Hashable)
+
+
+class Monotonic(Protocol):
+    """A clock that never jumps."""
+
+    def monotonic(self) -> float:
+        """Seconds since some instant, never running back."""
+
+
+class Admission(Generic[Holder]):
+    """Admits holders of places; where all are taken, another holder gives way if it can.
+
+    The address that holds most gives way, with the holder of the lowest rank.
+
+    Parameters
+    ----------
+    clock
+        For the rate.
+    most, most_of_address
+        Places, and places of one address.
+    per_second
+        Admissions of one address that are considered in one second.
+    rank
+        Holders with the lowest rank give way first.
+    staying
+        Holders that do not give way to a newcomer.
+    give_way
+        Called with the holder that loses its place.
+
+    Examples
+    --------
+    >>> from guarded_opcua.clock import ManualClock
+    >>> admission = Admission(ManualClock(), 3, 2, 10, len, lambda newcomer: (), print)
+    >>> [admission.admit(name, "10.0.0.1") for name in ("anna", "bert")]
+    [True, True]
+    >>> admission.admit("charly", "10.0.0.1")
+    anna
+    True
+    >>> [admission.admit(name, "10.0.0.2") for name in ("d", "e")]
+    bert
+    [True, True]
+    """
+
+    def __init__(
+        self,
+        clock: Monotonic,
+        most: int,
+        most_of_address: int,
+        per_second: int,
+        rank: Callable[[Holder], Any],
+        staying: Callable[[Holder], Container[Holder]],
+        give_way: Callable[[Holder], object],
+    ) -> None:
+        self._clock = clock
+        self._most, self._most_of_address, self._per_second = most, most_of_address, per_second
+        self._rank, self._staying, self._give_way = rank, staying, give_way
+        self._holders: dict[Holder, str] = {}
+        self._of_address: Counter[str] = Counter()
+        self._asked: Counter[str] = Counter()  # in this second
+        self._second = 0
+
+    def __iter__(self) -> Iterator[Holder]:
+        return iter(tuple(self._holders))
+
+    def __len__(self) -> int:
+        return len(self._holders)
+
+    def __contains__(self, holder: object) -> bool:
+        return holder in self._holders
+
+    def held_at(self, host: str) -> int:
+        """How many places the address of a host has."""
+        return self._of_address[address_of(host)]
+
+    def admit(self, newcomer: Holder, host: str) -> bool:
+        """Give a place to a newcomer from a host, if there is one or another gives way."""
+        address = address_of(host)
+        if not self._is_slow_enough(address):
+            return False
+        if self._of_address[address] >= self._most_of_address and not self._make_room(
+            newcomer, {address}
+        ):
+            return False
+        if len(self._holders) >= self._most and not self._make_room(newcomer, self._of_address):
+            return False
+        self._holders[newcomer] = address
+        self._of_address[address] += 1
+        return True
+
+    def leave(self, holder: Holder) -> bool:
+        """Free the place of a holder; whether it had one."""
+        address = self._holders.pop(holder, None)
+        if address is None:
+            return False
+        self._of_address[address] -= 1
+        if not self._of_address[address]:
+            del self._of_address[address]
+        return True
+
+    def _is_slow_enough(self, address: str) -> bool:
+        second = int(self._clock.monotonic())
+        if second != self._second:
+            self._second = second
+            self._asked.clear()
+        self._asked[address] += 1
+        return self._asked[address] <= self._per_second
+
+    def _make_room(self, newcomer: Holder, addresses: Container[str]) -> bool:
+        staying = self._staying(newcomer)
+        others = [
+            (-self._of_address[address], self._rank(holder), number, holder)
+            for number, (holder, address) in enumerate(self._holders.items())
+            if address in addresses and holder not in staying
+        ]
+        if not others:
+            return False
+        *_, victim = min(others)
+        self.leave(victim)
+        self._give_way(victim)
+        return True
+
+
+def address_of(host: str) -> str:
+    """The address by which a host is counted: an IPv6 host can use all 2⁶⁴ of its network.
+
+    >>> address_of("2001:db8::1") == address_of("2001:db8::ffff:2"), address_of("::ffff:10.0.0.1")
+    (True, '10.0.0.1')
+    >>> address_of("10.0.0.1"), address_of("?")
+    ('10.0.0.1', '?')
+    """
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return host
+    if isinstance(address, ipaddress.IPv4Address):
+        return str(address)
+    if address.ipv4_mapped is not None:
+        return str(address.ipv4_mapped)
+    return str(ipaddress.ip_network((int(address), 64), strict=False))
