@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from guarded_opcua.binary.encoding import (
+    EARLIEST,
+    LATEST,
     TICKS_1970,
     encode_data_changes,
     encode_data_value,
@@ -22,6 +24,7 @@ from guarded_opcua.binary.encoding import (
     encode_variant,
     instant,
     nanoseconds,
+    nanoseconds_given,
     ticks,
 )
 
@@ -169,3 +172,14 @@ def test_a_value_that_is_not_there_is_encoded_as_none():
     value = ua.DataValue(None, SourceTimestamp=now, ServerTimestamp=now)
     decoded = ua_binary.struct_from_binary(ua.DataValue, Buffer(encode_data_value(value, BOTH)))
     assert decoded.StatusCode.is_good()
+
+
+@pytest.mark.parametrize("year", [1, 1600, 1601, 1676, 1970, 2262, 2263, 9999])
+def test_every_time_has_nanoseconds_that_int64_holds(year):
+    moment = dt.datetime(year, 12, 31, 23, 59, 59, 999_999, dt.UTC)
+    found = nanoseconds(moment)
+    assert found - 1 > -(2**63)
+    assert found + 1 < 2**63
+    assert EARLIEST <= found <= LATEST
+    assert nanoseconds(instant(found)) == found
+    assert nanoseconds_given(moment) == (None if year < 1601 else found)

@@ -14,6 +14,8 @@ from asyncua.ua import ua_binary
 from guarded_opcua.logs import bounded_logger
 
 TICKS_1970 = 116_444_736_000_000_000  # 100 ns from 1601 to 1970
+LATEST = ((2**63 - 1) // 100 - 1) * 100  # UTC ns, year 2262; a tick less than int64 holds
+EARLIEST = -LATEST  # year 1677
 _EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 VALUE, STATUS, SOURCE, SERVER = 1, 2, 4, 8  # what a DataValue holds
 ARRAY = 0x80
@@ -90,14 +92,17 @@ def ticks(moment: dt.datetime) -> int:
 
 
 def nanoseconds(moment: dt.datetime) -> int:
-    """UTC ns since 1970."""
-    return (ticks(moment) - TICKS_1970) * 100
+    """UTC ns since 1970; times that int64 cannot hold become the earliest or latest it can.
+
+    >>> nanoseconds(dt.datetime.max) == LATEST
+    True
+    """
+    return min(max((ticks(moment) - TICKS_1970) * 100, EARLIEST), LATEST)
 
 
 def nanoseconds_given(moment: dt.datetime | None) -> int | None:
     """UTC ns of a time that is given; DateTime 0 stands for none."""
-    found = None if moment is None else nanoseconds(moment)
-    return None if found is None or found <= -TICKS_1970 * 100 else found
+    return None if moment is None or ticks(moment) <= 0 else nanoseconds(moment)
 
 
 def encoding_cost(value: ua.DataValue) -> float:
