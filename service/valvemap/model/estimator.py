@@ -51,7 +51,7 @@ class State:
         """
         expected = (str(cls.state_version), cls.__name__, key)
         try:
-            record = np.load(io.BytesIO(data), allow_pickle=False)
+            record = np.load(io.BytesIO(data), allow_pickle=False, max_header_size=_HEADER_BYTES)
             _check_texts(record)
             header = tuple(record["header_"].tolist())
             names = [f.name for f in fields(cls)] if header == expected else []
@@ -121,6 +121,8 @@ def _check_texts(record: NDArray[Any]) -> None:
             if codes.max(initial=0) > sys.maxunicode:
                 raise ValueError(f"{name} is no text")
 
+
+_HEADER_BYTES = 4_096  # numpy parses a header as Python; ours have half of that at most
 
 _UNREADABLE = (  # what numpy makes of bytes that are no record of arrays
     *(ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError),
