@@ -22,7 +22,7 @@ Codes = ua.StatusCodes
 Ids = ua.AttributeIds
 Class = ua.NodeClass
 
-# Part 3, 5.2 to 5.8: what every node has, what each class has (first what it must have)
+# Part 3, 5.2 to 5.8: attributes of every node and of each class: mandatory, optional
 BASE = ({Ids.NodeId, Ids.NodeClass, Ids.BrowseName, Ids.DisplayName}, {Ids.Description})
 MASKS = {Ids.WriteMask, Ids.UserWriteMask, Ids.RolePermissions, Ids.UserRolePermissions}
 MASKS |= {Ids.AccessRestrictions}
@@ -40,7 +40,7 @@ OF_CLASS = {
     Class.DataType: ({Ids.IsAbstract}, {Ids.DataTypeDefinition}),
     Class.View: ({Ids.ContainsNoLoops, Ids.EventNotifier}, set()),
 }
-ASKED_AT_ONCE = 500  # nodes that a program is asked to read, each in a request of its own
+ASKED_AT_ONCE = 500  # nodes that a program reads per line, each in a separate request
 FAILED = (Codes.BadInternalError, Codes.BadEncodingError)
 
 

@@ -1,4 +1,4 @@
-"""What is under way is taken up again as it was, or not at all."""
+"""An alignment's state is restored as it was, or not at all."""
 
 import json
 import zlib

@@ -1,4 +1,4 @@
-"""All that turns bytes of others into what we use: valid inputs, and what it may raise."""
+"""Every decoder of foreign bytes: valid inputs and announced exceptions."""
 
 import gzip
 import json
@@ -141,7 +141,7 @@ def _of_opc_ua():
 
 
 def _of_states():
-    """States as checkpoints hold them, taken up by the valve that they belong to."""
+    """States as checkpoints hold them, restored by their valve."""
     learnt = _learnt()
     keeper = learnt._kept
     doors = {

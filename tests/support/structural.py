@@ -17,7 +17,7 @@ _MOST = 60_000  # bytes of a mutant
 
 
 def mutant(seed, others, dice):
-    """Break an input in one to four places; JSON half of the time as what it says."""
+    """Break an input in one to four places; half of the mutants of JSON are valid JSON."""
     if dice.random() < 0.5 and (said := _json(seed)) is not None:
         for _ in range(dice.randint(1, 3)):
             said = _altered(said, dice)

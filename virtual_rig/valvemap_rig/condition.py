@@ -1,4 +1,4 @@
-"""What a valve and its oil have become: all of their state that its map depends on."""
+"""Condition of a valve and its oil: the state that the flow map depends on."""
 
 from typing import NamedTuple
 

@@ -13,7 +13,7 @@ _FULL_PERCENT: Final = 100.0
 
 
 def fault_effect(fault: Fault, bench: ValveBench, sensors: Sensors) -> str:
-    """Say what a fault does to a valve of a bench, its oil or its sensors, and for how long.
+    """Describe the effect of a fault on a valve, its oil or its sensors, and its duration.
 
     Examples
     --------

@@ -373,7 +373,7 @@ async def _add_valves_own(
         outputs=[
             Argument(
                 "effect",
-                "What it does, in a sentence, and for how long",
+                "Effect of the fault and its duration, as a sentence",
                 type=ua.VariantType.String,
             )
         ],

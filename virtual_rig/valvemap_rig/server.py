@@ -213,7 +213,7 @@ class RigServer(Startable):
         self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
 
     def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> str:
-        """Make something go wrong, within a tenth of a second; say what.
+        """Make something go wrong, within a tenth of a second; returns its effect as a sentence.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class RigServer(Startable):
         return effect
 
     def conditions(self) -> dict[str, Condition]:
-        """What every valve and its oil have become, as far as samples are computed."""
+        """The condition of every valve at the newest computed sample."""
         if self._scenario is None:
             return {}
         index = max(self._state.index - 1, 0)

@@ -1,4 +1,4 @@
-"""Operations of one request, each with a status of its own whatever happens in it (Part 4)."""
+"""Operations of one request: a failure in one is the status of that operation alone (Part 4)."""
 
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TypeVar

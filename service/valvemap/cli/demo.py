@@ -209,7 +209,7 @@ class _View:
         self._best = {name: _best_fit(points) for name, points in self._points.items()}
 
     def follow(self, line: str) -> None:
-        """Take what the rig's valves have become: their truth is another then."""
+        """Compute the truth of valves whose condition has changed, from a line of the rig's."""
         for name, worn in conditions_in(line).items():
             if name in self._points and worn != self._worn.get(name, AS_NEW):
                 self._points[name] = verification_points(self._scenario, name, worn=worn)

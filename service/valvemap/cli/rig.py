@@ -187,7 +187,7 @@ async def _serve(
 
 
 async def _say_conditions(server: RigServer) -> None:
-    """Print what the valves have become, a line whenever it changes: the demo's truth follows."""
+    """Print the valves' conditions whenever they change: the demo computes its truth from them."""
     before = None
     while True:
         now = condition_line(server.conditions())

@@ -1,4 +1,4 @@
-"""What the valves of a demo's rig have become, as a line from the rig's process to the demo's."""
+"""Conditions of a demo's valves, a line of JSON from the rig's process to the demo's."""
 
 import json
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Final
 
 from valvemap_rig.condition import Condition
 
-CONDITION_S: Final = 0.5  # between two looks at the rig; the demo shows a line every second
+CONDITION_S: Final = 0.5  # s between two reports; the demo shows a line every second
 
 
 def condition_line(conditions: Mapping[str, Condition]) -> str:

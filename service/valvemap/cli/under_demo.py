@@ -19,7 +19,7 @@ _NEEDED = ("starlette", "uvicorn", "websockets", "prometheus_client")
 async def rig_process(
     url: str, scenario: str, password: str, on_line: OnLine
 ) -> AsyncIterator[str]:
-    """Run the rig; yields its URL. What it prints then is handed to ``on_line``.
+    """Run the rig; yields its URL. Later lines of its output go to ``on_line``.
 
     Raises
     ------

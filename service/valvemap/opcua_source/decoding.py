@@ -49,7 +49,7 @@ _STATUS_CHANGE_NOTIFICATION = 820
 _MOST_TICKS = (2**63 - 1) // 100 - 1
 _MAX_TICKS = EPOCH_TICKS + _MOST_TICKS
 _MIN_TICKS = EPOCH_TICKS - _MOST_TICKS
-_MOST_PICOSECONDS = 9_999  # units of 10 ps; more counts as so many (Part 6, 5.2.2.17)
+_MOST_PICOSECONDS = 9_999  # units of 10 ps; larger values are read as this one (Part 6, 5.2.2.17)
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _HANDLE = 4  # bytes of a client handle, where one goes before a value

@@ -187,7 +187,7 @@ class Arrivals:
             at = size = int(size)
             lengths = [(int(number), int(length)) for number, length in special]
         except (ValueError, TypeError, OverflowError, RecursionError) as error:
-            raise StateMismatchError(f"no head of what is under way: {error}") from error
+            raise StateMismatchError(f"not the head of an alignment's state: {error}") from error
         kept = _Kept.from_bytes(rest[:size], self._key)
         waiting = Waiting(*(np.asarray(getattr(kept, name)) for name in Waiting._fields))
         self._check(waiting)

@@ -1,4 +1,4 @@
-"""What may stand in the arrays of what waits at valves, when it is taken up again."""
+"""Limits on the arrays of samples that wait for their signals, checked when they are restored."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ _COUNTED = [slots.GIVEN_UP, slots.GAPS_KEPT, slots.DOUBTFUL, slots.TIMES_KEPT]
 
 
 def contents_of_waiting(like: Waiting) -> dict[str, Contents]:
-    """Say it by name; as many samples may wait at each valve as ``like.order`` says of it."""
+    """Return the limits by array; ``like.order`` has the number of samples of each valve."""
     found = {name: Contents(getattr(like, name)) for name in Waiting._fields}
     for name in ("values", "held_value"):
         found[name].or_nan().or_infinite()
