@@ -1,6 +1,6 @@
 """Every attribute of every node of a server, as clients read them at each click on a node."""
 
-from collections import Counter
+from dataclasses import dataclass, field
 
 from asyncua import ua
 
@@ -28,24 +28,33 @@ async def every_node(client):
     return list(found)
 
 
+@dataclass
+class Found:
+    """What a client reads of all nodes: status codes and nulls by (node, attribute), classes."""
+
+    codes: dict = field(default_factory=dict)
+    nulls: set = field(default_factory=set)
+    classes: dict = field(default_factory=dict)
+    faults: int = 0
+
+    def take(self, id_, values):
+        for attribute, value in zip(ATTRIBUTES, values, strict=True):
+            self.codes[id_, attribute] = value.StatusCode.value
+            if value.Value is None or value.Value.Value is None:
+                self.nulls.add((id_, attribute))
+        self.classes[id_] = ua.NodeClass(values[ua.AttributeIds.NodeClass - 1].Value.Value)
+
+
 async def read_every(client, ids):
-    """Read all attributes of nodes: data values by node and attribute, and how many faults."""
-    values, faults = {}, 0
+    """Read all attributes of each node in one request."""
+    found = Found()
     for id_ in ids:
         params = ua.ReadParameters(
             TimestampsToReturn=ua.TimestampsToReturn.Both,
             NodesToRead=[ua.ReadValueId(id_, attribute) for attribute in ATTRIBUTES],
         )
         try:
-            found = await client.uaclient.read(params)
+            found.take(id_, await client.uaclient.read(params))
         except ua.UaStatusCodeError:
-            faults += 1
-            continue
-        for attribute, value in zip(ATTRIBUTES, found, strict=True):
-            values[id_, attribute] = value
-    return values, faults
-
-
-def codes_of(values):
-    """Count the status codes."""
-    return Counter(value.StatusCode.value for value in values.values())
+            found.faults += 1
+    return found
