@@ -57,8 +57,8 @@ class ForeignClient:
 CLIENTS: Final = {
     "gopcua": ForeignClient(
         "gopcua",
-        ("go", "build", "-o", "counter", "."),
-        ("./counter",),
+        ("go", "build", "-o", "bin/", ".", "./every"),
+        ("bin/gopcua",),
         ("go.mod", r"gopcua/opcua v([\d.]+)"),
     ),
     "async-opcua": ForeignClient(

@@ -302,8 +302,10 @@ class Play:
 
     def switch(self):
         who, number, _ = self.some()
-        params = ua.SetPublishingModeParameters(self.rng.random() < 0.7, [number])
-        self.both(lambda s: s.server._subscriptions.set_publishing(s.sessions[who], params))
+        on = self.rng.random() < 0.7
+        self.both(
+            lambda s: s.server._subscriptions.set_publishing(s.sessions[who], number, enabled=on)
+        )
 
     def resend(self):
         who, number, _ = self.some()

@@ -9,18 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from guarded_opcua.binary.encoding import (
+    EARLIEST,
+    LATEST,
     TICKS_1970,
     encode_data_changes,
     encode_data_value,
     encode_events,
     encode_message,
+    encode_or_refuse,
     encode_publish_response,
-    encode_read_response,
     encode_republish_response,
+    encode_results,
     encode_status_change,
     encode_variant,
     instant,
     nanoseconds,
+    nanoseconds_given,
     ticks,
 )
 
@@ -129,10 +133,53 @@ def test_a_publish_response_is_read_by_asyncua():
 def test_read_and_republish_responses_are_read_by_asyncua():
     now = instant(1_700_000_000_000_000_000)
     value = ua.DataValue(ua.Variant(2.5), ua.StatusCode(), now, now)
-    data = encode_read_response(3, ticks(now), [encode_data_value(value, BOTH)])
+    data = encode_results(634, 3, ticks(now), [encode_data_value(value, BOTH)])
     read = ua_binary.struct_from_binary(ua.ReadResponse, Buffer(data))
     assert read.Results == [value]
     message = encode_message(9, ticks(now), [])
     data = encode_republish_response(3, ticks(now), message)
     again = ua_binary.struct_from_binary(ua.RepublishResponse, Buffer(data))
     assert again.NotificationMessage.SequenceNumber == 9
+
+
+WRONG = (
+    ua.Variant("x", ua.VariantType.Double),
+    ua.Variant(2**70, ua.VariantType.UInt64),
+    ua.Variant("\ud800", ua.VariantType.String),
+    ua.Variant(object(), ua.VariantType.ExtensionObject),
+)
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
+def test_a_value_that_cannot_be_encoded_becomes_a_status(wrong):
+    now = dt.datetime.now(dt.UTC)
+    value = ua.DataValue(wrong, SourceTimestamp=now, ServerTimestamp=now)
+    decoded = ua_binary.struct_from_binary(ua.DataValue, Buffer(encode_or_refuse(value, BOTH)))
+    assert decoded.StatusCode.value == ua.StatusCodes.BadEncodingError
+    assert decoded.Value is None or decoded.Value.Value is None
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
+def test_a_field_that_cannot_be_encoded_leaves_the_others_of_an_event(wrong):
+    data = encode_events([(5, [wrong, ua.Variant(3)])])
+    found = ua_binary.extensionobject_from_binary(Buffer(data)).Events[0].EventFields
+    assert found[0].Value.value == ua.StatusCodes.BadEncodingError
+    assert found[1].Value == 3
+
+
+def test_a_value_that_is_not_there_is_encoded_as_none():
+    now = dt.datetime.now(dt.UTC)
+    value = ua.DataValue(None, SourceTimestamp=now, ServerTimestamp=now)
+    decoded = ua_binary.struct_from_binary(ua.DataValue, Buffer(encode_data_value(value, BOTH)))
+    assert decoded.StatusCode.is_good()
+
+
+@pytest.mark.parametrize("year", [1, 1600, 1601, 1676, 1970, 2262, 2263, 9999])
+def test_every_time_has_nanoseconds_that_int64_holds(year):
+    moment = dt.datetime(year, 12, 31, 23, 59, 59, 999_999, dt.UTC)
+    found = nanoseconds(moment)
+    assert found - 1 > -(2**63)
+    assert found + 1 < 2**63
+    assert EARLIEST <= found <= LATEST
+    assert nanoseconds(instant(found)) == found
+    assert nanoseconds_given(moment) == (None if year < 1601 else found)

@@ -187,3 +187,28 @@ def test_only_the_newest_of_what_stands_are_told(delivery, clock):
     newcomer = Subscription(1, clock)
     delivery.welcome(newcomer, newcomer.item)
     assert len(newcomer.taken()) == 10
+
+
+class Failing(Filter):
+    """Cannot judge the event number 1."""
+
+    def passes(self, event):
+        if event.fields["Number"] == 1:
+            raise KeyError(1)
+        return super().passes(event)
+
+
+def test_an_event_that_a_filter_fails_on_is_lost_and_the_next_ones_come(delivery, clock):
+    failing, other = watching(
+        delivery, Subscription(1, clock, cost=1e-5), Subscription(2, clock, cost=1e-5)
+    )
+    failing.item.modify(Listening(1, Failing(clock, 1e-5), 1_000, discard_oldest=True))
+    for number in range(4):
+        delivery.trigger(event(number))
+    clock.advance(0.1)
+    delivery.trigger(event(4))
+    clock.advance(0.1)
+    heard = failing.taken()
+    assert [e.fields["Number"] for e in heard if e.kind != OVERFLOW] == [0, 2, 3, 4]
+    assert [e.kind for e in heard].count(OVERFLOW) == 1
+    assert [e.fields["Number"] for e in other.taken()] == [0, 1, 2, 3, 4]

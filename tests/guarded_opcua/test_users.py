@@ -128,6 +128,9 @@ def test_only_the_owner_can_read_a_saved_store(store, tmp_path):
         (json.dumps([{"name": "anna", "role": 1}]), "neither password_hash nor thumbprint"),
         (json.dumps([{"name": "a", "role": 1, "password_hash": "AA==", "n": 2**30}]), "cost"),
         (json.dumps([{"name": "a", "role": 1, "thumbprint": "x"}]), "40 or 64 digits"),
+        (json.dumps([{"name": [[]], "role": 1, "thumbprint": "A" * 40}]), "name is .*wrong type"),
+        (json.dumps([{"name": "a", "role": 1, "n": 2.0**14}]), "n is .*wrong type"),
+        (json.dumps([{"name": "a", "role": 1, "salt": None}]), "salt is .*wrong type"),
     ],
 )
 def test_a_damaged_file_of_users_is_named_with_its_fault(tmp_path, content, named):

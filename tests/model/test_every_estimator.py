@@ -135,6 +135,15 @@ def test_a_state_of_an_earlier_version_is_refused(estimator, monkeypatch):
         type(state).from_bytes(of_today, "key")
 
 
+def test_a_state_whose_texts_are_none_is_refused(estimator):
+    state = estimator.initial_state()
+    packed, name = state.to_bytes("key"), type(state).__name__.encode("utf-32-le")
+    assert packed.count(name) == 1
+    damaged = packed.replace(name, b"\xff" * 4 + name[4:])  # no code point
+    with pytest.raises(StateMismatchError, match="no text"):
+        type(state).from_bytes(damaged, "key")
+
+
 def test_its_bytes_are_what_numpy_writes(estimator):
     state = run(estimator, valve(100))[0]
     ours, written = state.to_bytes("key"), io.BytesIO()

@@ -202,13 +202,24 @@ def test_a_missing_source_time_is_the_servers_and_zero_means_missing():
     assert decoded(record, 1).changes.source_time.tolist() == [500]
 
 
-@pytest.mark.parametrize("ticks", [-(2**63), -1, 1, 2**63 - 1])
-def test_times_beyond_int64_nanoseconds_are_clipped_not_wrapped(ticks):
-    record = struct.pack("<IBBdq", 0, 0x05, 11, 1.0, ticks)
-    string = struct.pack("<IBBIiq", 0, 0x05, 0xC0 | 12, 0, 0, ticks)  # the other path
-    (fast,), (slow,) = (decoded(r, 1).changes.source_time.tolist() for r in (record, string))
-    assert fast == slow == ns_from_ticks(ticks)
-    assert (fast > 0) == (ticks == 2**63 - 1)
+EDGE = (2**63 - 1) // 100 + EPOCH_TICKS  # of int64 ns
+
+
+@pytest.mark.parametrize(
+    "ticks", [-(2**63), -1, 1, *range(EDGE - 3, EDGE + 3), EPOCH_TICKS, 2**63 - 1]
+)
+@pytest.mark.parametrize("picoseconds", [0, 99, 100, 9_999, 10_000, 65_535])
+def test_times_beyond_int64_nanoseconds_are_clipped_not_wrapped(ticks, picoseconds):
+    time = struct.pack("<qH", ticks, picoseconds)
+    number = struct.pack("<IBBd", 0, 0x15, 11, 1.0) + time
+    structure = struct.pack("<IBBBBHB", 0, 0x15, 22, 1, 0, 1, 0) + time  # the other path
+    (fast,), (slow,) = (decoded(r, 1).changes.source_time.tolist() for r in (number, structure))
+    assert fast == slow == ns_from_ticks(ticks, picoseconds)
+    assert (fast > 0) == (ticks > EPOCH_TICKS or (ticks == EPOCH_TICKS and picoseconds >= 100))
+
+
+def test_more_picoseconds_than_a_tick_has_count_as_the_most():
+    assert ns_from_ticks(EPOCH_TICKS, 65_535) == ns_from_ticks(EPOCH_TICKS, 9_999) == 99
 
 
 @given(st.integers(-(2**60), 2**60))

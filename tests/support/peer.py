@@ -2,11 +2,10 @@
 
 Each line that goes in is a JSON object ``{"op": …}``, each line that comes out either
 ``{"result": …}`` or ``{"error": "…", "code": StatusCode or null}``. What else a program says is
-passed over. Clients know the operations connect, disconnect, follow, browse, read, write, call,
-subscribe, changes and unsubscribe, watchAlarms, alarms and act, and history; ``as`` tells their
-connections apart. A value travels as
-``{type, dimensions, value, code, time}``, time in ms since 1970; numbers that JSON lacks may be
-texts such as "NaN".
+passed over. Clients know the operations connect, disconnect, follow, browse, read, readEvery,
+write, call, subscribe, changes and unsubscribe, watchAlarms, alarms and act, and history; ``as``
+tells their connections apart. A value travels as ``{type, dimensions, value, code, time}``, time in
+ms since 1970; numbers that JSON lacks may be texts such as "NaN".
 """
 
 import asyncio

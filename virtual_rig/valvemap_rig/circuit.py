@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valvemap_rig import kernels
+from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.kernels import Floats
 from valvemap_rig.oil import Oil, density, throttling_heat
 from valvemap_rig.oil import numbers as oil_numbers
@@ -146,7 +147,9 @@ def operating_point(
     return OperatingPoint(p1, p2, _metered(bench.oil, state.Q, p1, p2, T, T2), T, T2, state.x_MP)
 
 
-def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) -> Floats:
+def true_flow(
+    bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0, worn: Condition = AS_NEW
+) -> Floats:
     """The valve's own map Q = f(U, dp, T) as the meter would count it, without noise or hysteresis.
 
     Taken at full supply pressure; where the pump's limit pulls p1 down, the lighter oil shifts Q
@@ -156,6 +159,8 @@ def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
     ----------
     U, dp, T : array-likes that broadcast to (N,)
         Signal (%), pressure drop (bar), oil temperature at the inlet (°C).
+    worn
+        What the valve's main edge has become; the oil's temperature is ``T``.
 
     Examples
     --------
@@ -166,7 +171,8 @@ def true_flow(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
     p1 = np.full(u.shape, bench.circuit.p0_bar)
     p2 = p1 - drop
     y = pilot_opening(bench.valve, u)
-    Q = poppet_state(bench.valve, bench.oil, y, p1, p2, celsius, np.ones_like(u)).Q
+    edge, gap = np.full(u.shape, worn.edge_factor), np.full(u.shape, worn.gap)
+    Q = poppet_state(bench.valve, bench.oil, y, p1, p2, celsius, edge, gap).Q
     T2 = celsius + throttling_heat(bench.oil, drop, density(bench.oil, p1, celsius))
     return _metered(bench.oil, Q, p1, p2, celsius, T2).reshape(shape)
 

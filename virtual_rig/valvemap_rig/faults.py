@@ -21,8 +21,10 @@ A fault of sensors concerns one signal: ``Q`` unless said otherwise, all of them
 kinds but the clock.
 """
 
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Literal, NamedTuple, Self
+from types import MappingProxyType
+from typing import Final, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +76,24 @@ _SIZES: dict[FaultKind, tuple[float, float]] = {
     FaultKind.DROP_OUT: _SHARE,
     FaultKind.CLOCK_STEP: (-86_400.0, 86_400.0),
 }
+UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
+    {
+        FaultKind.WEAR: "% of the main edge's flow",
+        FaultKind.DAMAGE: "% of the main edge's flow",
+        FaultKind.EDGE: "l/min per √bar",
+        FaultKind.LAG: "s",
+        FaultKind.TEMPERATURE_RAMP: "K",
+        FaultKind.FROZEN: "",
+        FaultKind.SPIKES: "in the signal's unit",
+        FaultKind.OFFSET: "in the signal's unit",
+        FaultKind.BAD_QUALITY: "as a share of the samples",
+        FaultKind.UNCERTAIN_QUALITY: "as a share of the samples",
+        FaultKind.DROP_OUT: "as a share of the samples",
+        FaultKind.CLOCK_STEP: "s",
+    }
+)
+"""Units of the sizes; "" where there is none to give."""
+
 _OF_SENSORS = frozenset(
     {
         FaultKind.LAG,
@@ -104,8 +124,13 @@ class Fault(Parameters):
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
         low, high = _SIZES[self.kind]
+        unit = UNITS[self.kind]
         if not low <= self.size <= high:
-            raise ValueError(f"size of {self.kind} must be within {low:g} … {high:g}")
+            raise ValueError(
+                f"size of {self.kind} must be within {low:g} … {high:g} {unit}".strip()
+            )
+        if self.size == 0 and unit:
+            raise ValueError(f"size of {self.kind} is 0 {unit}: nothing would happen")
         if self.signal is not None and self.kind not in _OF_SENSORS:
             raise ValueError(f"{self.kind} is not of a sensor; leave out signal")
         return self
@@ -118,6 +143,18 @@ class Fault(Parameters):
         if self.kind in _OF_ALL_SIGNALS:
             return SIGNALS
         return ("Q",) if self.kind in _OF_SENSORS else ()
+
+
+def described_sizes() -> str:
+    """What the size of each kind is, with its limits, in one text.
+
+    >>> described_sizes()[:46]
+    "wear: % of the main edge's flow, -90 … 100; da"
+    """
+    return "; ".join(
+        f"{kind}: {UNITS[kind]}, {low:g} … {high:g}" if UNITS[kind] else f"{kind}: not used"
+        for kind, (low, high) in _SIZES.items()
+    )
 
 
 class FaultError(ValueError):

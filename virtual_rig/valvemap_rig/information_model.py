@@ -23,7 +23,7 @@ from guarded_opcua import (
 )
 from valvemap_rig.circuit import largest_drop
 from valvemap_rig.command import STANDSTILL_S
-from valvemap_rig.faults import SIGNALS, FaultKind
+from valvemap_rig.faults import SIGNALS, FaultKind, described_sizes
 from valvemap_rig.kernels import Floats
 from valvemap_rig.scenario import BUILTIN, Scenario, ValveBench
 from valvemap_rig.simulation import RigBlock, ValveBlock
@@ -35,7 +35,7 @@ _REACHABLE_U = np.linspace(0.0, 100.0, 21)
 
 StartScenario = Callable[[str], None]
 StopScenario = Callable[[], None]
-InjectFault = Callable[[str, str, float, float], None]
+InjectFault = Callable[[str, str, float, float], str | None]
 CommandU = Callable[[str, float], None]
 Heartbeat = Callable[[str, int], None]
 _Place = HardenedServer | Declarations
@@ -361,9 +361,7 @@ async def _add_valves_own(
             ),
             Argument(
                 "size",
-                "wear, damage: % of the flow; edge: l/min per √bar; lag: s; temperature_ramp: K; "
-                "spikes, offset: the signal's unit; bad_quality, uncertain_quality, drop_out: "
-                "share of samples 0 to 1; clock_step: s",
+                described_sizes(),
             ),
             Argument(
                 "duration",
@@ -371,6 +369,13 @@ async def _add_valves_own(
                 unit=Unit.SECOND,
                 value_range=(0.0, 1e9),
             ),
+        ],
+        outputs=[
+            Argument(
+                "effect",
+                "Effect of the fault and its duration, as a sentence",
+                type=ua.VariantType.String,
+            )
         ],
         required=Role.OPERATOR,
         description="Make something go wrong with this valve, its oil or its sensors",

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from valvemap_rig.circuit import Bench, reachable, tank_temperature, true_flow
+from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.excitation import (
     Cycle,
     Excitation,
@@ -179,12 +180,13 @@ class VerificationPoints(NamedTuple):
 
 
 def verification_points(
-    scenario: Scenario, valve: str | None = None, n: int = 1000
+    scenario: Scenario, valve: str | None = None, n: int = 1000, worn: Condition = AS_NEW
 ) -> VerificationPoints:
     """Take the reachable ones of n points spread evenly over the map, with the flow's truth.
 
-    They are those of the ``verification`` excitation, of the valve as new and at the tank's set
-    temperature. ``valve`` defaults to the first one.
+    They are those of the ``verification`` excitation that the new valve can reach at the tank's set
+    temperature; their truth is that of the valve and the oil in the condition ``worn``. ``valve``
+    defaults to the first one.
 
     Raises
     ------
@@ -205,7 +207,8 @@ def verification_points(
     T = tank_temperature(bench.circuit, np.zeros(n))
     inside = reachable(bench, U, dp, T)
     U, dp, T = U[inside], dp[inside], T[inside]
-    return VerificationPoints(U, dp, T, true_flow(bench, U, dp, T))
+    T = T + worn.temperature_rise
+    return VerificationPoints(U, dp, T, true_flow(bench, U, dp, T, worn))
 
 
 def _first_sentence(error: ValidationError) -> str:

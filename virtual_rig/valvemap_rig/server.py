@@ -15,7 +15,9 @@ from guarded_opcua import (
     SystemClock,
 )
 from valvemap_rig.command import Command
+from valvemap_rig.condition import Condition, condition
 from valvemap_rig.excitation import External
+from valvemap_rig.fault_words import fault_effect
 from valvemap_rig.faults import Fault, FaultError, commanded_fault
 from valvemap_rig.history import RigHistory
 from valvemap_rig.information_model import (
@@ -210,8 +212,8 @@ class RigServer(Startable):
         self._server.write([(self._nodes.scenario, "", GOOD, now)])
         self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
 
-    def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> None:
-        """Make something go wrong, within a tenth of a second.
+    def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> str:
+        """Make something go wrong, within a tenth of a second; returns its effect as a sentence.
 
         Raises
         ------
@@ -230,7 +232,20 @@ class RigServer(Startable):
         if len(self._state.valves[valve].faults) + waiting >= MOST_FAULTS:
             raise CommandRejected(f"{valve}: {MOST_FAULTS} faults at once are enough")
         self._faults.append((valve, fault))
-        _log.info("%s: fault %s of size %g for %g s", valve, kind, size, duration_s)
+        bench = next(bench for bench in self._base.valves if bench.name == valve)
+        effect = fault_effect(fault, bench, self._base.sensors)
+        _log.info("%s: fault %s: %s", valve, kind, effect)
+        return effect
+
+    def conditions(self) -> dict[str, Condition]:
+        """The condition of every valve at the newest computed sample."""
+        if self._scenario is None:
+            return {}
+        index = max(self._state.index - 1, 0)
+        return {
+            name: condition(valve.faults, index, self._scenario.sample_rate_hz)
+            for name, valve in self._state.valves.items()
+        }
 
     def command_U(self, valve: str, U: float) -> None:
         """Take a control signal (%) from outside, within 0.02 s where U is driven by it."""

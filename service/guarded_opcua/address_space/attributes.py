@@ -9,6 +9,11 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
 from guarded_opcua.address_space.declarations import Method, Variable
+from guarded_opcua.address_space.held_attributes import (
+    held_attribute,
+    is_missing,
+    is_readable,
+)
 from guarded_opcua.address_space.method_calls import Outside, call_method, rejection_code
 from guarded_opcua.address_space.plain_values import check, plain
 from guarded_opcua.binary.index_range import IndexRangeError, parse_index_range, select
@@ -18,7 +23,6 @@ from guarded_opcua.security.users import Role
 
 _log = bounded_logger(__name__)
 _Codes = ua.StatusCodes
-_UNKNOWN = (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid)
 _WRITE_BIT = 1 << ua.AccessLevel.CurrentWrite
 
 
@@ -41,18 +45,17 @@ class Attributes:
 
     def read(self, wanted: ua.ReadValueId, role: Role) -> ua.DataValue:
         """Read one attribute, or a part of it."""
-        held = self._aspace.read_attribute_value(wanted.NodeId, wanted.AttributeId)
+        held = held_attribute(self._aspace, wanted.NodeId, wanted.AttributeId)
         if wanted.AttributeId != ua.AttributeIds.Value:
             if wanted.IndexRange or _has_encoding(wanted):
                 return _bad(_Codes.BadIndexRangeNoData)
             held = self._for_role(wanted, held, role)
             return dataclasses.replace(held, SourceTimestamp=None, ServerTimestamp=self._utc())
-        if held.StatusCode is not None and held.StatusCode.value in _UNKNOWN:
+        if is_missing(held):
             return held
         if _has_encoding(wanted):
             return _bad(_Codes.BadDataEncodingInvalid)
-        level = self._aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.AccessLevel)
-        if not level.Value.Value & (1 << ua.AccessLevel.CurrentRead):
+        if not is_readable(self._aspace, wanted.NodeId):
             return _bad(_Codes.BadNotReadable)
         if held.ServerTimestamp is None:
             held = dataclasses.replace(held, ServerTimestamp=self._utc())
@@ -60,14 +63,14 @@ class Attributes:
 
     def held(self, item: ua.WriteValue) -> ua.DataValue:
         """Return what is there before a write."""
-        return self._aspace.read_attribute_value(item.NodeId, item.AttributeId)
+        return held_attribute(self._aspace, item.NodeId, item.AttributeId)
 
     async def write(  # noqa: PLR0911 - one per reason
         self, item: ua.WriteValue, role: Role, outside: Outside
     ) -> int:
         """Write one value; a status code."""
         held = self.held(item)
-        if held.StatusCode is not None and held.StatusCode.value in _UNKNOWN:
+        if is_missing(held):
             return int(held.StatusCode.value)
         variable = self._variables.get(item.NodeId)
         if item.AttributeId != ua.AttributeIds.Value or not variable or not variable.writable_by:

@@ -64,20 +64,15 @@ class View:
         return self._browse(wanted, page, continuations)
 
     def browse_next(
-        self, params: ua.BrowseNextParameters, continuations: Continuations
-    ) -> list[ua.BrowseResult]:
-        """Return the next references, or release the continuation points."""
-        results = []
-        for point in params.ContinuationPoints:
-            found = continuations.pop(point, None)
-            if found is None:
-                code = ua.StatusCode(_Codes.BadContinuationPointInvalid)
-                results.append(ua.BrowseResult(StatusCode=code))
-            elif params.ReleaseContinuationPoints:
-                results.append(ua.BrowseResult())
-            else:
-                results.append(self._page(found.rest, found.page, continuations))
-        return results
+        self, point: bytes, continuations: Continuations, *, release: bool
+    ) -> ua.BrowseResult:
+        """Return the next references, or release the continuation point."""
+        found = continuations.pop(point, None)
+        if found is None:
+            return _fault(_Codes.BadContinuationPointInvalid)
+        if release:
+            return ua.BrowseResult()
+        return self._page(found.rest, found.page, continuations)
 
     def _browse(
         self, wanted: ua.BrowseDescription, page: int, continuations: Continuations

@@ -1,7 +1,7 @@
 """Nodes of other people's namespaces, from UANodeSets (Part 6, annex F), at their own ids."""
 
 from asyncua import Server, ua
-from asyncua.server.address_space import AddressSpace
+from asyncua.server.address_space import AddressSpace, AttributeValue
 
 from guarded_opcua.address_space.insertion import reference
 
@@ -12,11 +12,20 @@ _LEVELS = ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel
 async def import_node_set(server: Server, aspace: AddressSpace, text: str) -> None:
     """Add the nodes of a UANodeSet; nobody writes their variables, and their levels say so."""
     for id_ in await server.import_xml(xmlstring=text.encode(), auto_load_definitions=False):
+        attributes = aspace[id_].attributes
+        _mark_array(attributes.get(ua.AttributeIds.Value))
         for level in _LEVELS:
-            held = aspace[id_].attributes.get(level)
+            held = attributes.get(level)
             if held is not None and held.value is not None:
                 readable = held.value.Value.Value & ~_WRITING
                 held.value = ua.DataValue(ua.Variant(readable, ua.VariantType.Byte))
+
+
+def _mark_array(held: AttributeValue | None) -> None:
+    """Mark a list of values as the array that it is; asyncua's importer leaves some unmarked."""
+    content = None if held is None or held.value is None else held.value.Value
+    if content is not None and isinstance(content.Value, list):
+        content.is_array = True
 
 
 def refer(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:

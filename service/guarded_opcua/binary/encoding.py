@@ -11,7 +11,11 @@ from collections.abc import Sequence
 from asyncua import ua
 from asyncua.ua import ua_binary
 
+from guarded_opcua.logs import bounded_logger
+
 TICKS_1970 = 116_444_736_000_000_000  # 100 ns from 1601 to 1970
+LATEST = ((2**63 - 1) // 100 - 1) * 100  # UTC ns, year 2262; a tick less than int64 holds
+EARLIEST = -LATEST  # year 1677
 _EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 VALUE, STATUS, SOURCE, SERVER = 1, 2, 4, 8  # what a DataValue holds
 ARRAY = 0x80
@@ -41,6 +45,11 @@ STATUS_CHANGE = 820
 # measured, from queue to message: a number, one more in an array, and what asyncua encodes
 _PLAIN_S, _ELEMENT_S, _GENERIC_S = 8e-6, 0.05e-6, 25e-6
 _NO_DIAGNOSTICS = b"\xff\xff\xff\xff"
+
+
+_log = bounded_logger(__name__)
+_BAD_ENCODING = int(ua.StatusCodes.BadEncodingError)
+_UNENCODABLE = bytes((STATUS,)) + _BAD_ENCODING.to_bytes(4, "little")
 
 
 class Instant(dt.datetime):
@@ -83,14 +92,17 @@ def ticks(moment: dt.datetime) -> int:
 
 
 def nanoseconds(moment: dt.datetime) -> int:
-    """UTC ns since 1970."""
-    return (ticks(moment) - TICKS_1970) * 100
+    """UTC ns since 1970; times that int64 cannot hold become the earliest or latest it can.
+
+    >>> nanoseconds(dt.datetime.max) == LATEST
+    True
+    """
+    return min(max((ticks(moment) - TICKS_1970) * 100, EARLIEST), LATEST)
 
 
 def nanoseconds_given(moment: dt.datetime | None) -> int | None:
     """UTC ns of a time that is given; DateTime 0 stands for none."""
-    found = None if moment is None else nanoseconds(moment)
-    return None if found is None or found <= -TICKS_1970 * 100 else found
+    return None if moment is None or ticks(moment) <= 0 else nanoseconds(moment)
 
 
 def encoding_cost(value: ua.DataValue) -> float:
@@ -101,6 +113,15 @@ def encoding_cost(value: ua.DataValue) -> float:
     return _PLAIN_S if not variant.is_array else _PLAIN_S + _ELEMENT_S * len(variant.Value or ())
 
 
+def encode_or_refuse(value: ua.DataValue, stamps: ua.TimestampsToReturn) -> bytes:
+    """Encode a DataValue; one that cannot be encoded becomes BadEncodingError without a value."""
+    try:
+        return encode_data_value(value, stamps)
+    except Exception:  # noqa: BLE001 - a bulkhead: the other values of the message are sent
+        _log.exception("a value cannot be encoded")
+        return _UNENCODABLE
+
+
 def encode_data_value(value: ua.DataValue, stamps: ua.TimestampsToReturn) -> bytes:
     """Encode a DataValue with the timestamps that were asked for."""
     variant, status = value.Value, value.StatusCode
@@ -109,6 +130,7 @@ def encode_data_value(value: ua.DataValue, stamps: ua.TimestampsToReturn) -> byt
     if (
         code == 0
         and stamps == ua.TimestampsToReturn.Both
+        and variant is not None
         and not variant.is_array
         and source is not None
         and server is not None
@@ -160,11 +182,14 @@ def encode_data_changes(pieces: Sequence[bytes], count: int | None = None) -> by
 
 
 def encode_events(events: Sequence[tuple[int, Sequence[ua.Variant]]]) -> bytes:
-    """Encode an EventNotificationList of (client handle, fields)."""
+    """Encode an EventNotificationList of (client handle, fields).
+
+    A field that cannot be encoded becomes the StatusCode BadEncodingError (Part 4, 7.22.3).
+    """
     parts = [len(events).to_bytes(4, "little")]
     for handle, event_fields in events:
         parts.append(struct.pack("<Ii", handle, len(event_fields)))
-        parts.extend(encode_variant(field) for field in event_fields)
+        parts.extend(_field(field) for field in event_fields)
     return _extension_object(EVENTS, b"".join(parts))
 
 
@@ -205,22 +230,15 @@ def encode_republish_response(request_handle: int, now: int, message: bytes) -> 
     return _response_head(835, request_handle, now) + message
 
 
-def encode_read_response(request_handle: int, now: int, values: Sequence[bytes]) -> bytes:
-    """Encode a ReadResponse of encoded DataValues."""
-    head = _response_head(634, request_handle, now)
-    return b"".join((head, len(values).to_bytes(4, "little"), *values, _NO_DIAGNOSTICS))
+def encode_results(type_id: int, request_handle: int, now: int, *results: Sequence[bytes]) -> bytes:
+    """Encode a response that holds lists of encoded results, each without diagnostics.
 
-
-def encode_browse_response(request_handle: int, now: int, results: Sequence[bytes]) -> bytes:
-    """Encode a BrowseResponse of encoded BrowseResults."""
-    head = _response_head(530, request_handle, now)
-    return b"".join((head, len(results).to_bytes(4, "little"), *results, _NO_DIAGNOSTICS))
-
-
-def encode_history_response(request_handle: int, now: int, results: Sequence[bytes]) -> bytes:
-    """Encode a HistoryReadResponse of encoded HistoryReadResults."""
-    head = _response_head(667, request_handle, now)
-    return b"".join((head, len(results).to_bytes(4, "little"), *results, _NO_DIAGNOSTICS))
+    ``type_id`` is the number of the response's binary encoding.
+    """
+    parts = [_response_head(type_id, request_handle, now)]
+    for encoded in results:
+        parts += (len(encoded).to_bytes(4, "little"), *encoded, _NO_DIAGNOSTICS)
+    return b"".join(parts)
 
 
 def encode_history_result(
@@ -240,9 +258,22 @@ def encode_history_result(
     return b"".join((code.to_bytes(4, "little"), point, data))
 
 
+def encode_status(code: int) -> bytes:
+    """Encode a StatusCode."""
+    return code.to_bytes(4, "little")
+
+
 def encode_structure(structure: object) -> bytes:
     """Encode any structure."""
     return bytes(ua_binary.struct_to_binary(structure))
+
+
+def _field(variant: ua.Variant) -> bytes:
+    try:
+        return encode_variant(variant)
+    except Exception:  # noqa: BLE001 - a bulkhead: the other fields and events are sent
+        _log.exception("a field of an event cannot be encoded")
+        return bytes((ua.VariantType.StatusCode,)) + encode_status(_BAD_ENCODING)
 
 
 def _response_head(type_id: int, request_handle: int, now: int) -> bytes:

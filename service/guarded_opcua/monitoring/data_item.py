@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable, Iterator
 
 from asyncua import ua
 
-from guarded_opcua.binary.encoding import encode_data_value, encoding_cost
+from guarded_opcua.binary.encoding import encode_or_refuse, encoding_cost
 from guarded_opcua.binary.index_range import Ranges, select
 from guarded_opcua.monitoring.parameters import OVERFLOW, Monitoring, Queued, Reporter
 
@@ -143,7 +143,7 @@ class DataItem:
         if self._loss_before_first and count:
             queue[0] = _overflown(queue[0])
             self._loss_before_first = False
-        return [handle + encode_data_value(queue.popleft()[1], stamps) for _ in range(count)]
+        return [handle + encode_or_refuse(queue.popleft()[1], stamps) for _ in range(count)]
 
     def adopt(self, queue: Iterable[Queued], reported: ua.DataValue | None) -> None:
         """Take over what was queued and reported for this item before; it is counted already."""

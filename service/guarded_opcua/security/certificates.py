@@ -280,7 +280,7 @@ def load_certificate(file: Path) -> x509.Certificate:
         return x509.load_der_x509_certificate(content)
     except OSError as error:
         raise CertificateError(f"{file}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, x509.InvalidVersion) as error:
         raise CertificateError(f"{file}: not an X.509 certificate (DER or PEM)") from error
 
 

@@ -8,7 +8,7 @@ import re
 import secrets
 import sys
 from collections import OrderedDict
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Self
@@ -346,6 +346,10 @@ def _check_name(name: str) -> None:
 
 
 def _check_account(account: Account) -> None:
+    for given in fields(account):
+        value, kind = getattr(account, given.name), type(given.default)
+        if given.name != "role" and type(value) is not (str if given.name == "name" else kind):
+            raise ConfigurationError(f"{given.name} is {str(value)[:40]!r}, of the wrong type")
     _check_name(account.name)
     if account.n > 2**16 or account.n < 2**14 or account.r != 8 or not 1 <= account.p <= 4:
         raise ConfigurationError(f"{account.name}: scrypt cost out of range")

@@ -12,11 +12,11 @@ from guarded_opcua.address_space.attributes import Attributes
 from guarded_opcua.address_space.browse import View
 from guarded_opcua.audit import Actor, Audit
 from guarded_opcua.binary.encoding import (
-    encode_browse_response,
-    encode_data_value,
-    encode_history_response,
-    encode_read_response,
+    encode_history_result,
+    encode_or_refuse,
     encode_republish_response,
+    encode_results,
+    encode_status,
     encode_structure,
     ticks_of_ns,
 )
@@ -24,6 +24,7 @@ from guarded_opcua.caller import acting_for
 from guarded_opcua.clock import Clock
 from guarded_opcua.conditions.calls import Conditions
 from guarded_opcua.history.reading import Histories
+from guarded_opcua.sessions.operations import answer_each
 from guarded_opcua.sessions.session import Session
 from guarded_opcua.settings import Limits
 from guarded_opcua.subscriptions.publish_queue import PublishRequest
@@ -192,39 +193,45 @@ class Services:
         if params.TimestampsToReturn not in tuple(ua.TimestampsToReturn)[:4]:
             raise ServiceError(_Codes.BadTimestampsToReturnInvalid)
         self._check_count(params.NodesToRead)
-        values, size = [], 0
-        for wanted in params.NodesToRead:
-            value = self._attributes.read(wanted, request.session.role)
-            encoded = encode_data_value(value, params.TimestampsToReturn)
-            size += len(encoded)
-            if size > self._limits.response_bytes:
-                raise ServiceError(_Codes.BadResponseTooLarge)
-            values.append(encoded)
-            await request.turn.breathe()
-        return encode_read_response(request.handle, self._ticks(), values)
+        role, stamps = request.session.role, params.TimestampsToReturn
 
-    async def _write(self, request: Request, params: ua.WriteParameters) -> ua.WriteResponse:
+        async def read(wanted: ua.ReadValueId) -> bytes:
+            return encode_or_refuse(self._attributes.read(wanted, role), stamps)
+
+        values = await self._each(request, params.NodesToRead, read, _refused_value)
+        return self._results(request, _Ids.ReadResponse_Encoding_DefaultBinary, values)
+
+    async def _write(self, request: Request, params: ua.WriteParameters) -> bytes:
         self._check_count(params.NodesToWrite)
-        actor, role = request.actor, request.session.role
-        codes = []
-        for item in params.NodesToWrite:
-            before = self._attributes.held(item)
-            with acting_for(_name(request.session)):
-                code = await self._attributes.write(item, role, request.turn.outside)
-            self._audit.written(actor, item, before, code)
-            codes.append(ua.StatusCode(code))
-            await request.turn.breathe()
-        return ua.WriteResponse(Results=codes)
+        role = request.session.role
 
-    async def _call(self, request: Request, params: ua.CallParameters) -> ua.CallResponse:
+        async def write(item: ua.WriteValue) -> bytes:
+            before, code = self._attributes.held(item), _Codes.BadInternalError
+            try:
+                with acting_for(_name(request.session)):
+                    code = await self._attributes.write(item, role, request.turn.outside)
+            finally:
+                self._audit.written(request.actor, item, before, code)
+            return encode_status(code)
+
+        codes = await self._each(request, params.NodesToWrite, write, encode_status)
+        return self._results(request, _Ids.WriteResponse_Encoding_DefaultBinary, codes)
+
+    async def _call(self, request: Request, params: ua.CallParameters) -> bytes:
         self._check_count(params.MethodsToCall, self._limits.method_calls)
-        results = []
-        for wanted in params.MethodsToCall:
-            result = await self._call_one(request, wanted)
-            self._audit.called(request.actor, wanted, result.StatusCode.value)
-            results.append(result)
-            await request.turn.breathe()
-        return ua.CallResponse(Results=results)
+
+        async def call(wanted: ua.CallMethodRequest) -> bytes:
+            code = _Codes.BadInternalError
+            try:
+                result = await self._call_one(request, wanted)
+                encoded = encode_structure(result)
+                code = result.StatusCode.value
+            finally:
+                self._audit.called(request.actor, wanted, code)
+            return encoded
+
+        results = await self._each(request, params.MethodsToCall, call, _refused_call)
+        return self._results(request, _Ids.CallResponse_Encoding_DefaultBinary, results)
 
     async def _call_one(
         self, request: Request, wanted: ua.CallMethodRequest
@@ -269,46 +276,49 @@ class Services:
             params.NodesToRead
         ):
             raise ServiceError(_Codes.BadAggregateListMismatch)
-        rests, results = request.session.rests, []
-        for number, wanted in enumerate(params.NodesToRead):
+        rests = request.session.rests
+
+        async def read(number: int) -> bytes:
             if params.ReleaseContinuationPoints:
-                results.append(self._histories.release(wanted, rests))
-            else:
-                results.append(await self._histories.read(params, number, rests, request.turn))
-            await request.turn.breathe()
-        return encode_history_response(request.handle, self._ticks(), results)
+                return self._histories.release(params.NodesToRead[number], rests)
+            return await self._histories.read(params, number, rests, request.turn)
+
+        numbers = range(len(params.NodesToRead))
+        results = await self._each(request, numbers, read, encode_history_result)
+        return self._results(request, _Ids.HistoryReadResponse_Encoding_DefaultBinary, results)
 
     async def _browse(self, request: Request, params: ua.BrowseParameters) -> bytes:
         self._check_count(params.NodesToBrowse)
         continuations = request.session.continuations
-        results, size = [], 0
-        for wanted in params.NodesToBrowse:
-            result = encode_structure(self._view.browse(params, wanted, continuations))
-            size += len(result)
-            if size > self._limits.response_bytes:
-                raise ServiceError(_Codes.BadResponseTooLarge)
-            results.append(result)
-            await request.turn.breathe()
-        return encode_browse_response(request.handle, self._ticks(), results)
 
-    async def _browse_next(
-        self, request: Request, params: ua.BrowseNextParameters
-    ) -> ua.BrowseNextResponse:
+        async def browse(wanted: ua.BrowseDescription) -> bytes:
+            return encode_structure(self._view.browse(params, wanted, continuations))
+
+        results = await self._each(request, params.NodesToBrowse, browse, _refused_browse)
+        return self._results(request, _Ids.BrowseResponse_Encoding_DefaultBinary, results)
+
+    async def _browse_next(self, request: Request, params: ua.BrowseNextParameters) -> bytes:
         self._check_count(params.ContinuationPoints)
-        results = self._view.browse_next(params, request.session.continuations)
-        response = ua.BrowseNextResponse()
-        response.Parameters.Results = results
-        return response
+        continuations, release = request.session.continuations, params.ReleaseContinuationPoints
+
+        async def browse(point: bytes) -> bytes:
+            result = self._view.browse_next(point, continuations, release=bool(release))
+            return encode_structure(result)
+
+        results = await self._each(request, params.ContinuationPoints, browse, _refused_browse)
+        return self._results(request, _Ids.BrowseNextResponse_Encoding_DefaultBinary, results)
 
     async def _translate(
         self, request: Request, params: ua.TranslateBrowsePathsToNodeIdsParameters
-    ) -> ua.TranslateBrowsePathsToNodeIdsResponse:
+    ) -> bytes:
         self._check_count(params.BrowsePaths)
-        results = []
-        for path in params.BrowsePaths:
-            results.append(await self._view.translate(path, request.turn.breathe))
-            await request.turn.breathe()
-        return ua.TranslateBrowsePathsToNodeIdsResponse(Results=results)
+
+        async def follow(path: ua.BrowsePath) -> bytes:
+            return encode_structure(await self._view.translate(path, request.turn.breathe))
+
+        results = await self._each(request, params.BrowsePaths, follow, _refused_path)
+        kind = _Ids.TranslateBrowsePathsToNodeIdsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, results)
 
     async def _register_nodes(
         self, _: Request, params: ua.RegisterNodesParameters
@@ -338,28 +348,46 @@ class Services:
 
     async def _delete_subscriptions(
         self, request: Request, params: ua.DeleteSubscriptionsParameters
-    ) -> ua.DeleteSubscriptionsResponse:
+    ) -> bytes:
         self._check_count(params.SubscriptionIds)
-        codes = self._subscriptions.delete(request.session, params.SubscriptionIds)
-        return ua.DeleteSubscriptionsResponse(Results=_statuses(codes))
+
+        async def delete(number: int) -> bytes:
+            return encode_status(self._subscriptions.delete(request.session, number))
+
+        codes = await self._each(request, params.SubscriptionIds, delete, encode_status)
+        kind = _Ids.DeleteSubscriptionsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, codes)
 
     async def _set_publishing_mode(
         self, request: Request, params: ua.SetPublishingModeParameters
-    ) -> ua.SetPublishingModeResponse:
+    ) -> bytes:
         self._check_count(params.SubscriptionIds)
-        codes = self._subscriptions.set_publishing(request.session, params)
-        response = ua.SetPublishingModeResponse()
-        response.Parameters.Results = _statuses(codes)
-        return response
+        enabled = bool(params.PublishingEnabled)
+
+        async def switch(number: int) -> bytes:
+            session = request.session
+            return encode_status(
+                self._subscriptions.set_publishing(session, number, enabled=enabled)
+            )
+
+        codes = await self._each(request, params.SubscriptionIds, switch, encode_status)
+        return self._results(request, _Ids.SetPublishingModeResponse_Encoding_DefaultBinary, codes)
 
     async def _transfer_subscriptions(
         self, request: Request, params: ua.TransferSubscriptionsParameters
-    ) -> ua.TransferSubscriptionsResponse:
+    ) -> bytes:
         self._check_count(params.SubscriptionIds)
-        results = await self._subscriptions.transfer(request.session, params, request.turn.breathe)
-        response = ua.TransferSubscriptionsResponse()
-        response.Parameters.Results = results
-        return response
+        session, send_values = request.session, bool(params.SendInitialValues)
+
+        async def transfer(number: int) -> bytes:
+            result = await self._subscriptions.transfer(
+                session, number, request.turn.breathe, send_values=send_values
+            )
+            return encode_structure(result)
+
+        results = await self._each(request, params.SubscriptionIds, transfer, _refused_transfer)
+        kind = _Ids.TransferSubscriptionsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, results)
 
     async def _publish(self, request: Request, params: ua.PublishParameters) -> None:
         session = request.session
@@ -385,76 +413,75 @@ class Services:
 
     async def _create_items(
         self, request: Request, params: ua.CreateMonitoredItemsParameters
-    ) -> ua.CreateMonitoredItemsResponse:
+    ) -> bytes:
         self._check_count(params.ItemsToCreate)
-        results = []
-        for item in params.ItemsToCreate:
-            results.append(
-                self._subscriptions.create_item(
-                    request.session, params.SubscriptionId, item, params.TimestampsToReturn
-                )
+        number, stamps = params.SubscriptionId, params.TimestampsToReturn
+
+        async def create(item: ua.MonitoredItemCreateRequest) -> bytes:
+            return encode_structure(
+                self._subscriptions.create_item(request.session, number, item, stamps)
             )
-            await request.turn.breathe()
-        return ua.CreateMonitoredItemsResponse(Results=results)
+
+        results = await self._each(request, params.ItemsToCreate, create, _refused_item)
+        kind = _Ids.CreateMonitoredItemsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, results)
 
     async def _modify_items(
         self, request: Request, params: ua.ModifyMonitoredItemsParameters
-    ) -> ua.ModifyMonitoredItemsResponse:
+    ) -> bytes:
         self._check_count(params.ItemsToModify)
-        results = []
-        for item in params.ItemsToModify:
-            results.append(
-                self._subscriptions.modify_item(
-                    request.session, params.SubscriptionId, item, params.TimestampsToReturn
-                )
+        number, stamps = params.SubscriptionId, params.TimestampsToReturn
+
+        async def modify(item: ua.MonitoredItemModifyRequest) -> bytes:
+            return encode_structure(
+                self._subscriptions.modify_item(request.session, number, item, stamps)
             )
-            await request.turn.breathe()
-        return ua.ModifyMonitoredItemsResponse(Results=results)
+
+        results = await self._each(request, params.ItemsToModify, modify, _refused_change)
+        kind = _Ids.ModifyMonitoredItemsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, results)
 
     async def _delete_items(
         self, request: Request, params: ua.DeleteMonitoredItemsParameters
-    ) -> ua.DeleteMonitoredItemsResponse:
+    ) -> bytes:
         self._check_count(params.MonitoredItemIds)
-        codes = []
-        for item in params.MonitoredItemIds:
-            code = self._subscriptions.delete_item(request.session, params.SubscriptionId, item)
-            codes.append(code)
-            await request.turn.breathe()
-        return ua.DeleteMonitoredItemsResponse(Results=_statuses(codes))
+        session, number = request.session, params.SubscriptionId
+
+        async def delete(item: int) -> bytes:
+            return encode_status(self._subscriptions.delete_item(session, number, item))
+
+        codes = await self._each(request, params.MonitoredItemIds, delete, encode_status)
+        kind = _Ids.DeleteMonitoredItemsResponse_Encoding_DefaultBinary
+        return self._results(request, kind, codes)
 
     async def _set_monitoring_mode(
         self, request: Request, params: ua.SetMonitoringModeParameters
-    ) -> ua.SetMonitoringModeResponse:
+    ) -> bytes:
         self._check_count(params.MonitoredItemIds)
-        codes = []
-        for item in params.MonitoredItemIds:
-            codes.append(
-                self._subscriptions.set_monitoring(
-                    request.session, params.SubscriptionId, item, params.MonitoringMode
-                )
-            )
-            await request.turn.breathe()
-        response = ua.SetMonitoringModeResponse()
-        response.Parameters.Results = _statuses(codes)
-        return response
+        session, number, mode = request.session, params.SubscriptionId, params.MonitoringMode
 
-    async def _set_triggering(
-        self, request: Request, params: ua.SetTriggeringParameters
-    ) -> ua.SetTriggeringResponse:
-        links = [*(params.LinksToAdd or ()), *(params.LinksToRemove or ())]
-        self._check_count(links)
+        async def switch(item: int) -> bytes:
+            return encode_status(self._subscriptions.set_monitoring(session, number, item, mode))
+
+        codes = await self._each(request, params.MonitoredItemIds, switch, encode_status)
+        return self._results(request, _Ids.SetMonitoringModeResponse_Encoding_DefaultBinary, codes)
+
+    async def _set_triggering(self, request: Request, params: ua.SetTriggeringParameters) -> bytes:
+        add, remove = list(params.LinksToAdd or ()), list(params.LinksToRemove or ())
+        self._check_count([*add, *remove])
         session, subscriptions = request.session, self._subscriptions
         where = params.SubscriptionId, params.TriggeringItemId
-        result = ua.SetTriggeringResult()
-        for linked in params.LinksToRemove or ():
-            code = subscriptions.unlink(session, *where, linked)
-            result.RemoveResults.append(ua.StatusCode(code))
-            await request.turn.breathe()
-        for linked in params.LinksToAdd or ():
-            code = subscriptions.link(session, *where, linked)
-            result.AddResults.append(ua.StatusCode(code))
-            await request.turn.breathe()
-        return ua.SetTriggeringResponse(Parameters=result)
+
+        async def unlink(linked: int) -> bytes:
+            return encode_status(subscriptions.unlink(session, *where, linked))
+
+        async def link(linked: int) -> bytes:
+            return encode_status(subscriptions.link(session, *where, linked))
+
+        removed = await self._each(request, remove, unlink, encode_status)
+        added = await self._each(request, add, link, encode_status)
+        kind = _Ids.SetTriggeringResponse_Encoding_DefaultBinary
+        return self._results(request, kind, added, removed)
 
     async def _cancel(self, request: Request, params: ua.CancelParameters) -> ua.CancelResponse:
         # All but Publish are answered before the next request is read.
@@ -470,12 +497,35 @@ class Services:
         if len(operations) > (self._limits.operations if most is None else most):
             raise ServiceError(_Codes.BadTooManyOperations)
 
+    async def _each(
+        self,
+        request: Request,
+        operations: Sequence[T],
+        answer: Callable[[T], Awaitable[bytes]],
+        refusal: Callable[[int], bytes],
+    ) -> list[bytes]:
+        most = self._limits.response_bytes
+        return await answer_each(operations, answer, refusal, request.turn.breathe, most)
+
+    def _results(self, request: Request, kind: int, *results: Sequence[bytes]) -> bytes:
+        return encode_results(kind, request.handle, self._ticks(), *results)
+
     def _ticks(self) -> int:
         return ticks_of_ns(self._clock.now())
 
 
-def _statuses(codes: Sequence[int]) -> list[ua.StatusCode]:
-    return [ua.StatusCode(code) for code in codes]
+def _refusal(result: type) -> Callable[[int], bytes]:
+    """Return what encodes a result of this type that holds nothing but a status code."""
+    return lambda code: encode_structure(result(StatusCode=ua.StatusCode(code)))
+
+
+_refused_value = _refusal(ua.DataValue)
+_refused_call = _refusal(ua.CallMethodResult)
+_refused_browse = _refusal(ua.BrowseResult)
+_refused_path = _refusal(ua.BrowsePathResult)
+_refused_item = _refusal(ua.MonitoredItemCreateResult)
+_refused_change = _refusal(ua.MonitoredItemModifyResult)
+_refused_transfer = _refusal(ua.TransferResult)
 
 
 def _name(session: Session) -> str:

@@ -7,11 +7,13 @@ from asyncua import ua
 
 from guarded_opcua.chores import Chores
 from guarded_opcua.clock import Clock
+from guarded_opcua.logs import bounded_logger
 from guarded_opcua.monitoring.event_filter import Event
 from guarded_opcua.monitoring.event_item import EventItem
 from guarded_opcua.security.users import Role
 from guarded_opcua.subscriptions.subscription import Subscription
 
+_log = bounded_logger(__name__)
 _MOST_STANDING = 10  # events that newcomers still hear
 _TURN_S = 0.001  # processor time for the events of one item, before other items' are judged
 
@@ -97,10 +99,13 @@ class EventDelivery:
     def _judge(self, subscription: Subscription, item: EventItem) -> Iterator[None]:
         began = self._clock.processor()
         while item.inbox and self._clock.processor() - began < _TURN_S:
-            event, unfiltered = item.inbox[0]
-            if unfiltered or item.filter.passes(event):
-                item.notify(event)
-            item.inbox.popleft()
+            event, unfiltered = item.inbox.popleft()
+            try:
+                if unfiltered or item.filter.passes(event):
+                    item.notify(event)
+            except Exception:  # noqa: BLE001 - a bulkhead: later events are judged, other items served
+                _log.exception("the filter of an item failed")
+                item.lose(event)
             yield
         if item.inbox:  # the others' turn
             self._chores.add(self._judge(subscription, item), subscription.owner.charge)

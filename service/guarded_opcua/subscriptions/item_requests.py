@@ -8,6 +8,11 @@ from asyncua import ua
 from asyncua.server.address_space import AddressSpace
 
 from guarded_opcua.address_space.blocks import Block
+from guarded_opcua.address_space.held_attributes import (
+    held_attribute,
+    is_missing,
+    is_readable,
+)
 from guarded_opcua.binary.index_range import IndexRangeError, Ranges, parse_index_range
 from guarded_opcua.monitoring.block_items import BlockItem, serves
 from guarded_opcua.monitoring.data_change import DataChangeFilter, FilterRefused, change_rule
@@ -86,8 +91,8 @@ def event_item(
     ItemRefused
     """
     wanted, asked = request.ItemToMonitor, request.RequestedParameters
-    held = aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.EventNotifier)
-    if held.StatusCode.value in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid):
+    held = held_attribute(aspace, wanted.NodeId, ua.AttributeIds.EventNotifier)
+    if is_missing(held):
         raise ItemRefused(held.StatusCode.value)
     if not held.Value.Value & (1 << ua.EventNotifier.SubscribeToEvents):
         raise ItemRefused(_Codes.BadNotSupported)
@@ -209,16 +214,14 @@ def _sampling_interval(wish: float, limits: Limits, subscription: Subscription) 
 
 
 def _check_attribute(aspace: AddressSpace, wanted: ua.ReadValueId) -> None:
-    held = aspace.read_attribute_value(wanted.NodeId, wanted.AttributeId)
-    if held.StatusCode.value in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid):
+    held = held_attribute(aspace, wanted.NodeId, wanted.AttributeId)
+    if is_missing(held):
         raise ItemRefused(held.StatusCode.value)
     encoding = wanted.DataEncoding
     if encoding is not None and encoding.Name:
         raise ItemRefused(_Codes.BadDataEncodingInvalid)
-    if wanted.AttributeId == ua.AttributeIds.Value:
-        level = aspace.read_attribute_value(wanted.NodeId, ua.AttributeIds.AccessLevel)
-        if not level.Value.Value & (1 << ua.AccessLevel.CurrentRead):
-            raise ItemRefused(_Codes.BadNotReadable)
+    if wanted.AttributeId == ua.AttributeIds.Value and not is_readable(aspace, wanted.NodeId):
+        raise ItemRefused(_Codes.BadNotReadable)
 
 
 def _ranges(wanted: ua.ReadValueId) -> Ranges | None:

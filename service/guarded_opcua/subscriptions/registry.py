@@ -9,6 +9,7 @@ from asyncua import ua
 from asyncua.common.utils import ServiceError
 from asyncua.server.address_space import AddressSpace
 
+from guarded_opcua.address_space.held_attributes import held_attribute
 from guarded_opcua.chores import Chores
 from guarded_opcua.clock import Clock
 from guarded_opcua.ledger import Ledger
@@ -105,26 +106,22 @@ class Subscriptions:
             RevisedMaxKeepAliveCount=timing.keep_alive_count,
         )
 
-    def set_publishing(self, session: Owner, params: ua.SetPublishingModeParameters) -> list[int]:
-        """Switch publishing on or off; a status code each."""
-        codes = []
-        for number in params.SubscriptionIds:
-            subscription = session.subscriptions.get(number)
-            if subscription is not None:
-                subscription.publishing = bool(params.PublishingEnabled)
-                subscription.heard_of()
-            codes.append(_Codes.BadSubscriptionIdInvalid if subscription is None else _Codes.Good)
-        return codes
+    def set_publishing(self, session: Owner, number: int, *, enabled: bool) -> int:
+        """Switch the publishing of a subscription on or off; a status code."""
+        subscription = session.subscriptions.get(number)
+        if subscription is None:
+            return int(_Codes.BadSubscriptionIdInvalid)
+        subscription.publishing = enabled
+        subscription.heard_of()
+        return int(_Codes.Good)
 
-    def delete(self, session: Owner, numbers: Iterable[int]) -> list[int]:
-        """Delete subscriptions; a status code each."""
-        codes = []
-        for number in numbers:
-            subscription = session.subscriptions.get(number)
-            if subscription is not None:
-                self.end(subscription)
-            codes.append(_Codes.BadSubscriptionIdInvalid if subscription is None else _Codes.Good)
-        return codes
+    def delete(self, session: Owner, number: int) -> int:
+        """Delete a subscription; a status code."""
+        subscription = session.subscriptions.get(number)
+        if subscription is None:
+            return int(_Codes.BadSubscriptionIdInvalid)
+        self.end(subscription)
+        return int(_Codes.Good)
 
     def end(self, subscription: Subscription) -> None:
         """Delete one subscription now, and its items little by little."""
@@ -136,18 +133,14 @@ class Subscriptions:
         self.chores.add(self._forget_all(subscription), owner.charge)
 
     async def transfer(
-        self, session: Owner, params: ua.TransferSubscriptionsParameters, breathe: Breathe
-    ) -> list[ua.TransferResult]:
-        """Move subscriptions of the same user to this session."""
-        results = []
-        for number in params.SubscriptionIds:
-            moves = number not in session.subscriptions
-            result = self._transfer(session, number)
-            if moves and params.SendInitialValues and number in session.subscriptions:
-                await self.resend(session, number, breathe)
-            results.append(result)
-            await breathe()
-        return results
+        self, session: Owner, number: int, breathe: Breathe, *, send_values: bool
+    ) -> ua.TransferResult:
+        """Move a subscription of the same user to this session."""
+        moves = number not in session.subscriptions
+        result = self._transfer(session, number)
+        if moves and send_values and number in session.subscriptions:
+            await self.resend(session, number, breathe)
+        return result
 
     def republish(self, session: Owner, params: ua.RepublishParameters) -> bytes:
         """Return a message again."""
@@ -343,6 +336,7 @@ class Subscriptions:
         try:
             if wanted.AttributeId == ua.AttributeIds.EventNotifier:
                 return self._create_event_item(subscription, number, request)
+            current = held_attribute(self._aspace, wanted.NodeId, wanted.AttributeId)
             item, result = data_item(
                 self._aspace, limits, subscription, number, request, stamps, self.blocks
             )
@@ -352,7 +346,7 @@ class Subscriptions:
             watch(self._aspace, item)
         self._keep(subscription, item)
         if item.mode != ua.MonitoringMode.Disabled:
-            item.start(self._current(item))
+            item.start(current)
         return result
 
     def _create_event_item(
@@ -405,7 +399,7 @@ class Subscriptions:
             yield
 
     def _current(self, item: Item) -> ua.DataValue:
-        return self._aspace.read_attribute_value(item.wanted.NodeId, item.wanted.AttributeId)
+        return held_attribute(self._aspace, item.wanted.NodeId, item.wanted.AttributeId)
 
     def _transfer(self, session: Owner, number: int) -> ua.TransferResult:
         subscription = self.by_number.get(number)

@@ -22,6 +22,7 @@ from valvemap.app.warm_up import warm_up
 from valvemap.cli import feedforward
 from valvemap.cli.demo_view import Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
+from valvemap.cli.rig_conditions import conditions_in
 from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
 from valvemap.config.loading import load_config
@@ -31,6 +32,7 @@ from valvemap.model.least_squares import batch_least_squares
 from valvemap.model.model_structures import FiveTerms
 from valvemap.model.samples import Samples
 from valvemap.pipeline.identification import Identification
+from valvemap_rig.condition import AS_NEW, Condition
 from valvemap_rig.scenario import Scenario, VerificationPoints, load_scenario, verification_points
 
 _REFRESH_S = 1.0
@@ -70,7 +72,7 @@ async def _demo(
     stop = asyncio.Event()
     with stop_on_signal(stop):
         compiling = asyncio.ensure_future(_compile(config, stop, console))
-        async with rig_process(config.source.url, name, password) as rig_url:
+        async with rig_process(config.source.url, name, password, view.follow) as rig_url:
             await compiling
             if stop.is_set():
                 return
@@ -97,7 +99,7 @@ async def _feed_forward_demo(
         if stop.is_set():
             return
         await asyncio.to_thread(feedforward.commission, identification, scenario)
-        async with rig_process(config.source.url, name, password) as rig_url:
+        async with rig_process(config.source.url, name, password, lambda _: None) as rig_url:
             course = feedforward.Course(identification, SystemClock().now())
             armed = feedforward.arm(identification)
             serving = asyncio.ensure_future(
@@ -199,11 +201,21 @@ class _View:
 
     def __init__(self, identification: Identification, scenario: Scenario) -> None:
         self.identification = identification
+        self._scenario = scenario
+        self._worn: dict[str, Condition] = {}
         self._samples = dict.fromkeys((plan.name for plan in identification.plans), 0)
         self._points = {
             plan.name: verification_points(scenario, plan.name) for plan in identification.plans
         }
         self._best = {name: _best_fit(points) for name, points in self._points.items()}
+
+    def follow(self, line: str) -> None:
+        """Compute the truth of valves whose condition has changed, from a line of the rig's."""
+        for name, worn in conditions_in(line).items():
+            if name in self._points and worn != self._worn.get(name, AS_NEW):
+                self._points[name] = verification_points(self._scenario, name, worn=worn)
+                self._best[name] = _best_fit(self._points[name])
+                self._worn[name] = worn
 
     def count(self, valve: str, samples: Samples) -> None:
         """Count samples as they are identified from."""

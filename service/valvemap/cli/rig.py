@@ -15,6 +15,7 @@ from valvemap.app.signals import stop_on_signal, stop_with_parent
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.options import FolderOption, RevocationOption
 from valvemap.cli.progress import bars
+from valvemap.cli.rig_conditions import CONDITION_S, condition_line
 from valvemap.config.logs import LogConfig
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import Fleet, Scenario, load_scenario
@@ -181,7 +182,20 @@ async def _serve(
         server = await RigServer.create(settings, scenario, on_block=on_block)
         async with server:
             print(server.url, flush=True)  # noqa: T201 - tells who waits for it
+            if under_demo:
+                stack.callback(asyncio.ensure_future(_say_conditions(server)).cancel)
             await _play(server, stop, until_over=scenario.samples is not None)
+
+
+async def _say_conditions(server: RigServer) -> None:
+    """Print the valves' conditions whenever they change: the demo computes its truth from them."""
+    before = None
+    while True:
+        now = condition_line(server.conditions())
+        if now != before:
+            print(now, flush=True)  # noqa: T201 - as the URL
+            before = now
+        await asyncio.sleep(CONDITION_S)
 
 
 async def _play(server: RigServer | FleetServer, stop: asyncio.Event, *, until_over: bool) -> None:

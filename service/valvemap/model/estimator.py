@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -10,6 +11,7 @@ from tokenize import TokenError
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.samples import Floats, Samples, Trace
@@ -49,7 +51,8 @@ class State:
         """
         expected = (str(cls.state_version), cls.__name__, key)
         try:
-            record = np.load(io.BytesIO(data), allow_pickle=False)
+            record = np.load(io.BytesIO(data), allow_pickle=False, max_header_size=_HEADER_BYTES)
+            _check_texts(record)
             header = tuple(record["header_"].tolist())
             names = [f.name for f in fields(cls)] if header == expected else []
             arrays = {name: record[name].copy() for name in names}
@@ -106,6 +109,20 @@ class Template:
         if not state.is_coherent():
             raise StateMismatchError("its parts do not belong together")
 
+
+def _check_texts(record: NDArray[Any]) -> None:
+    """Refuse code points that no text has: numpy raises SystemError when it makes a str of them."""
+    for name in record.dtype.names or ():
+        kind = record.dtype[name].base
+        if kind.kind == "U":
+            codes = np.atleast_1d(record[name]).view(
+                np.dtype(np.uint32).newbyteorder(kind.byteorder)
+            )
+            if codes.max(initial=0) > sys.maxunicode:
+                raise ValueError(f"{name} is no text")
+
+
+_HEADER_BYTES = 4_096  # numpy parses a header as Python; ours have half of that at most
 
 _UNREADABLE = (  # what numpy makes of bytes that are no record of arrays
     *(ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError),

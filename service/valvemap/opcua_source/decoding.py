@@ -45,8 +45,11 @@ _HISTORY_DATA = 658
 _DATA_CHANGE_NOTIFICATION = 811
 _STATUS_CHANGE_NOTIFICATION = 820
 
-_MAX_TICKS = (2**63 - 1) // 100 + EPOCH_TICKS  # what still fits into int64 ns, year 2262
-_MIN_TICKS = -((2**63) // 100) + EPOCH_TICKS
+# what fits into int64 ns, picoseconds included: a tick less than 2**63 ns, years 1677 to 2262
+_MOST_TICKS = (2**63 - 1) // 100 - 1
+_MAX_TICKS = EPOCH_TICKS + _MOST_TICKS
+_MIN_TICKS = EPOCH_TICKS - _MOST_TICKS
+_MOST_PICOSECONDS = 9_999  # units of 10 ps; larger values are read as this one (Part 6, 5.2.2.17)
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _HANDLE = 4  # bytes of a client handle, where one goes before a value
@@ -102,13 +105,16 @@ class PublishResponse:
     acknowledged: tuple[int, ...]
 
 
-def ns_from_ticks(ticks: int) -> int:
-    """UTC ns of an OPC UA DateTime (100 ns since 1601), exactly; clipped to int64.
+def ns_from_ticks(ticks: int, picoseconds: int = 0) -> int:
+    """UTC ns of an OPC UA DateTime (100 ns since 1601) and its picoseconds (units of 10 ps).
 
-    >>> ns_from_ticks(EPOCH_TICKS + 1)
-    100
+    Exact; times that int64 cannot hold become the earliest or latest it can.
+
+    >>> ns_from_ticks(EPOCH_TICKS + 1), ns_from_ticks(EPOCH_TICKS, 1_234)
+    (100, 12)
     """
-    return (min(max(ticks, _MIN_TICKS), _MAX_TICKS) - EPOCH_TICKS) * 100
+    whole = min(max(ticks, _MIN_TICKS), _MAX_TICKS) - EPOCH_TICKS
+    return whole * 100 + min(picoseconds, _MOST_PICOSECONDS) // 100
 
 
 def ticks_from_ns(ns: int) -> int:
@@ -316,9 +322,9 @@ def _pass_over(
     server = reader.i8() if mask & 0x08 else 0
     server_picoseconds = reader.u2() if mask & 0x20 else 0
     if source:
-        time[row] = ns_from_ticks(source) + source_picoseconds // 100
+        time[row] = ns_from_ticks(source, source_picoseconds)
     elif server:
-        time[row] = ns_from_ticks(server) + server_picoseconds // 100
+        time[row] = ns_from_ticks(server, server_picoseconds)
     else:
         time[row] = publish_time
 
@@ -478,10 +484,9 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
         if ticks == 0:
             time[row] = publish_time
         else:
-            if ticks < _MIN_TICKS:
-                ticks = np.int64(_MIN_TICKS)
-            elif ticks > _MAX_TICKS:
-                ticks = np.int64(_MAX_TICKS)
+            # as ns_from_ticks, which compiled code cannot call
+            ticks = min(max(ticks, np.int64(_MIN_TICKS)), np.int64(_MAX_TICKS))
+            picoseconds = min(picoseconds, np.int64(_MOST_PICOSECONDS))
             time[row] = (ticks - EPOCH_TICKS) * 100 + picoseconds // 100
         position = at
         row += 1

@@ -14,6 +14,7 @@ from valvemap.model.estimator import State, StateMismatchError, key_of
 from valvemap.model.samples import Times
 from valvemap.pipeline.alignment import COUNTER_NAMES, Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.waiting import NEVER, Waiting
 from valvemap.pipeline.timing import Timing, TimingSettings, TimingState
@@ -181,16 +182,34 @@ class Arrivals:
         if zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") != digest:
             raise StateMismatchError("damaged")
         head, _, rest = body.partition(b"\n")
-        size, special = json.loads(head)
+        try:
+            size, special = json.loads(head)
+            at = size = int(size)
+            lengths = [(int(number), int(length)) for number, length in special]
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+            raise StateMismatchError(f"not the head of an alignment's state: {error}") from error
         kept = _Kept.from_bytes(rest[:size], self._key)
-        waiting = Waiting(*(getattr(kept, name) for name in Waiting._fields))
-        states, at = {}, size
-        for number, length in special:
+        waiting = Waiting(*(np.asarray(getattr(kept, name)) for name in Waiting._fields))
+        self._check(waiting)
+        states = {}
+        for number, length in lengths:
             states[number] = TimingState.from_bytes(rest[at : at + length], self._key)
             at += length
         for number in range(len(self.names)):
             self.put(number, self.alignment.of(waiting, number))
             self.timing.put(number, states.get(number, _ALIKE))
+
+    def _check(self, waiting: Waiting) -> None:
+        """Refuse what cannot wait at these valves."""
+        V, pending = len(self.names), waiting.slots.shape[1] if waiting.slots.ndim > 1 else 0
+        like = self.alignment.nothing(V, pending)
+        sizes = waiting.order[:, slots.SIZE] if waiting.order.shape == like.order.shape else ()
+        if len(sizes) and min(sizes) >= 0 and max(sizes) <= pending:
+            like.order[:, slots.SIZE] = sizes
+        for name, contents in contents_of_waiting(like).items():
+            wrong = contents.wrong_in(getattr(waiting, name))
+            if wrong is not None:
+                raise StateMismatchError(f"{name} {wrong}")
 
     @cached_property
     def _key(self) -> str:

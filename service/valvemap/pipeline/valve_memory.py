@@ -9,6 +9,7 @@ import numpy as np
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State, StateMismatchError
 from valvemap.pipeline.alignment import Alignment
+from valvemap.pipeline.kept_waiting import contents_of_waiting
 from valvemap.pipeline.kernels import waiting as slots
 from valvemap.pipeline.kernels.gate import Memory
 from valvemap.pipeline.kernels.waiting import Waiting
@@ -16,7 +17,6 @@ from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
 
-_COUNTED = [slots.GIVEN_UP, slots.GAPS_KEPT, slots.DOUBTFUL, slots.TIMES_KEPT]
 _MOST_SAMPLES = 2.0**53  # that a float counts exactly
 
 
@@ -66,19 +66,12 @@ class _Kept(State):
 
     def contents(self) -> Mapping[str, Contents]:
         """What may stand in them; ``order`` says that all that is kept waits."""
-        raw = ("last", "window", "values", "held_value", "T", "demand")
-        times = ("last_time", "still_since", "slots", "held_time", "lost", "left", "order")
-        found = {name: Contents(np.asarray(getattr(self, name))).or_nan() for name in raw}
-        for name in ("values", "held_value"):
-            found[name].or_infinite()
-        found.update({name: Contents(getattr(self, name)).any_time() for name in times})
-        found["moment"] = Contents(np.asarray(self.moment)).any_time()
-        size = int(self.order[0, slots.SIZE])
-        found["order"].within(size, size, (0, slots.SIZE))
-        found["order"].within(0, np.inf, (0, _COUNTED))
-        found["order"].within(0, slots.ENOUGH, (0, slots.REGULAR))
-        found["order"].within(0, slots.NEW_PACE, (0, slots.LONG_STEPS))
-        found["slots"].within(0, 2**slots.STRIDE - 1, (0, slice(None), slots.FILLED))
+        waiting = Waiting(*(getattr(self, name) for name in Waiting._fields))
+        found = contents_of_waiting(waiting)
+        for name in ("last", "window", "T", "demand"):
+            found[name] = Contents(np.asarray(getattr(self, name))).or_nan()
+        for name in ("last_time", "still_since", "moment"):
+            found[name] = Contents(np.asarray(getattr(self, name))).any_time()
         lanes = Contents(self.lanes).within(0.0, _MOST_SAMPLES, (slice(None), 0))
         lanes.within(-1.0, float(max(Status)), (slice(None), 3)).or_nan((slice(None), [1, 2]))
         return {**found, "lanes": lanes}

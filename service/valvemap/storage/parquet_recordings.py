@@ -32,6 +32,7 @@ _SCHEMA = pa.schema(
     ]
 )
 _ROW_GROUP = 1 << 19
+_UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)  # of a damaged file
 
 
 class ArrowReader:
@@ -66,7 +67,7 @@ class ArrowReader:
         while True:
             try:
                 batch = next(batches, None)
-            except (pa.ArrowException, OSError) as error:
+            except _UNREADABLE as error:
                 raise _damaged(self._path, error, self._done) from error
             if batch is None:
                 return
@@ -92,6 +93,8 @@ class ArrowReader:
                     own = samples[index == valves.index(part.valve)]
                     if len(own):
                         yield part.valve, own
+        except UnicodeDecodeError as error:  # a text in a cell
+            raise _damaged(self._path, error, before) from error
         except CellError as error:
             row = before + error.row + 1
             raise RecordingError(f"{self._path}, row {row}: {error}") from None
@@ -110,9 +113,9 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
             buffer_size=1 << 20,
             pre_buffer=False,  # would hold the whole file in the end
         )
-    except (pa.ArrowException, OSError) as error:
+        headings = list(file.schema_arrow.names)
+    except _UNREADABLE as error:
         raise _damaged(path, error, 0) from error
-    headings = list(file.schema_arrow.names)
     useless = set(find_columns(headings, layout, str(path)).ignored)
     kept = [name for name in headings if name not in useless]
     batches = file.iter_batches(batch_size=chunk_rows, columns=kept)
@@ -127,7 +130,8 @@ def open_stream(path: Path, layout: Layout) -> ArrowReader:
     try:
         file = pa.OSFile(str(path))
         stream = pa.ipc.open_stream(file)
-    except (pa.ArrowException, OSError) as error:
+        stream.schema.names  # noqa: B018 - names that are no text are found here
+    except _UNREADABLE as error:
         raise _damaged(path, error, 0) from error
     return ArrowReader(path, stream.schema, stream, 0, file.close, layout)
 

@@ -188,6 +188,22 @@ const operations = {
     );
   },
 
+  // All attributes of each node in a request: how many have which status, which are refused.
+  async readEvery({ session }, { nodes, attributes }) {
+    const codes = {};
+    const faults = [];
+    for (const nodeId of nodes) {
+      try {
+        const found = await session.read(attributes.map((attributeId) => ({ nodeId, attributeId })));
+        for (const { statusCode } of found)
+          codes[statusCode.value] = (codes[statusCode.value] ?? 0) + 1;
+      } catch (error) {
+        faults.push(`${nodeId}: ${error.message ?? error}`);
+      }
+    }
+    return { codes, faults };
+  },
+
   async write({ session }, { node, value }) {
     const code = await session.write({
       nodeId: id(session, node),

@@ -1,0 +1,166 @@
+"""A client reads every attribute of every node, as it does at each click: no request is refused."""
+
+import asyncio
+from collections import Counter
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+import pytest_asyncio
+from asyncua import Client, ua
+
+from guarded_opcua import ServerSettings
+from support import go_peer, node_peer
+from support.every_attribute import ATTRIBUTES, every_node, read_every
+from support.interoperation import raised
+from support.peer import Peer
+from valvemap_rig.scenario import BUILTIN
+from valvemap_rig.server import RigServer
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+Codes = ua.StatusCodes
+Ids = ua.AttributeIds
+Class = ua.NodeClass
+
+# Part 3, 5.2 to 5.8: attributes of every node and of each class: mandatory, optional
+BASE = ({Ids.NodeId, Ids.NodeClass, Ids.BrowseName, Ids.DisplayName}, {Ids.Description})
+MASKS = {Ids.WriteMask, Ids.UserWriteMask, Ids.RolePermissions, Ids.UserRolePermissions}
+MASKS |= {Ids.AccessRestrictions}
+_OF_VARIABLES = {Ids.DataType, Ids.ValueRank}
+OF_CLASS = {
+    Class.Object: ({Ids.EventNotifier}, set()),
+    Class.Variable: (
+        {*_OF_VARIABLES, Ids.Value, Ids.AccessLevel, Ids.UserAccessLevel, Ids.Historizing},
+        {Ids.ArrayDimensions, Ids.MinimumSamplingInterval, Ids.AccessLevelEx},
+    ),
+    Class.Method: ({Ids.Executable, Ids.UserExecutable}, set()),
+    Class.ObjectType: ({Ids.IsAbstract}, set()),
+    Class.VariableType: ({*_OF_VARIABLES, Ids.IsAbstract}, {Ids.Value, Ids.ArrayDimensions}),
+    Class.ReferenceType: ({Ids.IsAbstract, Ids.Symmetric}, {Ids.InverseName}),
+    Class.DataType: ({Ids.IsAbstract}, {Ids.DataTypeDefinition}),
+    Class.View: ({Ids.ContainsNoLoops, Ids.EventNotifier}, set()),
+}
+ASKED_AT_ONCE = 500  # nodes that a program reads per line, each in a separate request
+FAILED = (Codes.BadInternalError, Codes.BadEncodingError)
+
+
+@asynccontextmanager
+async def rig(_):
+    settings = ServerSettings(
+        url="opc.tcp://127.0.0.1:0/valvemap/rig/",
+        application_uri="urn:test:rig",
+        application_name="rig",
+        namespace_uri="urn:valvemap:rig",
+        none_on_loopback=True,
+    )
+    async with await RigServer.create(settings, BUILTIN["demo"]) as server:
+        playing = asyncio.create_task(server.run())
+        yield server.url
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+
+
+@asynccontextmanager
+async def service(folder):
+    async with raised(folder, none_on_loopback=True) as stage:
+        yield stage.server.url
+
+
+@pytest_asyncio.fixture(
+    scope="module", loop_scope="module", params=[rig, service], ids=["rig", "service"]
+)
+async def url(request, tmp_path_factory):
+    async with request.param(tmp_path_factory.mktemp("server")) as url:
+        yield url
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def nodes(url):
+    async with Client(url) as client:
+        yield await every_node(client)
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def read(url, nodes):
+    async with Client(url) as client:
+        yield await read_every(client, nodes)
+
+
+async def test_no_request_is_refused(nodes, read):
+    assert read.faults == 0
+    assert len(nodes) > 6_000
+    assert len(read.codes) == len(nodes) * len(ATTRIBUTES)
+
+
+async def test_no_attribute_fails(read):
+    assert [key for key, code in read.codes.items() if code in FAILED] == []
+
+
+async def test_every_node_has_the_attributes_of_its_class_and_no_others(read):
+    wrong = Counter()
+    for (id_, attribute), code in read.codes.items():
+        kind = read.classes[id_]
+        must, may = OF_CLASS[kind]
+        missing = code == Codes.BadAttributeIdInvalid
+        if missing and attribute in {*BASE[0], *must}:
+            wrong[kind, Ids(attribute), "missing"] += 1
+        if not missing and attribute not in {*BASE[0], *BASE[1], *MASKS, *must, *may}:
+            wrong[kind, Ids(attribute), "too many"] += 1
+        if not missing and attribute != Ids.Value and (id_, attribute) in read.nulls:
+            wrong[kind, Ids(attribute), "null"] += 1
+    assert wrong == {}
+
+
+async def test_the_value_of_a_variable_type_without_a_default_is_no_attribute_of_it(read):
+    without = ua.NodeId(ua.ObjectIds.BaseDataVariableType)
+    assert read.codes[without, Ids.Value] == Codes.BadAttributeIdInvalid
+
+
+async def test_an_item_on_it_is_refused_with_the_same_reason(url):
+    async with Client(url) as client:
+        subscription = await client.create_subscription(100, None)
+        with pytest.raises(ua.UaStatusCodeError) as refused:
+            await subscription.subscribe_data_change(
+                client.get_node(ua.NodeId(ua.ObjectIds.BaseDataVariableType))
+            )
+        assert refused.value.code == Codes.BadAttributeIdInvalid
+
+
+@pytest.fixture(scope="module")
+def node_opcua(request):
+    return node_peer.program(request.config.cache.mkdir("node_peer"), "client.cjs")
+
+
+@pytest.fixture(scope="module")
+def gopcua():
+    return go_peer.program()
+
+
+async def counted(program, url, nodes):
+    """What another stack finds: status codes by number, and faults."""
+    peer = await Peer.start(*program)
+    try:
+        await peer.ask("connect", url=url)
+        codes, faults = Counter(), 0
+        for first in range(0, len(nodes), ASKED_AT_ONCE):
+            batch = [id_.to_string() for id_ in nodes[first : first + ASKED_AT_ONCE]]
+            found = await peer.ask("readEvery", nodes=batch, attributes=list(ATTRIBUTES))
+            faults += len(found["faults"])
+            codes.update({int(code): n for code, n in found["codes"].items()})
+        await peer.ask("disconnect")
+    finally:
+        await peer.stop()
+    return codes, faults
+
+
+@pytest.mark.node
+@pytest.mark.timeout(900)  # npm installs
+async def test_node_opcua_finds_the_same(node_opcua, url, nodes, read):
+    assert await counted(node_opcua, url, nodes) == (Counter(read.codes.values()), 0)
+
+
+@pytest.mark.languages
+@pytest.mark.timeout(900)  # go builds
+async def test_gopcua_finds_the_same(gopcua, url, nodes, read):
+    assert await counted(gopcua, url, nodes) == (Counter(read.codes.values()), 0)

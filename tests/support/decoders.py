@@ -1,0 +1,437 @@
+"""Every decoder of foreign bytes: valid inputs and announced exceptions."""
+
+import gzip
+import json
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import count
+
+import numpy as np
+from asyncua import ua
+from asyncua.ua import ua_binary
+from cryptography.hazmat.primitives import serialization
+
+from guarded_opcua import Role
+from guarded_opcua import errors as hardened
+from guarded_opcua.binary.bounded_decoding import Budget, Reader, decode
+from guarded_opcua.binary.index_range import IndexRangeError, parse_index_range
+from guarded_opcua.security.certificate_rules import CertificateRefused, parse
+from guarded_opcua.security.certificates import Pki, load_certificate
+from guarded_opcua.security.trust_folders import TrustFolders
+from guarded_opcua.security.users import UserStore
+from support import certificates
+from support.mutations import requests
+from support.plant import as_changes, plant
+from valvemap.config.loading import load_config
+from valvemap.errors import (
+    BlockError,
+    ConfigurationError,
+    FleetError,
+    RecordingError,
+    SourceRejected,
+    StorageError,
+)
+from valvemap.kafka.blocks import SamplesBlock, read_samples, write_samples
+from valvemap.kafka.commands import Command, Reply, read_command, read_reply, write_message
+from valvemap.kafka.memory import Columns, Memory, read_memory, write_memory
+from valvemap.kafka.result_blocks import ResultsBlock, read_results, write_results
+from valvemap.model.auto import Auto
+from valvemap.model.estimator import StateMismatchError
+from valvemap.model.maximum_likelihood import MaximumLikelihood
+from valvemap.model.rbf_network import RbfNetwork
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.samples import Segments
+from valvemap.opcua_results import decoding, responses
+from valvemap.opcua_source.position import position_from_bytes
+from valvemap.opcua_source.source_nodes import parse_node_id
+from valvemap.page.viewers import Senseless as SenselessRequest
+from valvemap.page.viewers import _request
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
+from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.timing import Timing
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.pipeline.valve_timing import TimingSettings
+from valvemap.sparkplug.host import PrimaryHost
+from valvemap.sparkplug.schema import Payload
+from valvemap.sparkplug.sender import _asks_for_births
+from valvemap.storage.points import read_points
+from valvemap.storage.recordings import RecordingWriter, read_recording
+
+BUDGET = Budget(10_000, 10_000, 100_000, 16)
+NOW = datetime(2030, 1, 1, tzinfo=UTC)
+VALVE = "Valvistor"
+ESTIMATORS = {
+    "RLS": RecursiveLeastSquares(),
+    "RML": MaximumLikelihood(),
+    "RBF": RbfNetwork(),
+    "Auto": Auto(),
+}
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """What turns bytes into something: ``seeds`` are valid, ``announced`` is all it may raise.
+
+    ``seal`` makes a mutant's checksum right, so that what lies behind it is reached.
+    """
+
+    decode: Callable[[bytes], object]
+    seeds: Callable[[], list[bytes]]
+    announced: tuple[type[Exception], ...] = ()
+    seal: Callable[[bytes], bytes] = bytes
+
+
+def decoders(folder):
+    """Return the table, by name; decoders of files have a place in the folder."""
+    return {
+        **_of_opc_ua(),
+        **_of_states(),
+        **_of_files(folder),
+        **_of_messages(),
+        **_of_kafka(),
+    }
+
+
+def _of_opc_ua():
+    status, malformed = ua.UaStatusCodeError, decoding.DecodeError
+    return {
+        "server: requests": Decoder(_request_of_opc_ua, _requests, (status,)),
+        "server: values": Decoder(
+            lambda data: decode(ua.DataValue, Reader(data, BUDGET)), _values, (status,)
+        ),
+        "server: index ranges": Decoder(
+            lambda data: parse_index_range(_text(data)),
+            lambda: [b"1:3,2", b"0"],
+            (IndexRangeError,),
+        ),
+        "client: publish responses": Decoder(
+            decoding.decode_publish_response, _publish_responses, (malformed,)
+        ),
+        "client: republish responses": Decoder(
+            decoding.decode_republish_response, _republish_responses, (malformed,)
+        ),
+        "client: history responses": Decoder(
+            lambda data: decoding.decode_history_response(data, [7, 8]),
+            _history_responses,
+            (malformed, status),
+        ),
+        "client: data changes": Decoder(
+            decoding.decode_data_changes, lambda: [_data_changes()], (malformed,)
+        ),
+        "client: other responses": Decoder(
+            _response_of_opc_ua, _responses, (responses.Senseless, status)
+        ),
+        "client: faults": Decoder(
+            responses.check_fault, lambda: [_fault()], (responses.Senseless, status)
+        ),
+        "client: NodeIds": Decoder(
+            lambda data: parse_node_id(_text(data), ("a", "urn:x")),
+            lambda: [b"nsu=urn:x;s=V.U", b"ns=1;i=5", b"i=85", b"ns=1;b=AQI="],
+            (ConfigurationError, SourceRejected),
+        ),
+        "client: positions": Decoder(
+            lambda data: position_from_bytes(data, "x", 2, 2**62), lambda: [_POSITION]
+        ),
+    }
+
+
+def _of_states():
+    """States as checkpoints hold them, restored by their valve."""
+    learnt = _learnt()
+    keeper = learnt._kept
+    doors = {
+        "Diagnostics": keeper._take_memory,
+        "Signals": keeper._take_timing,
+        "Baseline": keeper._take_baseline,
+        "Alarms": keeper._take_alarms,
+    }
+    found = {}
+    for kept in learnt.kept():
+        door = doors.get(kept.estimator, keeper._take_estimator)
+        found[f"state: {kept.valve}.{kept.estimator}"] = Decoder(
+            lambda data, kept=kept, door=door: door(replace(kept, state=data)),
+            lambda kept=kept: [kept.state],
+            (StateMismatchError,),
+        )
+    arrivals = Arrivals([VALVE], Alignment(AlignmentSettings(), has_T=(True,)))
+    arrivals.take(as_changes(plant(20)))
+    found["state: arrivals"] = Decoder(
+        arrivals.resume, lambda: [arrivals.to_bytes()], (StateMismatchError,), _with_crc
+    )
+    return found
+
+
+def _of_files(folder):
+    number = count()
+
+    def of_file(name, read, seeds, *announced):
+        file = folder / f"{next(number)}-{name}"
+
+        def decode_file(data):
+            file.write_bytes(data)
+            return read(file)
+
+        return Decoder(decode_file, seeds, announced)
+
+    pki = Pki(folder / "pki")
+    pki.make_folders()
+    return {
+        "file: CSV": of_file("r.csv", _rows, lambda: [_CSV, _DATES], RecordingError),
+        "file: CSV.gz": of_file("r.csv.gz", _rows, lambda: [gzip.compress(_CSV)], RecordingError),
+        "file: Parquet": of_file("r.parquet", _rows, lambda: [_parquet(folder)], RecordingError),
+        "file: points": of_file("p.csv", read_points, lambda: [_POINTS], StorageError),
+        "file: users": of_file(
+            "users.json", UserStore.load, lambda: [_users(folder)], hardened.ConfigurationError
+        ),
+        "file: configuration": of_file(
+            "c.toml", load_config, lambda: [_CONFIGURATION], ConfigurationError
+        ),
+        "file: certificates": of_file(
+            "c.der",
+            load_certificate,
+            lambda: [_shown(), *_pem()],
+            hardened.CertificateError,
+        ),
+        "file: trusted certificates": Decoder(_in_folder(pki, "a.der"), lambda: [_shown()]),
+        "file: revocation lists": Decoder(_in_folder(pki, "a.crl"), lambda: [_revocations()]),
+        "wire: certificates": Decoder(
+            parse, lambda: [_shown(), 2 * _shown()], (CertificateRefused,)
+        ),
+    }
+
+
+def _of_messages():
+    return {
+        "page: requests": Decoder(
+            lambda data: _request(_text(data)),
+            lambda: [b'{"valve": "V1", "estimator": "RLS"}'],
+            (SenselessRequest,),
+        ),
+        "Sparkplug: states": Decoder(
+            PrimaryHost("SCADA").hear, lambda: [b'{"online": true, "timestamp": 5}']
+        ),
+        "Sparkplug: commands": Decoder(_asks_for_births, lambda: [_command()]),
+    }
+
+
+def _of_kafka():
+    samples = ByValve(plant(30), Segments.one(30))
+    columns = {"x": np.ones((1, 3)), "n": np.ones((1, 9), np.int64)}
+    memory = Memory(
+        1, 2, {"a": 5}, {"b": 7}, [Columns("k", (VALVE,), columns)], {VALVE: b"baseline"}, ["r"]
+    )
+    command = Command("1", "north.0", VALVE, "demand", "", (60.0, 100.0))
+    reply = Reply("7", "north.0", 12, done=True)
+    block = (BlockError,)
+    return {
+        "Kafka: samples": Decoder(
+            read_samples,
+            lambda: [write_samples(SamplesBlock("north.0", 7, (VALVE,), samples))],
+            block,
+        ),
+        "Kafka: results": Decoder(read_results, _results, block),
+        "Kafka: commands": Decoder(read_command, lambda: [write_message(command)], block),
+        "Kafka: replies": Decoder(read_reply, lambda: [write_message(reply)], block),
+        "Kafka: memories": Decoder(read_memory, lambda: [write_memory(memory)], (FleetError,)),
+    }
+
+
+def _results():
+    (results,) = _learnt().results([0])
+    return [write_results(ResultsBlock("north.0", 9, (VALVE,), results))]
+
+
+_POSITION = json.dumps(
+    {
+        "format": 1,
+        "binding": "x",
+        "known_to": [1, 2],
+        "subscription": {
+            "number": 1,
+            "message": 2,
+            "publishing_interval_ms": 100.0,
+            "keep_alive_count": 10,
+            "items": [[0, 1, 10, 5], [1, 2, 10, 6]],
+        },
+    }
+).encode()
+_CSV = b"t,U,p1,p2,Q,T\n" + b"".join(
+    b"%d,%d.5,200,%d,1e1,40\n" % (1_800_000_000_000_000_000 + k, k, 100 - k) for k in range(20)
+)
+_DATES = b"t;U;p1;p2;Q\n2026-11-22T10:00:00.25Z;1,5;2;3;4\n2026-11-22T10:00:01Z;1,5;2;3;4\n"
+_POINTS = b"Q,dp,T\n10,100,40\n20.5,1e2,\n"
+_CONFIGURATION = b'[[valves]]\nname = "V1"\n[alignment]\nmax_wait_s = 0.5\n'
+
+
+def _text(data):
+    return data.decode("utf-8", "surrogateescape")
+
+
+_KINDS = {
+    kind().TypeId.Identifier: kind
+    for kind in {type(make(ua.NodeId())) for make in requests(ua.NodeId(5, 2))}
+}
+_RESPONSES = {
+    kind().TypeId.Identifier: kind
+    for kind in (ua.ReadResponse, ua.BrowseResponse, ua.CreateMonitoredItemsResponse)
+}
+
+
+def _request_of_opc_ua(data):
+    number = decode(ua.NodeId, Reader(data, BUDGET)).Identifier
+    return decode(_KINDS.get(number, ua.ReadRequest), Reader(data, BUDGET))
+
+
+def _requests():
+    made = requests(ua.NodeId("Plant.Flow", 2))
+    return [ua_binary.struct_to_binary(make(ua.NodeId(b"token", 0))) for make in made]
+
+
+def _data_values():
+    contents = (
+        ua.Variant(1.5, ua.VariantType.Double),
+        ua.Variant([1, 2, 3], ua.VariantType.Int32),
+        ua.Variant([[1.0, 2.0], [3.0, 4.0]], ua.VariantType.Double),
+        ua.Variant("text"),
+        ua.Variant(NOW),
+        ua.Variant(ua.NodeId("x", 3)),
+        ua.Variant(ua.LocalizedText("a", "en")),
+        ua.Variant(ua.Range(0.0, 1.0)),
+        ua.Variant([ua.Variant(1), ua.Variant("x")], ua.VariantType.Variant, is_array=True),
+    )
+    return [ua.DataValue(one, SourceTimestamp=NOW, ServerTimestamp=NOW) for one in contents]
+
+
+def _values():
+    return [ua_binary.struct_to_binary(value) for value in _data_values()]
+
+
+def _data_changes():
+    items = [ua.MonitoredItemNotification(k, value) for k, value in enumerate(_data_values())]
+    change = ua.DataChangeNotification(MonitoredItems=items)
+    # a time with picoseconds
+    record = struct.pack("<IBBdqH", 9, 0x15, 11, 1.0, 2**60, 65_535)
+    body = ua_binary.struct_to_binary(change)
+    return struct.pack("<i", len(items) + 1) + record + body[4:]
+
+
+def _message(response):
+    body = ua.ExtensionObject(
+        ua.NodeId(ua.ObjectIds.DataChangeNotification_Encoding_DefaultBinary), _data_changes()
+    )
+    message = ua.NotificationMessage(SequenceNumber=5, PublishTime=NOW, NotificationData=[body])
+    holder = response if hasattr(response, "NotificationMessage") else response.Parameters
+    holder.NotificationMessage = message
+    return response
+
+
+def _publish_responses():
+    response = _message(ua.PublishResponse())
+    response.Parameters.AvailableSequenceNumbers = [4, 5]
+    response.Parameters.Results = [ua.StatusCode()]
+    return [ua_binary.struct_to_binary(response)]
+
+
+def _republish_responses():
+    return [ua_binary.struct_to_binary(_message(ua.RepublishResponse()))]
+
+
+def _history_responses():
+    data = ua.HistoryData(DataValues=_data_values()[:1] * 3)
+    kind = ua.NodeId(ua.ObjectIds.HistoryData_Encoding_DefaultBinary)
+    held = ua.ExtensionObject(kind, ua_binary.struct_to_binary(data))
+    result = ua.HistoryReadResult(ua.StatusCode(), b"point", held)
+    return [ua_binary.struct_to_binary(ua.HistoryReadResponse(Results=[result, result]))]
+
+
+def _response_of_opc_ua(data):
+    number = responses.decode_type(data).Identifier
+    return responses.decode_response(_RESPONSES.get(number, ua.ReadResponse), data)
+
+
+def _responses():
+    reference = ua.ReferenceDescription(BrowseName=ua.QualifiedName("V1", 2))
+    browse = ua.BrowseResponse(Results=[ua.BrowseResult(References=[reference])])
+    item = ua.MonitoredItemCreateResult(MonitoredItemId=1, RevisedQueueSize=10)
+    made = (
+        ua.ReadResponse(Results=_data_values()),
+        browse,
+        ua.CreateMonitoredItemsResponse(Results=[item]),
+    )
+    return [ua_binary.struct_to_binary(one) for one in made]
+
+
+def _fault():
+    fault = ua.ServiceFault()
+    fault.ResponseHeader.ServiceResult = ua.StatusCode(ua.StatusCodes.BadInternalError)
+    return ua_binary.struct_to_binary(fault)
+
+
+def _learnt():
+    plan = ValvePlan(name=VALVE, gate=QualityGate(), estimators=ESTIMATORS, inverse="RLS")
+    alignment = Alignment(AlignmentSettings(), has_T=(True,))
+    learnt = Identification([plan], alignment, Timing(TimingSettings(), (True,)))
+    learnt.take_samples(0, plant(300))
+    learnt.refresh_maps()
+    learnt.approve(VALVE)
+    learnt._alarms.of_service.note(0, 1e9, 1e9, 0.0)
+    return learnt
+
+
+def _with_crc(data):
+    return zlib.crc32(data[4:]).to_bytes(4, "big") + data[4:]
+
+
+def _rows(file):
+    with read_recording(file) as recording:
+        return list(recording)
+
+
+def _parquet(folder):
+    file = folder / "seed.parquet"
+    with RecordingWriter(file) as writer:
+        writer.append("V1", plant(50))
+    return file.read_bytes()
+
+
+def _users(folder):
+    store, file = UserStore(), folder / "seed.json"
+    store.add("olga", Role.OPERATOR, "correct horse")
+    store.save(file)
+    return file.read_bytes()
+
+
+def _shown():
+    return certificates.der(certificates.self_signed().certificate)
+
+
+def _pem():
+    certificate = certificates.self_signed().certificate
+    return [certificate.public_bytes(serialization.Encoding.PEM)]
+
+
+def _revocations():
+    authority = certificates.root()
+    crl = certificates.make_crl(authority, [certificates.revocation(authority)])
+    return crl.public_bytes(serialization.Encoding.DER)
+
+
+def _in_folder(pki, name):
+    folders, file = TrustFolders(pki), pki.trusted / name
+
+    def read_folder(data):
+        file.write_bytes(data)
+        return folders.lists()
+
+    return read_folder
+
+
+def _command():
+    payload = Payload(timestamp=5)
+    payload.metrics.add(name="Node Control/Rebirth", datatype=11, boolean_value=True)
+    return payload.SerializeToString()
