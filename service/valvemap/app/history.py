@@ -56,6 +56,8 @@ def export_history(
                 recording.append(valve, samples)
                 n += len(samples)
                 progress(n)
+        if not n:
+            recording.discard()
     if not n:
         raise RecordingError(f"{file}: nothing is known of that span; ask for another one")
     return n

@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.errors import ConfigurationError, StorageError
+from valvemap.errors import ConfigurationError
 from valvemap.model.lookup_table import LookupTable
 from valvemap.model.samples import Floats
+from valvemap.owned_files import write_whole
 
 INVALID: Final = -1000.0
 FINITE: Final = "1.0e300"  # in Structured Text, which has no other test: beyond is not a number
@@ -36,11 +37,7 @@ def write_table(file: Path, table: LookupTable, title: str) -> None:
         naming the file.
     """
     check_form(file)
-    text = _FORMS[file.suffix.lower()](table, title)
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    write_whole(file, _FORMS[file.suffix.lower()](table, title))
 
 
 def check_form(file: Path) -> None:

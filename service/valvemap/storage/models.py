@@ -13,6 +13,7 @@ from valvemap.model.estimator import Estimator
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
+from valvemap.owned_files import write_whole
 from valvemap.storage.model_document import (
     UNITS,
     ModelDocument,
@@ -98,11 +99,8 @@ def save_model(
         region=region_section(spread),
         support=support_section(support),
     )
-    try:
-        text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
-        file.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
+    write_whole(file, text + "\n")
 
 
 def load_model(file: Path) -> Model:
