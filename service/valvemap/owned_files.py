@@ -31,7 +31,7 @@ def write_whole(file: Path, content: str | bytes) -> None:
 def written_aside(file: Path) -> Iterator[Path]:
     """Give a name in the same folder to write to; at the end it takes the place of ``file``.
 
-    What is no regular file, such as ``/dev/stdout`` or a pipe, is written where it is.
+    A device or a pipe, such as ``/dev/stdout``, is written directly.
 
     Raises
     ------

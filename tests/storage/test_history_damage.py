@@ -1,4 +1,4 @@
-"""A damaged history: the service starts, what is whole is read again, what is lost is counted."""
+"""A damaged history: the service starts, readable rows are read again, lost rows are counted."""
 
 import sqlite3
 import subprocess
@@ -10,6 +10,7 @@ import pytest
 
 from valvemap.errors import StorageError
 from valvemap.pipeline.ports import AlarmChange, AlarmReport, Piece
+from valvemap.storage import history
 from valvemap.storage.history import HistoryFile
 from valvemap.storage.sqlite_files import MOST_SET_ASIDE
 
@@ -59,7 +60,7 @@ def whole(store, series, column):
 
 
 def readable(store, held):
-    """Which rows of each column can be read; nothing is read but what was saved."""
+    """Which rows of each column can be read; no value is read that was not saved."""
     found = {}
     for key, past in held.items():
         rows = whole(store, *key)
@@ -168,7 +169,7 @@ def test_damage_while_it_runs_costs_at_most_what_is_damaged(path):
         held = {(s, c): whole(store, s, c) for s in SERIES for c in COLUMNS}
         store._reader.execute("PRAGMA cache_size = 0")
         damaged_blocks(path)
-        readable(store, held)  # the first look at it finds the damage
+        readable(store, held)  # the first query finds the damage
         store.save([piece(SERIES[0], ROWS, 5)])
         found = readable(store, held)
         assert len(whole(store, SERIES[0], "Q").t) >= 5
@@ -177,7 +178,7 @@ def test_damage_while_it_runs_costs_at_most_what_is_damaged(path):
 
 
 class Clock:
-    """A second passes with each look at it."""
+    """``step`` seconds pass with each reading."""
 
     def __init__(self, step=0.0):
         self.now, self.step = 0.0, step
@@ -270,3 +271,18 @@ def test_names_survive_a_save_that_was_not_possible(path):
             store.save([torn])
         store.save([piece(SERIES[0], 0, 5)])
         assert len(whole(store, SERIES[0], "Q").t) == 5
+
+
+def test_when_no_new_file_can_be_made_a_later_save_makes_it(path, monkeypatch):
+    with HistoryFile(path, clock=Clock()) as store:
+        store.save([piece(SERIES[0], 0, 5)])
+        damage = sqlite3.DatabaseError("malformed")
+        damage.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+        with monkeypatch.context() as patched:
+            patched.setattr(history, "_open", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
+            with pytest.raises(OSError, match="full"):
+                store._mend(damage)
+        with pytest.raises(StorageError, match="closed"):
+            whole(store, SERIES[0], "Q")
+        store.save([piece(SERIES[0], 5, 5)])
+        assert len(whole(store, SERIES[0], "Q").t) == 10

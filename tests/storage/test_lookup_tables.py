@@ -56,7 +56,9 @@ def compiled(table, folder, *more):
     write_table(source, table, "Valvistor */ by RLS")
     options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fPIC", *more]
     subprocess.run([gcc, *options, "-c", source, "-o", made], check=True)
-    subprocess.run([gcc, "-shared", made, "-o", library], check=True)  # the process rounds as ever
+    subprocess.run(
+        [gcc, "-shared", made, "-o", library], check=True
+    )  # no change of the process's rounding
     function = ctypes.CDLL(str(library)).valvemap_required_U
     function.argtypes = [ctypes.c_double, ctypes.c_double, ctypes.POINTER(ctypes.c_double)]
 

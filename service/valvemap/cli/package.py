@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from valvemap.cli.output import write_line
 from valvemap.errors import ConfigurationError
 
 _USER = re.compile(r"[a-z_][a-z0-9_-]{0,30}")  # as useradd takes them
@@ -58,7 +59,7 @@ def schema() -> None:
     described = Config.model_json_schema()
     described["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     described["title"] = "valvemap configuration"
-    typer.echo(json.dumps(described, indent=2, ensure_ascii=False))
+    write_line(json.dumps(described, indent=2, ensure_ascii=False))
 
 
 def unit(
@@ -79,4 +80,4 @@ def unit(
             raise ConfigurationError(f"{text}: systemd does not take such a name as it is")
     if not _USER.fullmatch(user):
         raise typer.BadParameter(f"--user {user!r}: small letters, digits, _ and - are allowed")
-    typer.echo(_UNIT.format(command=command, config=file, folder=folder, user=user), nl=False)
+    write_line(_UNIT.format(command=command, config=file, folder=folder, user=user).rstrip())

@@ -4,19 +4,24 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from valvemap.cli.options import ForceOption, new_pages
+from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars
 from valvemap.cli.replay import write_json
 from valvemap.errors import StorageError
+from valvemap.owned_files import write_whole
 
 _FASTER = 10.0
 
 
 def report(
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where paper.html, paper.json and pictures go.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Where paper.html, paper.json and pictures go.", callback=new_pages
+        ),
     ] = Path("reports"),
     sets: Annotated[
         int, typer.Option(min=1, max=50, help="Sets of recordings; the median decides.")
@@ -25,6 +30,8 @@ def report(
         float,
         typer.Option(min=2.0, max=20.0, metavar="HZ", help="Samples per second; and ten times it."),
     ] = 10.0,
+    *,
+    force: ForceOption = False,
 ) -> None:
     """Rebuild the paper's figures and tables, and judge its claims."""
     from paper.build import STEPS, as_json, build
@@ -52,7 +59,7 @@ def report(
         other = "the same" if faster.verdict is claim.verdict else str(faster.verdict)
         agreeing = f"{claim.agreeing}/{result.sets}"
         table.add_row(str(claim.number), str(claim.verdict), agreeing, other, claim.text)
-    console = Console()
+    console = terminal()
     console.print(table)
     console.print(f"written: {out / 'paper.html'}")
 
@@ -66,8 +73,4 @@ def _make(folder: Path) -> None:
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
     for name, content in files.items():
-        try:
-            (folder / name).write_bytes(content)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise StorageError(f"{folder / name}: {reason}") from None
+        write_whole(folder / name, content)

@@ -30,8 +30,8 @@ from valvemap.storage.sqlite_files import (
 )
 
 BLOCK: Final = 4_096  # rows of a block that is full: 41 s of 100 Hz, 32 kB of each column
-AT_START_S: Final = 1.0  # s; so long a start waits for checks, or for what is taken over
-IN_TURN_S: Final = 0.1  # s; the rest goes on so long with each save, which there is one of a second
+AT_START_S: Final = 1.0  # s; time for checks and copies that a start waits for
+IN_TURN_S: Final = 0.1  # s; time for the rest after each save, of which there is one a second
 AGAIN_S: Final = 60.0  # s; a file that is damaged sooner than this after another is left as it is
 _PAGES_AT_ONCE = 1_000  # given back to the disk in one go
 _SMALL = """
@@ -62,7 +62,7 @@ class HistoryFile(Closing):
     joined as they come, so that a day of 100 Hz is 211 blocks.
 
     A damaged file never stops its owner. Where its structure is hit, when it is opened or later, it
-    is set aside under a name with its time, and what is whole of it is copied into a new file;
+    is set aside under a name with its time, and its readable blocks are copied into a new file;
     where a column is hit, the column is dropped. What is lost is counted. Both are done a little
     with each save, so that a large file holds up neither start nor saves.
 
@@ -121,7 +121,7 @@ class HistoryFile(Closing):
         self._mends, self._clock = mends, clock
         self._notes: list[str] = []
         self._opened, self._damaged_at = 0, -np.inf
-        self._pages_checked = False
+        self._pages_checked = self._is_open = False
         self._chores: Generator[None] = _no_chores()
         self._recounted = 0  # rows of unfinished files set aside that `lost` holds
         self._finished: list[Path] = []
@@ -131,7 +131,7 @@ class HistoryFile(Closing):
                 self._open()
             except sqlite3.DatabaseError as error:
                 self._mend(error)
-            self._work(AT_START_S)
+            self._work(AT_START_S if self._pages_checked else IN_TURN_S)
             self.size = self._bytes()
 
     def save(self, pieces: Iterable[Piece]) -> int:
@@ -223,8 +223,11 @@ class HistoryFile(Closing):
             self._close()
 
     def _write(self, work: Callable[[], Result]) -> Result:
-        """Do something in a transaction, then some of what waits: all of it, or nothing."""
+        """Run ``work`` in a transaction, then a slice of the chores."""
         with self._writing, naming(self.path):
+            if not self._is_open:  # a new file could not be made
+                with self._reading:
+                    self._open()
             try:
                 with transaction(self._writer):
                     done = work()
@@ -239,7 +242,7 @@ class HistoryFile(Closing):
             return done
 
     def _ask(self, work: Callable[[], Result]) -> Result:
-        """Read something; of a file that turns out to be damaged what is whole."""
+        """Run a query; set a damaged file aside and run it again."""
         with naming(self.path):
             opened = self._opened
             try:
@@ -257,6 +260,7 @@ class HistoryFile(Closing):
         self._reader = sqlite3.connect(self.path, check_same_thread=False)
         self._reader.text_factory = text
         self._opened += 1
+        self._is_open = True
         self._pages_checked = self.path.stat().st_size <= CHECKED_AT_ONCE
         self._begin_chores()
 
@@ -279,7 +283,7 @@ class HistoryFile(Closing):
         self._series = self._known_series()
 
     def _mend(self, error: sqlite3.Error) -> None:
-        """Set a damaged file aside, and begin a new one with what is whole of it.
+        """Set a damaged file aside, and begin a new one.
 
         Raises
         ------
@@ -293,6 +297,7 @@ class HistoryFile(Closing):
         self._damaged_at = self._clock()
         with self._reading:
             self._close()
+            self._is_open = False
             kept = name_aside(self.path)
             kept.with_name(kept.name + SALVAGING).touch()
             move_aside(self.path, kept)
@@ -300,7 +305,7 @@ class HistoryFile(Closing):
             self._open()
 
     def _work(self, budget_s: float) -> None:
-        """Do some of what waits."""
+        """Run chores for a while."""
         if not self._mends:
             return
         ends = self._clock() + budget_s
@@ -322,7 +327,7 @@ class HistoryFile(Closing):
         self._finished.clear()
 
     def _waiting(self) -> Generator[None]:
-        """Check each block that there is, then take over what is whole of files set aside."""
+        """Check each block, then copy the readable blocks of files set aside."""
         for lost in check_blocks(self._writer, self._names):
             if lost:
                 self.lost += lost
@@ -461,7 +466,7 @@ class HistoryFile(Closing):
     def _examined(
         self, connection: sqlite3.Connection, series: str, block: int, columns: Sequence[str] = ()
     ) -> Examined:
-        """What is whole of a block's columns, or of some."""
+        """Columns of a block whose checksums hold; all, or those given."""
         numbers = {self._names[name]: name for name in columns or self._names}
         chosen = f"AND name IN ({', '.join('?' * len(columns))})" if columns else ""
         select = f"SELECT name, digest, data FROM part WHERE block = ? {chosen}"  # noqa: S608

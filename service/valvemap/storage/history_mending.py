@@ -27,7 +27,7 @@ _CHANGE = (
 
 @dataclass(frozen=True)
 class Taken:
-    """What was taken over of a block: rows of a series, and how many of it are lost."""
+    """Rows of a block that were copied, and rows that are lost."""
 
     series: str = ""
     last: int = 0
@@ -68,9 +68,9 @@ def check_blocks(
 def take_over(
     connection: sqlite3.Connection, damaged: Path, number: Callable[[str], int]
 ) -> Generator[Taken, None, None]:
-    """Copy what is whole of a damaged file, a block a step.
+    """Copy the readable blocks of a damaged file, one a step.
 
-    Rows that are there already stay: what was saved meanwhile, or taken over before a kill.
+    Rows that the new file has already stay: from saves since, or copied before a kill.
 
     Parameters
     ----------

@@ -345,7 +345,7 @@ def _structure(section: StructureSection) -> Structure:
 
 
 def _fewest(section: StructureSection) -> int:
-    """So many parameters a structure has at least; known before it is built."""
+    """Lower bound of the number of parameters, known before the structure is built."""
     match section:
         case PolynomialSection():
             return 1
