@@ -328,11 +328,14 @@ class HistoryFile(Closing):
 
     def _waiting(self) -> Generator[None]:
         """Check each block, then copy the readable blocks of files set aside."""
+        dropped = 0
         for lost in check_blocks(self._writer, self._names):
             if lost:
-                self.lost += lost
+                self.lost, dropped = self.lost + lost, dropped + lost
                 self._series = self._known_series()
             yield
+        if dropped:
+            self._notes.append(f"{self.path}: columns of {dropped:,} rows are damaged and dropped")
         for marker, damaged in _set_aside_before(self.path):
             kept = lost = 0
             for taken in take_over(self._writer, damaged, self._number):
@@ -341,7 +344,9 @@ class HistoryFile(Closing):
                 if taken.rows:
                     self._continue(taken)
                 yield
-            self._notes.append(f"{damaged.name}: {kept:,} rows are taken over, {lost:,} are lost")
+            self._notes.append(
+                f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
+            )
             self._finished.append(marker)
 
     def _continue(self, taken: Taken) -> None:
