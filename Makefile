@@ -64,7 +64,7 @@ bench: $(BENCH)
 	$(BIN)/python -m benchmarks.hostile
 
 report: $(RUNTIME)
-	$(BIN)/valvemap report --out reports
+	$(BIN)/valvemap report --out reports --force
 
 # The reference pages of the documentation, from models, commands and a running server.
 reference: $(DEV)

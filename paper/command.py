@@ -2,15 +2,16 @@
 
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from paper.build import STEPS, as_json, build
 from paper.page import html_page
 from paper.rig import measure
+from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars
 from valvemap.cli.replay import write_json
 from valvemap.errors import StorageError
+from valvemap.owned_files import write_whole
 
 _FASTER = 10.0
 
@@ -53,7 +54,7 @@ def rebuild(out: Path, sets: int, rate: float) -> None:
         other = "the same" if faster.verdict is claim.verdict else str(faster.verdict)
         agreeing = f"{claim.agreeing}/{result.sets}"
         table.add_row(str(claim.number), str(claim.verdict), agreeing, other, claim.text)
-    console = Console()
+    console = terminal()
     console.print(table)
     console.print(f"written: {out / 'paper.html'}")
 
@@ -67,8 +68,4 @@ def _make(folder: Path) -> None:
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
     for name, content in files.items():
-        try:
-            (folder / name).write_bytes(content)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise StorageError(f"{folder / name}: {reason}") from None
+        write_whole(folder / name, content)

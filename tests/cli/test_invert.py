@@ -74,7 +74,7 @@ def test_a_demand_where_nothing_was_measured_is_called_extrapolating(estimator, 
     inside, outside = answers(out)
     assert inside["status"] == "OK"
     assert outside["status"] in ("EXTRAPOLATING", "NOT_MONOTONE")
-    assert run([*asked, "--T", "60", "--to", str(out)]) == 0
+    assert run([*asked, "--T", "60", "--to", str(out), "--force"]) == 0
     assert answers(out)[0]["status"] == "EXTRAPOLATING"
     capsys.readouterr()
     assert run(["export", model, "--to", str(tmp_path / "t.csv"), "--dp-max", "150"]) == 0

@@ -17,7 +17,7 @@ def watched(monkeypatch):
     def console(*, terminal):
         out = io.StringIO()
         made = Console(file=out, force_terminal=terminal, width=100)
-        monkeypatch.setattr(progress, "Console", lambda **_: made)
+        monkeypatch.setattr(progress, "terminal", lambda **_: made)
         shown["text"] = out.getvalue
         return shown
 

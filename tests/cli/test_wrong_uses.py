@@ -101,7 +101,7 @@ ASKED_WRONGLY = uses(
     ("replay furlongs.csv", ["furlongs.csv", "'furlong' is no unit", "signals.p1.unit may be"]),
     ("record nowhere/x.csv", ["there is no folder nowhere; make it"]),
     ("record x.txt", ["x.txt", "must end in .csv"]),
-    ("record ok.csv", ["ok.csv: is there already", "--overwrite"]),
+    ("record ok.csv", ["FILE ok.csv: is there already", "--force"]),
     ("record x.csv --duration -1", ["--duration", "greater than or equal to 0"]),
     ("serve", ["data/users.json", "valvemap init"]),
     ("serve --config none.toml", ["none.toml", "valvemap init"]),

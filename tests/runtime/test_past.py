@@ -30,6 +30,11 @@ class Store:
     def __init__(self):
         self.pieces, self.forgotten, self.broken, self.noted = [], [], False, []
 
+    lost = size = 0
+
+    def take_notes(self):
+        return [f"{self.lost} rows"] if self.lost else []
+
     def save(self, pieces):
         if self.broken:
             raise StorageError("disk full")
@@ -187,3 +192,11 @@ async def test_a_disk_that_fails_is_counted_and_the_next_save_goes_on(keeper, st
     keeper.take(samples_of([0], start=30))
     await keeper.settle()
     assert (keeper.failures, keeper.lost, len(store.pieces)) == (1, 3, 1)
+
+
+async def test_what_damage_took_is_counted_with_the_rest_and_said(keeper, store, capsys):
+    store.lost = 7
+    await keeper.settle()
+    assert keeper.counters.lost == 7
+    assert "history damaged" in (said := capsys.readouterr().out)
+    assert "7 rows" in said

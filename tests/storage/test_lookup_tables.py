@@ -4,6 +4,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from itertools import product
 
 import numpy as np
 import pytest
@@ -46,15 +47,18 @@ def exported(request):
     return estimator, state, lookup_table(estimator, state, support=support)
 
 
-def compiled(table, folder):
+def compiled(table, folder, *more):
     """The exported function, compiled with all warnings as errors."""
     gcc = shutil.which("gcc") or shutil.which("cc")
     if gcc is None:
         pytest.skip("no C compiler here")
-    source, library = folder / "map.c", folder / "map.so"
+    source, made, library = folder / "map.c", folder / "map.o", folder / "map.so"
     write_table(source, table, "Valvistor */ by RLS")
-    options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fPIC", "-shared"]
-    subprocess.run([gcc, *options, source, "-o", library], check=True)
+    options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fPIC", *more]
+    subprocess.run([gcc, *options, "-c", source, "-o", made], check=True)
+    subprocess.run(
+        [gcc, "-shared", made, "-o", library], check=True
+    )  # no change of the process's rounding
     function = ctypes.CDLL(str(library)).valvemap_required_U
     function.argtypes = [ctypes.c_double, ctypes.c_double, ctypes.POINTER(ctypes.c_double)]
 
@@ -100,6 +104,36 @@ def test_outside_the_axes_and_for_no_numbers_the_compiled_table_says_so(exported
         U, status = ask(*point)
         assert status == InverseStatus.NOT_FINITE
         assert np.isnan(U)
+
+
+NO_NUMBERS = (np.nan, -np.nan, np.inf, -np.inf)
+ODD = (*NO_NUMBERS, 1e308, -1e308, 5e-324, -5e-324, 0.0, -0.0)
+FLAT = np.array([0.0, 0.5, 1.0])
+UNDETERMINED = LookupTable(
+    10 * FLAT, FLAT, FLAT, FLAT, 100 * np.eye(3), np.eye(3) > 1.0, 40.0, 0.1, 0.1
+)
+
+
+@pytest.mark.parametrize("options", [["-O0"], ["-O2", "-ffast-math"]], ids=" ".join)
+def test_the_compiled_table_never_gives_no_number_with_status_0(exported, options, tmp_path):
+    for number, table in enumerate((exported[2], UNDETERMINED)):
+        (tmp_path / str(number)).mkdir()
+        ask = compiled(table, tmp_path / str(number), *options)
+        for Q, dp in product((*ODD, 50.0), (*ODD, 5.0, 100.0)):
+            U, status = ask(Q, dp)
+            is_no_number = not np.isfinite(Q) or not np.isfinite(dp)
+            assert (status == InverseStatus.NOT_FINITE) == is_no_number, (Q, dp)
+            assert np.isfinite(U) or status != InverseStatus.OK, (Q, dp)
+
+
+def test_the_structured_text_never_gives_no_number_with_status_0(exported):
+    for table in (exported[2], UNDETERMINED):
+        run = as_python(as_structured_text(table, "V"))
+        for Q, dp in product((*ODD, 50.0), (*ODD, 5.0, 100.0)):
+            found = run(Q, dp)
+            if {Q, dp} & set(NO_NUMBERS) or Q != Q or dp != dp:  # noqa: PLR0124 - NaN
+                assert found["Status"] == InverseStatus.NOT_FINITE, (Q, dp)
+            assert np.isfinite(found["U"]) or found["Status"] != InverseStatus.OK, (Q, dp)
 
 
 def test_where_the_map_is_not_known_the_compiled_table_gives_no_U(tmp_path):
@@ -152,7 +186,7 @@ def test_the_structured_text_is_well_formed(exported):
     assert "(*" not in code
     assert "*)" not in code
     words = re.findall(r"[A-Za-z_]+", code)
-    opens = {"FUNCTION_BLOCK": 1, "VAR": 3, "IF": 7, "WHILE": 2}
+    opens = {"FUNCTION_BLOCK": 1, "VAR": 3, "IF": 9, "WHILE": 2}
     for block, n in opens.items():
         starts = [w for w in words if w == block or (block == "VAR" and w.startswith("VAR"))]
         assert len(starts) == n, block
@@ -162,7 +196,7 @@ def test_the_structured_text_is_well_formed(exported):
     assert code.count("[") == code.count("]")
     declared = {m[1] for m in re.finditer(r"^    (\w+) : ", code, re.MULTILINE)}
     used = set(re.findall(r"\b(?:[A-Za-z]\w*)\b", code.split("END_VAR")[-1]))
-    keywords = {"IF", "THEN", "ELSE", "ELSIF", "OR", "AND", "DO", "WHILE", "LIMIT"}
+    keywords = {"IF", "THEN", "ELSE", "ELSIF", "OR", "AND", "NOT", "e300", "DO", "WHILE", "LIMIT"}
     assert used - keywords - {f"END_{b}" for b in BLOCKS} <= declared
     for name, values in (
         ("AxisR", table.r),
@@ -223,6 +257,7 @@ def as_python(text):
             continue
         s = statement.strip().rstrip(";").replace("<>", "!=").replace(" OR ", " or ")
         s = s.replace(" AND ", " and ").replace("Status = 0", "Status == 0")
+        s = s.replace("NOT (", "not (")
         statement = ""
         if s.startswith("END_"):
             depth -= 1

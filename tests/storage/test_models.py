@@ -17,7 +17,7 @@ from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples
 from valvemap.model.support import Support
-from valvemap.storage.models import load_model, save_model
+from valvemap.storage.models import MOST_BYTES, load_model, save_model
 from valvemap.vocabulary.statuses import Quality, Status
 
 ESTIMATORS = {
@@ -117,6 +117,13 @@ def test_what_is_not_determined_yet_is_not_saved(name, tmp_path):
         ("map.structure.terms", ["U^x"], r"map.*U\^x"),
         ("map.kind", "magic", r"map: .*linear"),
         ("map.theta", [1e999] * 5, r"map\.theta\.0: .* finite"),
+        ("map.theta", [10**400] * 5, r"map\.theta\.0: .* valid number, not 10{59}$"),
+        ("region.samples", [[1.0], [1.0, 2.0]], r"region: samples: 10 rows of 12 numbers"),
+        (
+            "map.structure",
+            {"kind": "spline", "U": list(range(3_000)), "s": list(range(3_000))},
+            r"map: theta has 5 numbers; 9000000 or more are allowed",
+        ),
     ],
 )
 def test_a_mistake_in_a_model_is_one_line_with_file_field_and_what_is_allowed(
@@ -145,6 +152,27 @@ def test_what_is_no_model_is_refused_in_one_line(content, tmp_path):
     with pytest.raises(StorageError, match=r"m\.json: ") as raised:
         load_model(file)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("depth", [9, 500, 200_000])
+@pytest.mark.parametrize("level", [("[", "]"), ('{"a":', "}"), ("[", "")])
+def test_a_file_that_is_nested_too_deep_is_refused_in_one_line(level, depth, tmp_path):
+    file = tmp_path / "m.json"
+    opening, closing = level
+    file.write_text(opening * depth + "1" + closing * depth, encoding="utf-8")
+    with pytest.raises(
+        StorageError, match=r"m\.json: (nested too deep; 8 levels|not JSON)"
+    ) as said:
+        load_model(file)
+    assert len(str(said.value)) < 300
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read_whole(tmp_path):
+    file = tmp_path / "m.json"
+    with file.open("wb") as sparse:
+        sparse.truncate(100 * MOST_BYTES)
+    with pytest.raises(StorageError, match=r"m\.json: it is too large; up to 64 MB are allowed"):
+        load_model(file)
 
 
 def test_a_file_that_cannot_be_written_or_read_is_named(tmp_path):

@@ -1,7 +1,6 @@
 """From a foreign server's address to a configuration: browse, propose, watch, write."""
 
 import asyncio
-import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,8 @@ import numpy as np
 from valvemap.app.connections import build_source
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
-from valvemap.errors import SourceRejected
+from valvemap.errors import ConfigurationError, SourceRejected
+from valvemap.foreign_text import LINE, printable, toml_string
 from valvemap.opcua_client.connection import open_connection
 from valvemap.opcua_source.browsing import find_numbers
 from valvemap.opcua_source.client import OpcUaSource, SourceSettings, ValveNodes
@@ -44,10 +44,14 @@ class Watched:
 
 @dataclass(frozen=True)
 class Found:
-    """Valves with their nodes, what was seen of them, and what is left to decide."""
+    """Valves with their nodes, observations, and open questions.
+
+    ``skipped`` names the nodes and valves that cannot be used, each with the reason.
+    """
 
     valves: tuple[ValveProposal, ...]
     watched: Mapping[str, Mapping[str, Watched]]
+    skipped: tuple[str, ...] = ()
 
     @property
     def questions(self) -> tuple[str, ...]:
@@ -64,12 +68,18 @@ async def look_around(settings: SourceSettings, watch_s: float) -> Found:
     """
     connection = await open_connection(settings)
     try:
-        valves = propose(await find_numbers(connection))
+        numbers, skipped = await find_numbers(connection)
     finally:
         await connection.close()
+    valves = propose(numbers)
     whole = [valve for valve in valves if not valve.missing]
-    watched = await _watch(settings, whole, watch_s) if whole else {}
-    return Found(tuple(_settled(valve, watched.get(valve.name, {})) for valve in valves), watched)
+    watched, refused = await _watch(settings, whole, watch_s)
+    settled = [
+        _settled(valve, watched.get(valve.name, {}))
+        for valve in valves
+        if valve.name not in refused
+    ]
+    return Found(tuple(settled), watched, (*skipped, *refused.values()))
 
 
 async def check_online(config: Config, watch_s: float) -> list[str]:
@@ -137,12 +147,12 @@ def configuration(found: Found, settings: SourceSettings, template: str) -> str:
 def _of_source(settings: SourceSettings) -> str:
     lines = [
         "[source]",
-        f"url = {json.dumps(settings.url)}",
-        f"security = {json.dumps(str(settings.security))}",
+        f"url = {toml_string(settings.url)}",
+        f"security = {toml_string(str(settings.security))}",
         f"publishing_interval_ms = {settings.publishing_interval_ms:g}",
     ]
     if settings.user is not None:
-        lines.append(f"user = {json.dumps(settings.user)}")
+        lines.append(f"user = {toml_string(settings.user)}")
         lines.append("# the password: VALVEMAP_SOURCE__PASSWORD, or password_file here")
     if not settings.check_host_name:
         lines.append("check_host_name = false")
@@ -160,20 +170,18 @@ def _of_alignment(found: Found) -> str:
 
 
 def _of_valve(valve: ValveProposal) -> str:
-    lines = ["[[valves]]", f"name = {json.dumps(valve.name)}", "", "[valves.nodes]"]
+    lines = ["[[valves]]", f"name = {toml_string(valve.name)}", "", "[valves.nodes]"]
     for role in MEASURED:
         if role in valve.nodes:
-            shown = "/".join(valve.nodes[role].path)
-            lines.append(
-                f"{role} = {json.dumps(valve.nodes[role].node, ensure_ascii=False)} # {shown}"
-            )
+            shown = printable("/".join(valve.nodes[role].path))
+            lines.append(f"{role} = {toml_string(valve.nodes[role].node)} # {shown}")
         elif role != "T":
             lines.append(f'# {role} = "" # decide: no node was found')
     units = [line for role, node in valve.nodes.items() for line in _of_unit(role, node)]
     if units:
         lines += ["", "[valves.signals]", *units]
     lines += _assumed(valve)
-    lines += [f"# decide: {text}" for text in valve.open]
+    lines += [f"# decide: {printable(text, LINE)}" for text in valve.open]
     return "\n".join([*lines, ""])
 
 
@@ -197,7 +205,7 @@ def _of_unit(role: str, node: Candidate) -> list[str]:
         return [f"{role} = {{ raw = {raw}, range = {scaled} }}"]
     if node.unit is None or measure.unit == inside(QUANTITY_OF[role]):
         return []
-    return [f"{role} = {{ unit = {json.dumps(node.unit.symbol, ensure_ascii=False)} }}"]
+    return [f"{role} = {{ unit = {toml_string(node.unit.symbol)} }}"]
 
 
 def measure_of(role: str, node: Candidate) -> Measure:
@@ -223,21 +231,42 @@ def without_unit(valve: ValveProposal) -> list[str]:
 
 async def _watch(
     settings: SourceSettings, valves: Sequence[ValveProposal], watch_s: float
-) -> dict[str, dict[str, Watched]]:
-    nodes = [
-        ValveNodes(
-            valve=valve.name,
-            **{role: node.node for role, node in valve.nodes.items()},
-            measures={role: measure_of(role, node) for role, node in valve.nodes.items()},
-            insist=True,
-        )
-        for valve in valves
-    ]
-    changes = await _changes(OpcUaSource(settings, nodes), watch_s)
-    return {
-        valve.name: _seen_of(changes, number, valve.nodes, watch_s)
-        for number, valve in enumerate(valves)
+) -> tuple[dict[str, dict[str, Watched]], dict[str, str]]:
+    """Observe each valve; name those that the server refuses, with the reason."""
+    nodes, refused = {}, {}
+    for valve in valves:
+        try:
+            nodes[valve.name] = _nodes_of(valve)
+        except ConfigurationError as error:
+            refused[valve.name] = f"{valve.name}: {printable(str(error))}"
+    if not nodes:
+        return {}, refused
+    try:
+        changes = await _changes(OpcUaSource(settings, list(nodes.values())), watch_s)
+    except SourceRejected:  # of which valve?
+        for name, own in list(nodes.items()):
+            try:
+                await _changes(OpcUaSource(settings, [own]), 0.0)
+            except SourceRejected as error:
+                refused[name] = f"{name}: {printable(str(error))}"
+                del nodes[name]
+        if not nodes:
+            raise
+        changes = await _changes(OpcUaSource(settings, list(nodes.values())), watch_s)
+    roles = {valve.name: valve.nodes for valve in valves}
+    seen = {
+        name: _seen_of(changes, number, roles[name], watch_s) for number, name in enumerate(nodes)
     }
+    return seen, refused
+
+
+def _nodes_of(valve: ValveProposal) -> ValveNodes:
+    return ValveNodes(
+        valve=valve.name,
+        **{role: node.node for role, node in valve.nodes.items()},
+        measures={role: measure_of(role, node) for role, node in valve.nodes.items()},
+        insist=True,
+    )
 
 
 async def _changes(source: OpcUaSource, watch_s: float) -> DataChanges:

@@ -51,12 +51,14 @@ def export_history(
     if unknown:
         raise ConfigurationError(f"valve '{unknown[0]}': there are {', '.join(known)}")
     n = 0
-    with HistoryFile(file) as store, RecordingWriter(out) as recording:
+    with HistoryFile(file, mends=False) as store, RecordingWriter(out) as recording:
         for valve in valves or known:
             for samples in _samples(store, valve, start, stop):
                 recording.append(valve, samples)
                 n += len(samples)
                 progress(n)
+        if not n:
+            recording.discard()
     if not n:
         raise RecordingError(f"{file}: nothing is known of that span; ask for another one")
     return n

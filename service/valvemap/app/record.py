@@ -12,8 +12,9 @@ from valvemap.app.build import build_alignment, build_timing
 from valvemap.app.connections import build_source, build_supervisor_settings
 from valvemap.clock import SystemClock
 from valvemap.config.models import Config
-from valvemap.errors import SourceError, StorageError
+from valvemap.errors import SourceError
 from valvemap.model.samples import Times
+from valvemap.owned_files import write_whole
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
@@ -58,6 +59,8 @@ async def record(
             if ends is not None:
                 ends.cancel()
         recorder.finish()
+        if not recorder.samples:
+            writer.discard()
     recorder.write_timing(file)
     return recorder.samples
 
@@ -80,6 +83,8 @@ async def record_history(
         async for changes in build_source(config).recall(start, stop):
             await recorder.take(changes)
         recorder.finish()
+        if not recorder.samples:
+            writer.discard()
     recorder.write_timing(file)
     return recorder.samples
 
@@ -122,10 +127,7 @@ class _Recorder:
         if not found:
             return
         beside = file.with_name(f"{file.name}.timing.json")
-        try:
-            beside.write_text(json.dumps(found, indent=2, ensure_ascii=False), encoding="utf-8")
-        except OSError as error:
-            raise StorageError(f"{beside}: {(error.strerror or str(error)).lower()}") from None
+        write_whole(beside, json.dumps(found, indent=2, ensure_ascii=False))
 
     def _append(self, samples: ByValve) -> None:
         for valve, batch in samples.items():

@@ -82,6 +82,8 @@ async def serve(
         past = build_history(config)
         if past is not None:
             opened.enter_context(past)
+            for note in past.take_notes():
+                log.warning("history damaged", reason=note, lost=past.lost)
         if store.set_aside is not None:
             log.warning("damaged or old state file set aside", file=str(store.set_aside))
         opened.push_async_callback(shown.end)

@@ -9,6 +9,7 @@ from typer.main import get_command
 
 from valvemap.cli.command_table import COMMANDS, LazyGroup
 from valvemap.errors import ValvemapError
+from valvemap.foreign_text import LINE, printable, printable_lines
 
 __all__ = ["COMMANDS", "application", "main", "run"]
 
@@ -31,13 +32,14 @@ def run(arguments: list[str]) -> int:
         return int(end.exit_code)
     except _UsageError as error:
         asked_nothing = type(error).__name__ == "NoArgsIsHelpError"
-        return _say(f"{'' if asked_nothing else 'valvemap: '}{error.format_message()}", 2)
+        said = error.format_message()
+        return _say(said if asked_nothing else f"valvemap: {printable(said, LINE)}", 2)
     except (KeyboardInterrupt, typer.Abort):
         return _say("valvemap: interrupted", 1)
     except Exception as error:
         if not _is_for_the_user(error):
             raise
-        return _say(f"valvemap: {error}", _exit_code(error))
+        return _say(f"valvemap: {printable(str(error), LINE)}", _exit_code(error))
     return int(code or 0)
 
 
@@ -95,5 +97,5 @@ def _exit_code(error: Exception) -> int:
 
 
 def _say(line: str, code: int) -> int:
-    print(line, file=sys.stderr)  # noqa: T201 - the last word of a command that failed
+    print(printable_lines(line), file=sys.stderr)  # noqa: T201 - why a command failed
     return code

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from valvemap.cli.options import FolderOption
+from valvemap.cli.output import write_line
 
 _PASSWORD = "VALVEMAP_PASSWORD"  # noqa: S105 - the name of a variable
 
@@ -46,4 +47,4 @@ def baseline(
         password = os.environ.get(_PASSWORD) or typer.prompt(f"password of {user}", hide_input=True)
     pki = data / "pki" / "dashboard"
     service = Watched(url, Security(security), pki, user, password)
-    typer.echo(asyncio.run(act(service, valve, Action(action), estimator)))
+    write_line(asyncio.run(act(service, valve, Action(action), estimator)))

@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from valvemap.cli.options import FolderOption, check_folder
+from valvemap.cli.options import FolderOption, new_file
+from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import working
 from valvemap.cli.security import make_users
 from valvemap.errors import ConfigurationError, SourceRejected, StorageError
+from valvemap.foreign_text import printable
+from valvemap.owned_files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,12 +25,16 @@ if TYPE_CHECKING:
     from valvemap.opcua_source.client import SourceSettings
 
 _WATCH_S = 30.0
+_MOST_SKIPPED = 20  # lines; the rest is counted
 
 
 def connect(
     url: Annotated[str, typer.Argument(metavar="URL", help="opc.tcp://HOST:PORT/PATH")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="Configuration (TOML) to write.")
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="Configuration (TOML) to write.", callback=new_file
+        ),
     ] = Path("valvemap.toml"),
     data: FolderOption = Path("data"),
     user: Annotated[
@@ -45,7 +52,9 @@ def connect(
         float, typer.Option(min=1.0, max=3600.0, metavar="S", help="Watch the signals so long.")
     ] = _WATCH_S,
     *,
-    yes: Annotated[bool, typer.Option("--yes", help="Write over FILE without asking.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", "--yes", is_eager=True, help="Replace FILE if it is there.")
+    ] = False,
     trust_server: Annotated[
         bool, typer.Option("--trust-server", help="Trust the certificate that the server shows.")
     ] = False,
@@ -54,8 +63,7 @@ def connect(
     from valvemap.app.connect import configuration, look_around, without_unit
     from valvemap.config.template import configuration_template
 
-    check_folder("--out", out)
-    console = Console()
+    console = terminal()
     console.print(f"looking around at {url}, then watching for {watch:g} s ...", soft_wrap=True)
 
     def look(policy: str) -> "tuple[SourceSettings, Found]":
@@ -70,16 +78,16 @@ def connect(
     with working(f"watching for {watch:g} s"):
         settings, found = _by_the_best(look) if security is None else look(security)
     console.print(f"security: {settings.security}", soft_wrap=True)
+    for line in _skipped(found):
+        console.print(f"skipped: {line}", soft_wrap=True)
     if not found.valves:
         raise ConfigurationError(
             f"{url}: no valve was found: U, two pressures and a flow are needed; write "
             "[valves.nodes] by hand: `valvemap init` makes a configuration to begin with"
         )
     console.print(_table(found))
-    if out.exists() and not yes and not typer.confirm(f"{out} exists; write over it?"):
-        raise typer.Abort
     make_users(data, None)
-    _write(out, configuration(found, settings, configuration_template(data)))
+    write_whole(out, configuration(found, settings, configuration_template(data)))
     for valve in found.valves:
         if roles := without_unit(valve):
             unsaid = f"{valve.name}: the server says no unit of {', '.join(roles)};"
@@ -87,6 +95,12 @@ def connect(
     console.print(f"written: {out}; `valvemap serve --config {out}` starts", soft_wrap=True)
     if found.questions:
         raise StorageError(f"{out}: to be decided: {'; '.join(found.questions)}")
+
+
+def _skipped(found: "Found") -> list[str]:
+    """What cannot be used, as far as it has room."""
+    more = len(found.skipped) - _MOST_SKIPPED
+    return [*found.skipped[:_MOST_SKIPPED], *([f"{more:,} more"] if more > 0 else [])]
 
 
 def _by_the_best(
@@ -135,7 +149,7 @@ def _trust(data: Path, refused: SourceRejected) -> bool:
     if len(words) < 2:
         return False
     trusted = trust(Pki(data / "pki" / "service"), words[1].split("`")[0])
-    typer.echo(f"trusted: {trusted}")
+    write_line(f"trusted: {trusted}")
     return True
 
 
@@ -151,7 +165,7 @@ def _table(found: "Found") -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("node", overflow="fold")
     for valve in found.valves:
-        table.add_row(f"[bold]{valve.name}[/]")
+        table.add_row(Text(printable(valve.name), style="bold"))
         for role, node in valve.nodes.items():
             seen = found.watched.get(valve.name, {}).get(role)
             figures = ["", "", "", "", "", ""]
@@ -160,7 +174,7 @@ def _table(found: "Found") -> Table:
                 numbers = seen.rate_hz, seen.skew_ms, 100.0 * seen.good, seen.mean, seen.noise
                 rate, skew, good, mean, noise = (f"{number:.3g}" for number in numbers)
                 figures = [rate, skew, comes, good, mean, noise]
-            table.add_row(role, *figures, node.node.removeprefix(beginning))
+            table.add_row(role, *figures, printable(node.node.removeprefix(beginning)))
     return table
 
 
@@ -172,10 +186,3 @@ def _beginning(nodes: list[str]) -> str:
     """
     found = {node[: node.find(";", 1) + 3] for node in nodes if node[:2] == "ns"}
     return found.pop() if len(found) == 1 else ""
-
-
-def _write(file: Path, text: str) -> None:
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None

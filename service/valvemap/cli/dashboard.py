@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from valvemap.cli.options import FolderOption, RevocationOption
+from valvemap.cli.output import write_line
 from valvemap.cli.watching import (
     HostNameOption,
     PasswordFileOption,
@@ -83,7 +84,7 @@ def dashboard(
 
 
 def _say(url: str) -> None:
-    print(url, flush=True)  # noqa: T201 - tells who waits for it
+    write_line(url)  # the process that started this one waits for it
 
 
 def _address(listen: str) -> tuple[str, int]:

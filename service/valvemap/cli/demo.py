@@ -22,6 +22,7 @@ from valvemap.app.warm_up import warm_up
 from valvemap.cli import feedforward
 from valvemap.cli.demo_view import Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
+from valvemap.cli.output import terminal
 from valvemap.cli.rig_conditions import conditions_in
 from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
@@ -57,7 +58,7 @@ def demo(
     with TemporaryDirectory(prefix="valvemap-demo-") as folder:
         fed_forward = scenario == feedforward.NAME
         config = _demo_config(loaded, Path(folder), fed_forward=fed_forward)
-        console = Console()
+        console = terminal()
         console.print("preparing (the very first start compiles for a minute) ...")
         run = _feed_forward_demo if fed_forward else _demo
         asyncio.run(run(config, scenario, loaded, duration, console))

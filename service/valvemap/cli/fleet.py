@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from valvemap.cli.logs import set_up_logs
-from valvemap.cli.options import ConfigOption
+from valvemap.cli.options import ConfigOption, ForceOption, new_models
+from valvemap.cli.output import write_line
 from valvemap.cli.progress import bars
 from valvemap.errors import ConfigurationError, FleetError
 
@@ -31,6 +32,7 @@ SiteArgument = Annotated[
     str | None, typer.Argument(help="Of the catalogue; left out where there is one.")
 ]
 CONFIG = Path("config/fleet.toml")
+_NOTES = "done"  # folder of what an earlier run has done, see `valvemap.kafka.reidentify`
 
 fleet = typer.Typer(help="Many machines, by way of Kafka.", no_args_is_help=True)
 
@@ -49,7 +51,7 @@ def topics(config: FleetOption = CONFIG) -> None:
     from valvemap.kafka.topics import create_or_check
 
     for line in create_or_check(load_fleet(config)):
-        typer.echo(line)
+        write_line(line)
 
 
 @fleet.command()
@@ -85,12 +87,20 @@ def serve(
     _run_until_stopped(run, site, config)
 
 
+def _own_models(context: typer.Context, option: typer.CallbackParam, value: Path) -> Path | None:
+    """Check the folder of the models; one that an earlier run has begun may be continued."""
+    return value if (value / _NOTES).is_dir() else new_models(context, option, value)
+
+
 @fleet.command()
 def reidentify(
     files: Annotated[
         list[Path], typer.Argument(help="Recordings, in the order of their time.", metavar="FILES")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the models.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="DIR", help="Folder of the models.", callback=_own_models),
+    ],
     config: ConfigOption = None,
     processes: Annotated[
         int, typer.Option(min=1, max=1_024, metavar="N", help="So many learn side by side.")
@@ -100,6 +110,7 @@ def reidentify(
         typer.Option(metavar="ADDRESS", help="A Dask cluster instead, e.g. tcp://north:8786."),
     ] = None,
     *,
+    force: ForceOption = False,
     insist: Annotated[
         bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
     ] = False,
@@ -121,9 +132,9 @@ def reidentify(
             progress=lambda done, of: shown.update(bar, completed=done, total=of),
         )
     known = f", {found.known} of them before" if found.known else ""
-    typer.echo(f"{out}: {found.valves} valves{known}")
+    write_line(f"{out}: {found.valves} valves{known}")
     if found.refused:
-        raise FleetError("\n".join(found.refused))
+        raise FleetError("; ".join(found.refused))
 
 
 @fleet.command()
@@ -134,7 +145,7 @@ def status(config: FleetOption = CONFIG) -> None:
     from valvemap.kafka.status import status as look
 
     for line in lines(look(load_fleet(config)), time.time_ns()):
-        typer.echo(line)
+        write_line(line)
 
 
 def _run_until_stopped(

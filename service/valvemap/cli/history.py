@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from valvemap.cli.options import ConfigOption, check_folder
+from valvemap.cli.options import ConfigOption, ForceOption, new_file
+from valvemap.cli.output import write_line
 from valvemap.cli.progress import working
 from valvemap.config.loading import load_config
 from valvemap.errors import RecordingError
@@ -30,7 +31,9 @@ def _of_the_service() -> None:
 
 @history.command()
 def export(
-    file: Annotated[Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet")],
+    file: Annotated[
+        Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet", callback=new_file)
+    ],
     config: ConfigOption = None,
     valve: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="One valve, or several; none = all.")
@@ -41,11 +44,12 @@ def export(
     until: Annotated[
         str | None, typer.Option("--to", metavar="T", help="Last time; none = now.")
     ] = None,
+    *,
+    force: ForceOption = False,
 ) -> None:
     """Write what the service has kept of its signals as a recording."""
     from valvemap.app.history import export_history
 
-    check_folder("FILE", file)
     loaded = load_config(config)
     start = 0 if since is None else _time("--from", since)
     stop = time.time_ns() if until is None else _time("--to", until)
@@ -55,7 +59,7 @@ def export(
         n = export_history(
             loaded, file, valve or [], start, stop, lambda n: say(f"{file.name}: {n:,} samples")
         )
-    typer.echo(f"{file}: {n:,} samples")
+    write_line(f"{file}: {n:,} samples")
 
 
 @contextmanager

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from valvemap.cli.options import ConfigOption, check_folder
+from valvemap.cli.options import ConfigOption, ForceOption, new_file
+from valvemap.cli.output import terminal, write_line
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.errors import ConfigurationError
 from valvemap.model.inversion import Inversion
@@ -48,11 +48,18 @@ def invert(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--to", metavar="CSV", help="Write Q, dp, T, U, lower, upper, status."),
+        typer.Option(
+            "--to",
+            metavar="CSV",
+            help="Write Q, dp, T, U, lower, upper, status.",
+            callback=new_file,
+        ),
     ] = None,
     valve: ValveOption = None,
     estimator: EstimatorOption = None,
     config: ConfigOption = None,
+    *,
+    force: ForceOption = False,
 ) -> None:
     """Which control voltage passes a flow at a pressure drop, with its 95 % interval."""
     from valvemap.app.models import open_model
@@ -61,7 +68,6 @@ def invert(
 
     if (points is None) == (flow is None or drop is None):
         raise typer.BadParameter("give --Q and --dp, or --from a CSV file")
-    check_folder("--to", out)
     loaded = _configured(config)
     if points is not None:
         Q, dp, T = read_points(points)
@@ -74,16 +80,22 @@ def invert(
     answer = run(model.estimator, model.state, Q, dp, T, support=model.support)
     if out is not None:
         write_answers(out, (Q, dp, T), answer)
-        typer.echo(f"written: {out}")
+        write_line(f"written: {out}")
         return
     title = f"{model.valve} by {model.name}: U for Q at dp, 95 % interval"
-    Console().print(_table(title, Q, dp, T, answer))
+    terminal().print(_table(title, Q, dp, T, answer))
 
 
 def export(
     file: FileArgument,
     out: Annotated[
-        Path, typer.Option("--to", metavar="FILE", help="FILE.csv, .c (C99) or .st (IEC 61131-3)")
+        Path,
+        typer.Option(
+            "--to",
+            metavar="FILE",
+            help="FILE.csv, .c (C99) or .st (IEC 61131-3)",
+            callback=new_file,
+        ),
     ],
     temperature: Annotated[
         float | None,
@@ -100,6 +112,8 @@ def export(
     valve: ValveOption = None,
     estimator: EstimatorOption = None,
     config: ConfigOption = None,
+    *,
+    force: ForceOption = False,
 ) -> None:
     """Export the inverse map as a lookup table with a stated error, for a PLC or a program."""
     from valvemap.app.models import open_model
@@ -107,7 +121,6 @@ def export(
     from valvemap.storage.lookup_tables import check_form, write_table
 
     check_form(out)
-    check_folder("--to", out)
     loaded = _configured(config)
     with bars() as progress:
         model = open_model(file, valve, estimator, loaded, of_files(progress))
@@ -128,13 +141,13 @@ def export(
     except ValueError as error:
         raise ConfigurationError(f"{file}: {error}") from None
     write_table(out, table, f"{model.valve} by {model.name}")
-    typer.echo(
+    write_line(
         f"written: {out}: {size[0]} x {size[1]} points at {T:g} °C, within {table.error_U:.2g} % "
         f"of U and {table.error_Q:.2g} l/min of the map"
     )
     share = float(np.mean(table.guessed))
     if share > 0.0:
-        typer.echo(f"{share:.0%} of the points are extrapolated, and marked so in the table")
+        write_line(f"{share:.0%} of the points are extrapolated, and marked so in the table")
 
 
 def _configured(config: Path | None) -> "Config | None":

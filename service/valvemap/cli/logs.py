@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import traceback
 from typing import Any, Literal
 
 from valvemap.cli.without import without
@@ -9,9 +10,11 @@ from valvemap.cli.without import without
 with without("rich"):  # for tracebacks in colour: a fortieth of a start
     import structlog
 
-from guarded_opcua.logs import IS_ESCAPED, escaped
+from guarded_opcua.logs import IS_ESCAPED
 from valvemap.config.logs import LogConfig
+from valvemap.foreign_text import LINE, printable
 
+_OF_STRUCTLOG = ("_record", "_from_structlog", "exc_info", "positional_args")
 _QUIET = ("asyncua", "numba", "matplotlib")
 
 
@@ -33,6 +36,7 @@ def set_up_logs(config: LogConfig | None = None) -> None:
             foreign_pre_chain=shared,
             processors=[
                 _in_one_line,
+                _as_lines,
                 structlog.stdlib.ProcessorFormatter.remove_processors_meta,
                 structlog.processors.JSONRenderer()
                 if config.format == "json"
@@ -55,9 +59,40 @@ def _in_one_line(
     """Escape what others may have said, so that it looks like no further line."""
     if getattr(event.get("_record"), IS_ESCAPED, False):
         return event
-    return {
-        key: escaped(value) if isinstance(value, str) else value for key, value in event.items()
-    }
+    shown = {key: _shown(value) for key, value in event.items() if key not in _OF_STRUCTLOG}
+    return shown | {key: event[key] for key in _OF_STRUCTLOG if key in event}
+
+
+def _shown(value: object) -> object:
+    """A value in which no text is longer than a line, or more than printable."""
+    match value:
+        case str():
+            return printable(value, LINE)
+        case None | bool() | int() | float():
+            return value
+        case dict():
+            return {printable(str(key)): _shown(inner) for key, inner in value.items()}
+        case list() | tuple() | set() | frozenset():
+            return [_shown(inner) for inner in value]
+        case _:
+            return printable(str(value), LINE)
+
+
+def _as_lines(
+    _logger: Any,  # noqa: ANN401 - structlog's signature
+    _method: str,
+    event: structlog.typing.EventDict,
+) -> structlog.typing.EventDict:
+    """Turn an exception into lines, indented, so that none looks like one of the log."""
+    failed = event.pop("exc_info", None)
+    if failed is True:
+        failed = sys.exc_info()
+    if isinstance(failed, BaseException):
+        failed = type(failed), failed, failed.__traceback__
+    if failed and failed[0] is not None:
+        lines = "".join(traceback.format_exception(*failed)).splitlines()
+        event["exception"] = "\n".join(f"    {printable(line, LINE)}" for line in lines)
+    return event
 
 
 def _level(name: Literal["debug", "info", "warning", "error"]) -> int:

@@ -1,9 +1,12 @@
 """Options that several commands share."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from valvemap.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from valvemap.config.models import Config
@@ -35,6 +38,77 @@ RevocationOption = Annotated[
 SourceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Which of [[sources]], where there are several.")
 ]
+
+
+ForceOption = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        is_eager=True,  # outputs are checked as they are read
+        help="Replace files that are there.",
+    ),
+]
+
+
+def new_file(
+    context: typer.Context, option: typer.CallbackParam, value: Path | None
+) -> Path | None:
+    """Check a file to write: its folder is there, and the file is not, but with ``--force``."""
+    return _new(context, option, value, lambda file: [file])
+
+
+def new_recording(
+    context: typer.Context, option: typer.CallbackParam, value: Path | None
+) -> Path | None:
+    """Check a recording to write, and what goes beside it."""
+    beside = lambda file: [file, file.with_name(f"{file.name}.timing.json")]  # noqa: E731
+    return _new(context, option, value, beside)
+
+
+def new_models(
+    context: typer.Context, option: typer.CallbackParam, value: Path | None
+) -> Path | None:
+    """Check a model to write (FILE.json), or a folder of models ``<Valve>.<Estimator>.json``."""
+    if value is None or value.suffix == ".json":
+        return new_file(context, option, value)
+    return _new(context, option, value, lambda folder: folder.glob("?*.?*.json"), folder=True)
+
+
+def new_pages(
+    context: typer.Context, option: typer.CallbackParam, value: Path | None
+) -> Path | None:
+    """Check a folder of pages and pictures to write."""
+    kinds = "*.html", "*.png", "paper.json"
+    found = lambda folder: [file for kind in kinds for file in folder.glob(kind)]  # noqa: E731
+    return _new(context, option, value, found, folder=True)
+
+
+def _new(
+    context: typer.Context,
+    option: typer.CallbackParam,
+    value: Path | None,
+    written: Callable[[Path], Iterable[Path]],
+    *,
+    folder: bool = False,
+) -> Path | None:
+    """Refuse to replace a file, before any work is done.
+
+    Raises
+    ------
+    ConfigurationError
+        naming option and file.
+    """
+    if value is None or context.resilient_parsing:
+        return value
+    name = option.opts[0] if option.opts[0].startswith("-") else option.opts[0].upper()
+    if not folder:
+        check_folder(name, value)
+    there = [file for file in written(value) if file.is_file()]
+    if there and not context.params.get("force"):
+        raise ConfigurationError(
+            f"{name} {there[0]}: is there already; another name, or --force, is needed"
+        )
+    return value
 
 
 def of_source(config: "Config", source: str | None) -> "Config":

@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
+from valvemap.cli.output import write_line
 from valvemap.errors import ConfigurationError
 
 START_S: Final = 600  # s; the first start of a machine compiles all kernels before it is ready
@@ -81,7 +82,7 @@ def schema() -> None:
     described = Config.model_json_schema()
     described["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     described["title"] = "valvemap configuration"
-    typer.echo(json.dumps(described, indent=2, ensure_ascii=False))
+    write_line(json.dumps(described, indent=2, ensure_ascii=False))
 
 
 def unit(
@@ -111,4 +112,4 @@ def unit(
         watchdog_s=WATCHDOG_S,
         memory_mib=MEMORY_MIB + VALVE_MIB * valves,
     )
-    typer.echo(text, nl=False)
+    write_line(text.rstrip())

@@ -4,23 +4,23 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
     SpinnerColumn,
     TaskProgressColumn,
-    TextColumn,
     TimeElapsedColumn,
 )
+
+from valvemap.cli.output import Description, terminal
 
 
 @contextmanager
 def bars() -> Iterator[Progress]:
     """Bars for work whose end is known; ``add_task`` adds one."""
-    console = Console(stderr=True)
+    console = terminal(error=True)
     with Progress(
-        TextColumn("{task.description}"),
+        Description(),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
@@ -33,8 +33,8 @@ def bars() -> Iterator[Progress]:
 @contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
     """A line for work whose end is not known; what is yielded changes its text."""
-    console = Console(stderr=True)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    console = terminal(error=True)
+    columns = SpinnerColumn(), Description(), TimeElapsedColumn()
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as progress:

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from valvemap.cli.history import recordings_of
-from valvemap.cli.options import ConfigOption, check_folder
+from valvemap.cli.options import ConfigOption, ForceOption, new_file, new_models, new_pages
+from valvemap.cli.output import terminal
 from valvemap.cli.progress import bars, of_files, working
 from valvemap.config.loading import load_config
-from valvemap.errors import RecordingError, StorageError
+from valvemap.errors import RecordingError
+from valvemap.owned_files import write_whole
 
 if TYPE_CHECKING:
     from valvemap.app.replay import Report
@@ -32,18 +33,23 @@ def replay(
         typer.Option(metavar="FILE", help="Recording to predict with the final parameters."),
     ] = None,
     json_out: Annotated[
-        Path | None, typer.Option("--json", metavar="OUT", help="Write all figures as JSON.")
+        Path | None,
+        typer.Option("--json", metavar="OUT", help="Write all figures as JSON.", callback=new_file),
     ] = None,
     save: Annotated[
         Path | None,
         typer.Option(
-            metavar="MODEL", help="Save the map (FILE.json), or every map in a folder, for later."
+            metavar="MODEL",
+            help="Save the map (FILE.json), or every map in a folder, for later.",
+            callback=new_models,
         ),
     ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Draw what was identified: PNG files, and index.html with all."
+            metavar="DIR",
+            help="Draw what was identified: PNG files, and index.html with all.",
+            callback=new_pages,
         ),
     ] = None,
     since: Annotated[
@@ -54,6 +60,7 @@ def replay(
         str | None, typer.Option("--to", metavar="T", help="Of a history: last time; none = now.")
     ] = None,
     *,
+    force: ForceOption = False,
     insist: Annotated[
         bool, typer.Option("--insist", help="Learn even from signals that look mistaken.")
     ] = False,
@@ -64,8 +71,6 @@ def replay(
     from valvemap.app.replay import replay as run
     from valvemap.report.verification import verification_table
 
-    check_folder("--json", json_out)
-    check_folder("--save", None if save is None or save.suffix != ".json" else save)
     loaded = None if config is None else load_config(config)
     plots = None
     if plot is not None:  # matplotlib is an extra: without pictures nobody needs it
@@ -75,7 +80,7 @@ def replay(
     with recordings_of(files, config, since, until) as recordings, bars() as progress:
         taps = [] if plots is None else [plots.take]
         report = run(recordings, loaded, verify, of_files(progress), *taps, insist=insist)
-    console = Console()
+    console = terminal()
     one_step = {v: {n: r.one_step for n, r in e.items()} for v, e in report.items()}
     tables = [verification_table("One step ahead, before each update", one_step)]
     if verify is not None:
@@ -159,7 +164,4 @@ def write_json(file: Path, content: object) -> None:
     StorageError
         naming the file.
     """
-    try:
-        file.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    write_whole(file, json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from valvemap.cli.options import ForceOption, new_pages
 from valvemap.errors import ValvemapError
 
 REPOSITORY = Path(__file__).parents[3]  # in a clone
@@ -14,7 +15,10 @@ REPOSITORY = Path(__file__).parents[3]  # in a clone
 
 def report(
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where paper.html, paper.json and pictures go.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Where paper.html, paper.json and pictures go.", callback=new_pages
+        ),
     ] = Path("reports"),
     sets: Annotated[
         int, typer.Option(min=1, max=50, help="Sets of recordings; the median decides.")
@@ -23,6 +27,8 @@ def report(
         float,
         typer.Option(min=2.0, max=20.0, metavar="HZ", help="Samples per second; and ten times it."),
     ] = 10.0,
+    *,
+    force: ForceOption = False,
 ) -> None:
     """Rebuild the paper's figures and tables, and judge its claims (in a clone)."""
     if not (REPOSITORY / "paper" / "command.py").is_file():

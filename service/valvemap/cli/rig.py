@@ -13,7 +13,8 @@ from guarded_opcua import Limits, Pki, Role, ServerSettings, UserStore
 from valvemap.app.identities import PAGE_URI, PRODUCT, RIG_NAME, RIG_URI, load_users
 from valvemap.app.signals import stop_on_signal, stop_with_parent
 from valvemap.cli.logs import set_up_logs
-from valvemap.cli.options import FolderOption, RevocationOption
+from valvemap.cli.options import FolderOption, ForceOption, RevocationOption, new_file
+from valvemap.cli.output import write_line
 from valvemap.cli.progress import bars
 from valvemap.cli.rig_conditions import CONDITION_S, condition_line
 from valvemap.config.logs import LogConfig
@@ -44,7 +45,8 @@ def rig(
         typer.Option(envvar="VALVEMAP_RIG_HOSTS", help="Name under which clients reach the rig."),
     ] = None,
     record: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Record every sample, too.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Record every sample, too.", callback=new_file),
     ] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds of rig time.")
@@ -66,6 +68,7 @@ def rig(
         ),
     ] = Limits.publishing_interval_ms,
     *,
+    force: ForceOption = False,
     require_crl: RevocationOption = True,
     offline: Annotated[
         bool, typer.Option("--offline", help="Record as fast as possible, serve nothing.")
@@ -115,7 +118,7 @@ def record_offline(scenario: Scenario, file: Path | None) -> None:
             state, block = advance(scenario, state, _BLOCK)
             _append(writer.append, block)
             progress.update(task, completed=state.index)
-    typer.echo(f"{file}: {state.index:,} samples of each valve")
+    write_line(f"{file}: {state.index:,} samples of each valve")
 
 
 def _append(append: "Callable[[str, Samples], None]", block: RigBlock) -> None:
@@ -170,7 +173,7 @@ async def _serve(
         if scenario.fleet is not None:
             server = await FleetServer.create(settings, scenario)
             async with server:
-                print(server.url, flush=True)  # noqa: T201 - tells who waits for it
+                write_line(server.url)  # the process that started this one waits for it
                 await _play(server, stop, until_over=scenario.samples is not None)
             return
         on_block = None
@@ -181,7 +184,7 @@ async def _serve(
             on_block = lambda block: _append(writer.append, block)  # noqa: E731 - a tap
         server = await RigServer.create(settings, scenario, on_block=on_block)
         async with server:
-            print(server.url, flush=True)  # noqa: T201 - tells who waits for it
+            write_line(server.url)  # the process that started this one waits for it
             if under_demo:
                 stack.callback(asyncio.ensure_future(_say_conditions(server)).cancel)
             await _play(server, stop, until_over=scenario.samples is not None)
@@ -193,7 +196,7 @@ async def _say_conditions(server: RigServer) -> None:
     while True:
         now = condition_line(server.conditions())
         if now != before:
-            print(now, flush=True)  # noqa: T201 - as the URL
+            write_line(now)
             before = now
         await asyncio.sleep(CONDITION_S)
 

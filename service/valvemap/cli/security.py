@@ -19,9 +19,9 @@ from guarded_opcua import (
     rejected,
     thumbprint,
 )
-from guarded_opcua.logs import escaped
 from guarded_opcua.security.certificate_rules import Use, name_of
 from guarded_opcua.security.certificates import trust as trust_certificate
+from guarded_opcua.security.owner_only import write_owner_only
 from guarded_opcua.security.peer_certificates import PeerTrust
 from valvemap.app.identities import (
     APPLICATION_NAME,
@@ -33,8 +33,10 @@ from valvemap.app.identities import (
     RIG_URI,
 )
 from valvemap.cli.options import FolderOption
+from valvemap.cli.output import write_line
 from valvemap.config.template import configuration_template
 from valvemap.errors import StorageError
+from valvemap.owned_files import write_whole
 
 _OWNERS = ("service", "rig")
 _HOSTS = ["localhost", "127.0.0.1"]
@@ -67,7 +69,7 @@ def init(
     _trust_each_other(data, service, of_rig)
     _make_page(data, service, of_rig)
     _make_configuration(data, service_host or [])
-    typer.echo(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
+    write_line(f"{data}: ready; `valvemap serve --config {data / 'service.toml'}` starts")
 
 
 def trust(
@@ -92,13 +94,13 @@ def trust(
     if user is not None or role is not None:
         if user is None or role is None or certificate is None:
             raise typer.BadParameter("a user's certificate needs --user NAME, --role ROLE and FILE")
-        typer.echo(_trust_user(pki, data / "users.json", user, _role(role), Path(certificate)))
+        write_line(_trust_user(pki, data / "users.json", user, _role(role), Path(certificate)))
         return
     if certificate is None:
         for file in rejected(pki):
-            typer.echo(f"{file.stem}  {escaped(load_certificate(file).subject.rfc4514_string())}")
+            write_line(f"{file.stem}  {load_certificate(file).subject.rfc4514_string()}")
         return
-    typer.echo(f"trusted: {trust_certificate(pki, certificate)}")
+    write_line(f"trusted: {trust_certificate(pki, certificate)}")
 
 
 def _trust_user(pki: Pki, users_file: Path, user: str, role: Role, file: Path) -> str:
@@ -116,8 +118,7 @@ def _trust_user(pki: Pki, users_file: Path, user: str, role: Role, file: Path) -
         trusted.check_authority(certificate, Use.USER)
         pki.make_folders()
         target = pki.issuers / f"{thumbprint(certificate)}.der"
-        with _naming(target):
-            target.write_bytes(der)
+        write_whole(target, der)
         which = (
             f"certificates of {name_of(certificate)} for CN={user}; its .crl goes beside {target}"
         )
@@ -139,7 +140,7 @@ def _certificate(
 ) -> OwnCertificate:
     names = tuple(dict.fromkeys([*(hosts or []), *_HOSTS]))
     own = ensure_certificate(Pki(data / "pki" / whose), uri, names, application.replace(" ", "-"))
-    typer.echo(f"certificate of the {whose}: {own.certificate}")
+    write_line(f"certificate of the {whose}: {own.certificate}")
     return own
 
 
@@ -156,11 +157,10 @@ def _make_page(data: Path, *servers: OwnCertificate) -> None:
     for server in servers:
         trust_certificate(Pki(data / "pki" / "dashboard"), server.certificate)
     secret_file, users_file = data / "dashboard-password", data / "users.json"
-    if secret_file.exists():
+    users = UserStore.load(users_file)
+    if secret_file.exists() and PAGE_USER in users.names:
         return
-    users, password = UserStore.load(users_file), secrets.token_urlsafe(24)
-    users.add(PAGE_USER, Role.OBSERVER, password)
-    _write_secret(secret_file, password)
+    users.add(PAGE_USER, Role.OBSERVER, _secret(secret_file))
     users.save(users_file)
 
 
@@ -168,36 +168,37 @@ def make_users(data: Path, operator_password: str | None) -> None:
     """Make users and their passwords, where there are none yet; say so."""
     file = data / "users.json"
     if file.exists():
-        typer.echo(f"users: {file} is kept")
+        write_line(f"users: {file} is kept")
         return
     users = UserStore()
     password = operator_password or secrets.token_urlsafe(12)
     users.add("operator", Role.OPERATOR, password)
-    link = secrets.token_urlsafe(24)
-    users.add("service", Role.OPERATOR, link)
     with _naming(data):
         data.mkdir(parents=True, exist_ok=True)
-    _write_secret(data / "source-password", link)
+    users.add("service", Role.OPERATOR, _secret(data / "source-password"))
     users.save(file)
-    typer.echo(f"users: {file}")
+    write_line(f"users: {file}")
     if operator_password is None:
-        typer.echo(f"user operator, password {password} (shown this once)")
+        write_line(f"user operator, password {password} (shown this once)")
 
 
 def _make_configuration(data: Path, hosts: list[str]) -> None:
     file = data / "service.toml"
     if file.exists():
-        typer.echo(f"configuration: {file} is kept")
+        write_line(f"configuration: {file} is kept")
         return
-    with _naming(file):
-        file.write_text(configuration_template(data, hosts), encoding="utf-8")
-    typer.echo(f"configuration: {file}")
+    write_whole(file, configuration_template(data, hosts))
+    write_line(f"configuration: {file}")
 
 
-def _write_secret(file: Path, secret: str) -> None:
+def _secret(file: Path) -> str:
+    """Return the password that a file holds; a new one is written where there is none."""
     with _naming(file):
-        file.touch(mode=0o600)
-        file.write_text(f"{secret}\n", encoding="utf-8")
+        if file.exists():
+            return file.read_text(encoding="utf-8").partition("\n")[0]
+        secret = secrets.token_urlsafe(24)
+        write_owner_only(file, f"{secret}\n".encode())
+        return secret
 
 
 @contextmanager

@@ -8,12 +8,13 @@ from typing import Annotated
 import typer
 
 from valvemap.cli.logs import set_up_logs
-from valvemap.cli.options import ConfigOption, SourceOption, check_folder, of_source
+from valvemap.cli.options import ConfigOption, ForceOption, SourceOption, new_recording, of_source
+from valvemap.cli.output import write_line
 from valvemap.cli.progress import working
 from valvemap.cli.without import without
 from valvemap.config.loading import load_config
 from valvemap.config.models import NamedSourceConfig
-from valvemap.errors import ConfigurationError, RecordingError
+from valvemap.errors import RecordingError
 
 
 def serve(config: ConfigOption = None) -> None:
@@ -38,26 +39,20 @@ def serve(config: ConfigOption = None) -> None:
 
 
 def record(
-    file: Annotated[Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet")],
+    file: Annotated[
+        Path, typer.Argument(help="FILE.csv, .csv.gz, .csv.xz or .parquet", callback=new_recording)
+    ],
     config: ConfigOption = None,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Stop after S seconds.")
     ] = None,
     source: SourceOption = None,
     *,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write over a recording that is there.")
-    ] = False,
+    force: ForceOption = False,
 ) -> None:
     """Record the source's samples to a file."""
     from valvemap.app.record import record as run
     from valvemap.app.signals import stop_on_signal
-
-    check_folder("FILE", file)
-    if file.exists() and not overwrite:
-        raise ConfigurationError(
-            f"{file}: is there already; another name, or --overwrite, is needed"
-        )
 
     loaded = of_source(load_config(config), source)
     set_up_logs(loaded.log)
@@ -74,7 +69,7 @@ def record(
         raise RecordingError(
             f"{file}: no sample was made; `valvemap check-config --online` says how signals come"
         )
-    typer.echo(f"{file}: {n:,} samples")
+    write_line(f"{file}: {n:,} samples")
 
 
 def check_config(
@@ -99,16 +94,16 @@ def check_config(
             with working(f"watching {watched.source.url} for {watch:g} s"):
                 lines = asyncio.run(check_online(watched, watch))
             for line in lines:
-                typer.echo(line)
+                write_line(line)
     for of_valves in loaded.all_sources:
         named = f"{of_valves.name}: " if isinstance(of_valves, NamedSourceConfig) else ""
-        typer.echo(f"source   {named}{of_valves.url} ({of_valves.security})")
-    typer.echo(f"results  {loaded.server.url}")
+        write_line(f"source   {named}{of_valves.url} ({of_valves.security})")
+    write_line(f"results  {loaded.server.url}")
     for valve in loaded.valves:
         estimators = ", ".join(estimator.name for estimator in valve.estimators)
         at = "" if valve.source is None else f" at {valve.source}"
-        typer.echo(f"valve    {valve.name}{at}: {estimators}")
-    typer.echo(f"{config}: good")
+        write_line(f"valve    {valve.name}{at}: {estimators}")
+    write_line(f"{config}: good")
 
 
 def warm_up(config: ConfigOption = None) -> None:

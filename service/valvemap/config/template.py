@@ -1,15 +1,18 @@
 """A first configuration file, with everything that one usually changes."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
+
+from valvemap.foreign_text import toml_string
 
 
 def configuration_template(data: Path, host_names: Sequence[str] = ()) -> str:
     """Text of a configuration (TOML) that fits the virtual rig; ``data`` holds keys and states."""
 
-    def quoted(thing: object) -> str:
-        return json.dumps(str(thing) if isinstance(thing, Path) else thing)
+    def quoted(thing: Path | Sequence[str]) -> str:
+        if isinstance(thing, Path):
+            return toml_string(str(thing))
+        return f"[{', '.join(map(toml_string, thing))}]"
 
     return f"""\
 # valvemap: what to identify, and where. Fields left out keep their defaults; any field can be
@@ -28,7 +31,7 @@ publishing_interval_ms = 100
 
 [server] # our own, with the results
 url = "opc.tcp://127.0.0.1:4841/valvemap/service/"
-host_names = {quoted(list(host_names))} # further names in its certificate
+host_names = {quoted(host_names)} # further names in its certificate
 results_interval_ms = 0 # single variables at most as often, e.g. 1000 for SCADA; Frame has all
 
 [security]

@@ -30,6 +30,7 @@ from guarded_opcua.security.peer_certificates import (
     check_host_name,
 )
 from valvemap.errors import ConfigurationError, SourceLost, SourceRejected
+from valvemap.foreign_text import printable
 from valvemap.opcua_client.responses import Senseless
 from valvemap.opcua_client.session import BatchSession
 from valvemap.opcua_client.transport import BoundedClient
@@ -385,8 +386,8 @@ def in_one_line(text: object) -> str:
     >>> in_one_line("No such\npolicy")
     'No such policy'
     """
-    printable = "".join(c if c.isprintable() else " " for c in str(text)[: _LINE + 1])
-    return printable if len(printable) <= _LINE else f"{printable[:_LINE]} …"
+    said = str(text)[: _LINE + 1]
+    return printable("".join(c if c.isprintable() else " " for c in said), _LINE)
 
 
 def status_name(code: int) -> str:

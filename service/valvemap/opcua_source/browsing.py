@@ -5,8 +5,11 @@ from typing import Final
 
 from asyncua import ua
 
+from valvemap.errors import ConfigurationError, SourceRejected
+from valvemap.foreign_text import printable, toml_string
 from valvemap.opcua_client.connection import Connection, in_one_line
 from valvemap.opcua_client.requests import children_of, namespaces_of, read_attributes
+from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.opcua_source.source_units import read_units
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.naming import Candidate
@@ -19,6 +22,9 @@ _ATTRIBUTES: Final = (
     ua.AttributeIds.UserAccessLevel,
     ua.AttributeIds.Description,
 )
+_LONGEST: Final = 4_096  # characters; the most that an identifier may have (Part 3, 8.2.4)
+_LONGEST_NAME: Final = 300  # characters of a name that are judged
+_FARTHEST: Final = 1e9  # of a range, in whatever unit
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
 _SCALARS: Final = {-3, -2, -1}
@@ -27,8 +33,10 @@ _CLASSES: Final = ua.NodeClass.Object | ua.NodeClass.Variable
 _Place = tuple[ua.NodeId, tuple[str, ...]]
 
 
-async def find_numbers(connection: Connection) -> list[Candidate]:
+async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[str]]:
     """All scalar numbers below the Objects folder that can be read, the server's own left out.
+
+    Besides, a line for each whose NodeId no configuration can hold.
 
     Raises
     ------
@@ -42,17 +50,22 @@ async def find_numbers(connection: Connection) -> list[Candidate]:
     ]
     said = await read_units(connection, [node for (node, _), _ in numbers])
     namespaces = await namespaces_of(connection)
-    return [
-        Candidate(
-            node=_text(node, namespaces),
+    found, skipped = [], []
+    for ((node, path), answer), of_node in zip(numbers, said, strict=True):
+        text = _text(node, namespaces)
+        if text is None:
+            skipped.append(f"{printable('/'.join(path))}: its NodeId cannot be written as text")
+            continue
+        candidate = Candidate(
+            node=text,
             path=path,
             unit=of_node.unit,
-            bounds=of_node.bounds,
+            bounds=_bounds(of_node.bounds),
             writable=bool((answer[2].Value.Value or 0) & 2) if answer[2].Value else False,
             description=_words(answer[3]),
         )
-        for ((node, path), answer), of_node in zip(numbers, said, strict=True)
-    ]
+        found.append(candidate)
+    return found, skipped
 
 
 async def _variables(connection: Connection) -> list[_Place]:
@@ -70,7 +83,8 @@ async def _variables(connection: Connection) -> list[_Place]:
                 if is_property or node in seen or len(seen) > MOST_NODES:
                     continue
                 seen.add(node)
-                own = (*path, in_one_line(reference.DisplayName.Text or node.Identifier))
+                shown = reference.DisplayName.Text if reference.DisplayName else None
+                own = (*path, str(shown or node.Identifier)[:_LONGEST_NAME])
                 if reference.NodeClass == ua.NodeClass.Variable:
                     found.append((node, own))
                 below.append((node, own))
@@ -90,10 +104,32 @@ def _words(answer: ua.DataValue) -> str:
     return in_one_line(text.Text or "") if isinstance(text, ua.LocalizedText) else ""
 
 
-def _text(node: ua.NodeId, namespaces: Sequence[str]) -> str:
-    """The NodeId as it stays the same whatever order the server gives its namespaces."""
-    own = ua.NodeId(node.Identifier, 0, node.NodeIdType).to_string()
-    if node.NamespaceIndex == 0 or node.NamespaceIndex >= len(namespaces):
-        return own
-    uri = namespaces[node.NamespaceIndex]
-    return f"nsu={uri};{own}" if ";" not in uri else f"ns={node.NamespaceIndex};{own}"
+def _bounds(given: tuple[float, float] | None) -> tuple[float, float] | None:
+    """A range that says something."""
+    return given if given and -_FARTHEST < given[0] < given[1] < _FARTHEST else None
+
+
+def _text(node: ua.NodeId, namespaces: Sequence[str]) -> str | None:
+    """The NodeId as it stays the same whatever order the server gives its namespaces.
+
+    None where there is no text that TOML can hold and that is read as this node again.
+    """
+    try:
+        own = ua.NodeId(node.Identifier, 0, node.NodeIdType).to_string()
+    except (TypeError, ValueError, ua.UaError):
+        return None
+    index = node.NamespaceIndex
+    forms = [own] if index == 0 else [f"ns={index};{own}"]
+    if 0 < index < len(namespaces):
+        forms.insert(0, f"nsu={namespaces[index]};{own}")
+    return next((text for text in forms if _is_read_as(text, node, namespaces)), None)
+
+
+def _is_read_as(text: str, node: ua.NodeId, namespaces: Sequence[str]) -> bool:
+    try:
+        toml_string(text)
+        read = parse_node_id(text, namespaces)
+    except (ValueError, ConfigurationError, SourceRejected):
+        return False
+    same = read.Identifier == node.Identifier and read.NamespaceIndex == node.NamespaceIndex
+    return same and len(text) <= _LONGEST

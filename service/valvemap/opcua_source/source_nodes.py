@@ -8,6 +8,7 @@ from uuid import UUID
 from asyncua import ua
 
 from valvemap.errors import ConfigurationError, SourceRejected
+from valvemap.foreign_text import printable
 from valvemap.opcua_client.connection import Connection, in_one_line, status_name
 from valvemap.opcua_client.requests import namespaces_of, read_attributes
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
@@ -17,7 +18,7 @@ from valvemap.pipeline.units import READ, Measure
 REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
 
 _NODE_ID = re.compile(
-    r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)"
+    r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)", re.DOTALL
 )
 _ALLOWED = "allowed are [ns=<index>;|nsu=<uri>;]s=<text>, i=<number>, g=<guid> or b=<base64>"
 
@@ -139,12 +140,12 @@ def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.Node
     """
     match = _NODE_ID.fullmatch(text)
     if match is None:
-        raise ConfigurationError(f"node '{text}' is no NodeId; {_ALLOWED}")
+        raise ConfigurationError(f"node '{printable(text)}' is no NodeId; {_ALLOWED}")
     index = int(match["index"] or 0)
     if match["uri"] is not None and namespaces:
         if match["uri"] not in namespaces:
             raise SourceRejected(
-                f"node '{text}': the server has no namespace {match['uri']}; "
+                f"node '{printable(text)}': the server has no namespace {printable(match['uri'])}; "
                 f"it has {in_one_line(', '.join(namespaces))}"
             )
         index = list(namespaces).index(match["uri"])
@@ -159,7 +160,7 @@ def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.Node
             case _:
                 return ua.NodeId(match["name"], index)
     except (ValueError, ua.UaError) as error:
-        raise ConfigurationError(f"node '{text}' is no NodeId; {_ALLOWED}") from error
+        raise ConfigurationError(f"node '{printable(text)}' is no NodeId; {_ALLOWED}") from error
 
 
 async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> CheckedNodes:

@@ -7,11 +7,13 @@ it stands whose it is. What remains open is said, not guessed.
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
+from valvemap.foreign_text import printable
 from valvemap.pipeline.units import MEASURED, Quantity, Unit
 
 REQUIRED: Final = ("U", "p1", "p2", "Q")
@@ -283,16 +285,29 @@ def _best(own: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _listed(own: Sequence[_Judged]) -> str:
-    return " or ".join(one.candidate.node for one in own[:4])
+    return " or ".join(printable(one.candidate.node) for one in own[:4])
 
 
 def _short_names(places: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], str]:
     """A name for each place: its last part, with those before it where that is not enough."""
-    for depth in range(1, max(map(len, places)) + 1):
-        names = [_name("_".join(place[-depth:])) for place in places]
+    depths = range(1, max(map(len, places)) + 1)
+    at_depth = [[_name("_".join(place[-depth:])) for place in places] for depth in depths]
+    for names in at_depth:
         if len(set(names)) == len(names):
             return dict(zip(places, names, strict=True))
-    return {place: f"Valve{number}" for number, place in enumerate(places, start=1)}
+    counts = [Counter(names) for names in at_depth]
+    found: dict[tuple[str, ...], str] = {}
+    taken: set[str] = set()
+    for number, place in enumerate(places):
+        own = (
+            names[number]
+            for names, n in zip(at_depth, counts, strict=True)
+            if n[names[number]] == 1
+        )
+        name = next((name for name in own if name not in taken), f"Valve{number + 1}")
+        found[place] = name
+        taken.add(name)
+    return found
 
 
 def _name(text: str) -> str:

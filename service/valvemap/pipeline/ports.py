@@ -624,7 +624,15 @@ class Past:
 
 
 class PastStore(Protocol):
-    """Keeps what signals and results were, and gives it back; from any thread, one at a time."""
+    """Keeps what signals and results were, and gives it back; from any thread, one at a time.
+
+    Attributes
+    ----------
+    lost : int
+        Rows that damage took.
+    """
+
+    lost: int
 
     def save(self, pieces: Iterable[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer.
@@ -671,6 +679,9 @@ class PastStore(Protocol):
         most: int,
     ) -> Sequence[AlarmChange]:
         """Changes of an owner's alarms (None: of all), see :meth:`read`."""
+
+    def take_notes(self) -> Sequence[str]:
+        """Sentences about damage since they were last taken."""
 
     @property
     def size(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from valvemap.errors import ConfigurationError, StorageError
 from valvemap.model.samples import Floats, Times
+from valvemap.owned_files import written_aside
 
 try:
     from matplotlib.axes import Axes
@@ -199,9 +200,10 @@ def _panels(
 def _save(figure: Figure, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=140, format="png")
     except OSError as error:
         raise StorageError(f"{path} cannot be written: {error.strerror}") from error
+    with written_aside(path) as draft:
+        figure.savefig(draft, dpi=140, format="png")
 
 
 def _colours() -> Sequence[str]:

@@ -9,6 +9,7 @@ from string import Template
 from rich.table import Table
 
 from valvemap.errors import StorageError
+from valvemap.owned_files import write_whole
 
 PAGE = "index.html"
 _KINDS = {
@@ -54,17 +55,15 @@ def write_page(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         figures = "\n".join(_figure(picture) for picture in pictures)
-        file.write_text(
-            _PAGE.substitute(
-                title=escape(title),
-                tables="\n".join(map(_table, tables)),
-                notes="\n".join(f"<li>{escape(note)}</li>" for note in notes),
-                figures=figures,
-            ),
-            encoding="utf-8",
-        )
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    page = _PAGE.substitute(
+        title=escape(title),
+        tables="\n".join(map(_table, tables)),
+        notes="\n".join(f"<li>{escape(note)}</li>" for note in notes),
+        figures=figures,
+    )
+    write_whole(file, page)
     return file
 
 

@@ -121,7 +121,7 @@ class PastKeeper:
     @property
     def counters(self) -> PastCounters:
         """What was lost, and how large the history is."""
-        return PastCounters(self.lost, self.failures, self._store.size)
+        return PastCounters(self.lost + self._store.lost, self.failures, self._store.size)
 
     def _has_room(self, rows: int) -> bool:
         if self._rows + rows > MOST_ROWS:
@@ -150,6 +150,8 @@ class PastKeeper:
             self.failures += 1
             self.lost += rows
             log.warning("history not kept", reason=str(error))
+        for note in self._store.take_notes():
+            log.warning("history damaged", reason=note, lost=self._store.lost)
 
 
 def _of_samples(names: Sequence[str], batches: Sequence[ByValve]) -> Iterator[Piece]:

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 from valvemap.pipeline.ports import AlarmChange, AlarmReport
 
@@ -25,6 +25,7 @@ _SCHEMA = (
     """,
     "CREATE INDEX IF NOT EXISTS alarm_change_of ON alarm_change (owner, t)",
 )
+KINDS: Final = (int, str, str, str, int)  # of t, owner, digest, report, checksum
 _KNOWN = frozenset(field.name for field in fields(AlarmReport))
 
 
@@ -61,14 +62,18 @@ def select(
     whose, values = ("", ()) if owner is None else ("owner = ? AND ", (owner,))
     order = "DESC" if backwards else "ASC"
     rows = connection.execute(
-        f"SELECT owner, t, report, checksum FROM alarm_change "  # noqa: S608
+        f"SELECT t, owner, digest, report, checksum FROM alarm_change "  # noqa: S608
         f"WHERE {whose}t BETWEEN ? AND ? ORDER BY t {order}, id",
         (*values, *span),
     )
-    whole = (
-        AlarmChange(of, t, _report(text)) for of, t, text, sum_ in rows if _checksum(text) == sum_
-    )
+    whole = (AlarmChange(row[1], row[0], _report(row[3])) for row in rows if is_whole(row))
     return list(islice(whole, skip, skip + most))
+
+
+def is_whole(row: Sequence[Any]) -> bool:
+    """Whether a row (t, owner, digest, report, checksum) is as it was written."""
+    *_, report, checksum = row
+    return all(map(isinstance, row, KINDS)) and _checksum(report) == checksum
 
 
 def forget(connection: sqlite3.Connection, before: int) -> None:
@@ -85,7 +90,7 @@ def _digest(report: AlarmReport) -> str:
 
 
 def _checksum(text: str) -> int:
-    return zlib.crc32(text.encode())
+    return zlib.crc32(text.encode("utf-8", "replace"))
 
 
 def _report(text: str) -> AlarmReport:

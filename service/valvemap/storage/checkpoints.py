@@ -10,7 +10,16 @@ from typing import NamedTuple, Self
 
 from valvemap.pipeline.ports import Checkpoint
 from valvemap.storage.closing import Closing
-from valvemap.storage.sqlite_files import check_owner, naming, pragma, transaction
+from valvemap.storage.sqlite_files import (
+    check_owner,
+    damage,
+    is_damage,
+    naming,
+    pragma,
+    set_aside,
+    text,
+    transaction,
+)
 
 APPLICATION_ID = 0x76_6D_61_70  # "vmap"
 SCHEMA_VERSION = 2
@@ -44,7 +53,7 @@ _SCHEMA = (
     f"PRAGMA application_id = {APPLICATION_ID}",
     f"PRAGMA user_version = {SCHEMA_VERSION}",
 )
-_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_TABLES = frozenset({"checkpoint"})
 
 
 class CheckpointFile(Closing):
@@ -107,13 +116,13 @@ class CheckpointFile(Closing):
             frames = _frames_in_log(self.path)
             try:
                 if self.path.is_file() and self.path.stat().st_size < _SMALLEST_BYTES:
-                    raise _damage("it is cut short")
+                    raise damage("it is cut short")
                 self._connection = _open(self.path, timeout)
                 self._log_was_torn = _fold_log(self._connection) < frames
             except sqlite3.DatabaseError as error:
-                if not _is_damage(error):
+                if not is_damage(error):
                     raise
-                self.set_aside = _set_aside(self.path)
+                self.set_aside = set_aside(self.path)
                 self._connection = _open(self.path, timeout)
                 with suppress(sqlite3.Error), transaction(self._connection):
                     self._connection.executemany(_INSERT, _salvaged(self.set_aside))
@@ -236,7 +245,7 @@ def _salvaged(path: Path) -> list[_Row]:
     rows = []
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as damaged:
-            damaged.text_factory = _text
+            damaged.text_factory = text
             (last,) = damaged.execute("SELECT max(rowid) FROM checkpoint").fetchone()
             for number in range(1, min(last or 0, _MOST_ROWS) + 1):
                 with suppress(sqlite3.Error):
@@ -265,17 +274,13 @@ def _fold_log(connection: sqlite3.Connection) -> int:
     return max(int(pages), 0)
 
 
-def _text(data: bytes) -> str:
-    return data.decode("utf-8", "replace")
-
-
 def _open(path: Path, timeout: float) -> sqlite3.Connection:
     """Open and check the file, furnish it if it is new."""
     connection = sqlite3.connect(
         path, timeout=timeout, isolation_level=None, check_same_thread=False
     )
     try:
-        connection.text_factory = _text
+        connection.text_factory = text
         _check(connection, path)
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
@@ -291,32 +296,10 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
     """Raise if this is not our file, before anything in it is touched."""
-    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION)
+    is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION, _TABLES)
     version = pragma(connection, "user_version")
     if not is_new and version < SCHEMA_VERSION:
-        raise _damage(f"it is of format {version}, this one writes {SCHEMA_VERSION}")
+        raise damage(f"it is of format {version}, this one writes {SCHEMA_VERSION}")
     (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if verdict != "ok":
-        raise _damage(str(verdict))
-
-
-def _damage(text: str) -> sqlite3.DatabaseError:
-    error = sqlite3.DatabaseError(text)
-    error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
-    return error
-
-
-def _is_damage(error: sqlite3.Error) -> bool:
-    return getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
-
-
-def _set_aside(path: Path) -> Path:
-    """Move a damaged file and its log out of the way, under a name that is free."""
-    n = 1
-    while (kept := path.with_name(f"{path.name}.damaged-{n}")).exists():
-        n += 1
-    for companion in ("-wal", "-shm", ""):
-        part = path.with_name(path.name + companion)
-        if part.exists():
-            part.rename(kept.with_name(kept.name + companion))
-    return kept
+        raise damage(str(verdict))

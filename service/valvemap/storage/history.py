@@ -1,12 +1,12 @@
 """What signals and results have been, in one SQLite file: columns in blocks of successive rows."""
 
 import sqlite3
-import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,39 +15,32 @@ from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.ports import AlarmChange, Past, Piece
 from valvemap.storage import alarm_changes
 from valvemap.storage.closing import Closing
-from valvemap.storage.sqlite_files import check_owner, naming, pragma, transaction
-
-APPLICATION_ID = 0x76_6D_61_68  # "vmah"
-SCHEMA_VERSION = 1
-BLOCK: Final = 4_096  # rows of a block that is full: 41 s of 100 Hz, 32 kB of each column
-_PAGES_AT_ONCE = 1_000  # given back to the disk in one go
-_SCHEMA = (
-    "PRAGMA auto_vacuum = INCREMENTAL",
-    "CREATE TABLE name (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE)",
-    """
-    CREATE TABLE block (
-        id INTEGER PRIMARY KEY,
-        series INTEGER NOT NULL,
-        first INTEGER NOT NULL,
-        last INTEGER NOT NULL,
-        rows INTEGER NOT NULL
-    )
-    """,
-    "CREATE INDEX by_time ON block (series, first)",
-    "CREATE INDEX by_age ON block (last)",
-    """
-    CREATE TABLE part (
-        block INTEGER NOT NULL,
-        name INTEGER NOT NULL,
-        digest INTEGER NOT NULL,
-        data BLOB NOT NULL,
-        PRIMARY KEY (block, name)
-    ) WITHOUT ROWID
-    """,
-    f"PRAGMA application_id = {APPLICATION_ID}",
-    f"PRAGMA user_version = {SCHEMA_VERSION}",
+from valvemap.storage.history_blocks import CODES, Examined, T, examine, insert, pack, unpack
+from valvemap.storage.history_mending import Taken, check_blocks, take_over
+from valvemap.storage.history_schema import CHECKED_AT_ONCE, check_pages, prepare
+from valvemap.storage.sqlite_files import (
+    SALVAGING,
+    is_damage,
+    move_aside,
+    name_aside,
+    naming,
+    pragma,
+    text,
+    transaction,
 )
-_T, _CODES = "t", "codes"
+
+BLOCK: Final = 4_096  # rows of a block that is full: 41 s of 100 Hz, 32 kB of each column
+AT_START_S: Final = 1.0  # s; time for checks and copies that a start waits for
+IN_TURN_S: Final = 0.1  # s; time for the rest after each save, of which there is one a second
+AGAIN_S: Final = 60.0  # s; a file that is damaged sooner than this after another is left as it is
+_PAGES_AT_ONCE = 1_000  # given back to the disk in one go
+_SMALL = """
+    SELECT id, rows FROM block WHERE series = :series AND first > ifnull(
+        (SELECT max(last) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
+    ) ORDER BY first
+"""  # behind the last one that is full
+
+Result = TypeVar("Result")
 
 
 @dataclass
@@ -60,13 +53,6 @@ class _Series:
     rows: int = 0
 
 
-class _Block(NamedTuple):
-    id: int
-    first: int
-    last: int
-    rows: int
-
-
 class HistoryFile(Closing):
     """Keeps pieces of series, and gives back what they were.
 
@@ -74,6 +60,11 @@ class HistoryFile(Closing):
     order of their times; one that is not newer than the last of its series is left out. A save is
     one transaction; what kills the process loses what was not saved, nothing else. Small blocks are
     joined as they come, so that a day of 100 Hz is 211 blocks.
+
+    A damaged file never stops its owner. Where its structure is hit, when it is opened or later, it
+    is set aside under a name with its time, and its readable blocks are copied into a new file;
+    where a column is hit, the column is dropped. What is lost is counted. Both are done a little
+    with each save, so that a large file holds up neither start nor saves.
 
     May be used from any thread, by one at a time; readers do not wait for who writes.
 
@@ -85,11 +76,17 @@ class HistoryFile(Closing):
         Rows older than this are forgotten, block by block.
     most_bytes
         So large may the file become; the oldest blocks go first.
+    mends
+        Whether damage may be mended; else it is a StorageError. Only the file's owner may.
+    clock
+        Seconds, for the time that mending takes.
 
     Attributes
     ----------
     size : int
         Bytes in use after the last save: who asks waits for no disk.
+    lost : int
+        Rows that damage took, as far as is known; a row of which one column is lost counts, too.
 
     Raises
     ------
@@ -109,26 +106,37 @@ class HistoryFile(Closing):
     """
 
     def __init__(
-        self, path: str | Path, keep_s: float = 7 * 86_400.0, most_bytes: int = 2_000_000_000
+        self,
+        path: str | Path,
+        keep_s: float = 7 * 86_400.0,
+        most_bytes: int = 2_000_000_000,
+        *,
+        mends: bool = True,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
+        self.lost = 0
         self._keep_ns, self._most_bytes = round(keep_s * 1e9), most_bytes
         self._writing, self._reading = Lock(), Lock()
+        self._mends, self._clock = mends, clock
+        self._notes: list[str] = []
+        self._opened, self._damaged_at = 0, -np.inf
+        self._pages_checked = self._is_open = False
+        self._chores: Generator[None] = _no_chores()
+        self._recounted = 0  # rows of unfinished files set aside that `lost` holds
+        self._finished: list[Path] = []
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = _open(self.path)
-            self._reader = sqlite3.connect(self.path, check_same_thread=False)
-            self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
-            self._series = self._known_series()
+            try:
+                self._open()
+            except sqlite3.DatabaseError as error:
+                self._mend(error)
+            self._work(AT_START_S if self._pages_checked else IN_TURN_S)
             self.size = self._bytes()
 
     def save(self, pieces: Iterable[Piece]) -> int:
         """Keep all pieces or none; return how many values were left out as not newer."""
-        with self._writing, naming(self.path):
-            with transaction(self._writer):
-                left_out = sum([self._append(piece) for piece in pieces])
-            self.size = self._bytes()
-            return left_out
+        return self._write(lambda: sum([self._append(piece) for piece in pieces]))
 
     def read(
         self,
@@ -142,25 +150,26 @@ class HistoryFile(Closing):
         most: int,
     ) -> Past:
         """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
-        with self._reading, naming(self.path):
-            names = {name: self._known(name) for name in (series, column, _T, _CODES)}
-            if None in names.values():
+
+        def find() -> Past:
+            if not self._names.keys() >= {series, column, T, CODES}:
                 return _nothing()
             found, wanted = [], skip + most
-            for block in self._blocks(int(names[series] or 0), low, high, backwards=backwards):
-                past = self._rows_of(block, names, column)
+            for block in self._blocks(self._names[series], low, high, backwards=backwards):
+                past = self._rows_of(block, series, column)
                 inside = slice(*np.searchsorted(past.t, [low, high + 1]).tolist())
                 past = past[inside]
                 found.append(past[::-1] if backwards else past)
                 wanted -= len(found[-1].t)
                 if wanted <= 0:
                     break
-        return _joined(found)[skip : skip + most]
+            return _joined(found)[skip : skip + most]
+
+        return self._ask(find)
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
         """Keep changes of alarms; those that are kept already are not kept twice."""
-        with self._writing, naming(self.path), transaction(self._writer):
-            alarm_changes.insert(self._writer, changes)
+        self._write(lambda: alarm_changes.insert(self._writer, changes))
 
     def changes(
         self,
@@ -173,36 +182,185 @@ class HistoryFile(Closing):
         most: int,
     ) -> list[AlarmChange]:
         """Changes of an owner's alarms (None: of all) from ``low`` to ``high``, as :meth:`read`."""
-        with self._reading, naming(self.path):
-            span = low, high
-            return alarm_changes.select(
-                self._reader, owner, span, backwards=backwards, skip=skip, most=most
+        return self._ask(
+            lambda: alarm_changes.select(
+                self._reader, owner, (low, high), backwards=backwards, skip=skip, most=most
             )
+        )
 
     def forget(self, now: int) -> int:
         """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
-        with self._writing, naming(self.path):
-            with transaction(self._writer):
-                alarm_changes.forget(self._writer, now - self._keep_ns)
-                dropped = self._drop("last < ?", (now - self._keep_ns,))
-                excess = self._bytes() - self._most_bytes
-                if excess > 0:
-                    dropped += self._drop_oldest(excess)
+
+        def drop() -> int:
+            alarm_changes.forget(self._writer, now - self._keep_ns)
+            dropped = self._drop("last < ?", (now - self._keep_ns,))
+            excess = self._bytes() - self._most_bytes
+            return dropped + (self._drop_oldest(excess) if excess > 0 else 0)
+
+        def give_back() -> None:
+            if not self._pages_checked:
+                check_pages(self._writer)
+                self._pages_checked = True
             self._writer.execute(f"PRAGMA incremental_vacuum({_PAGES_AT_ONCE})").fetchall()
+
+        dropped = self._write(drop)
+        with self._writing, naming(self.path):
+            try:
+                give_back()
+            except sqlite3.DatabaseError as error:
+                self._mend(error)
             self.size = self._bytes()
-            return dropped
+        return dropped
+
+    def take_notes(self) -> list[str]:
+        """Sentences about damage since they were last taken."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def close(self) -> None:
+        """Close the file; safe to call twice."""
+        with self._writing, self._reading, naming(self.path):
+            self._close()
+
+    def _write(self, work: Callable[[], Result]) -> Result:
+        """Run ``work`` in a transaction, then a slice of the chores."""
+        with self._writing, naming(self.path):
+            if not self._is_open:  # a new file could not be made
+                with self._reading:
+                    self._open()
+            try:
+                with transaction(self._writer):
+                    done = work()
+            except BaseException as error:
+                if isinstance(error, sqlite3.DatabaseError) and is_damage(error):
+                    self._mend(error)
+                else:
+                    self._remember()
+                raise
+            self._work(IN_TURN_S)
+            self.size = self._bytes()
+            return done
+
+    def _ask(self, work: Callable[[], Result]) -> Result:
+        """Run a query; set a damaged file aside and run it again."""
+        with naming(self.path):
+            opened = self._opened
+            try:
+                with self._reading:
+                    return work()
+            except sqlite3.DatabaseError as error:
+                with self._writing:
+                    if opened == self._opened:
+                        self._mend(error)
+            with self._reading:
+                return work()
+
+    def _open(self) -> None:
+        self._writer = _open(self.path)
+        self._reader = sqlite3.connect(self.path, check_same_thread=False)
+        self._reader.text_factory = text
+        self._opened += 1
+        self._is_open = True
+        self._pages_checked = self.path.stat().st_size <= CHECKED_AT_ONCE
+        self._begin_chores()
+
+    def _begin_chores(self) -> None:
+        self._chores.close()
+        self.lost, self._recounted = self.lost - self._recounted, 0
+        self._finished.clear()
+        self._remember()
+        self._chores = self._waiting()
+
+    def _close(self) -> None:
+        self._chores.close()
+        if self._opened:
+            self._writer.close()
+            self._reader.close()
+
+    def _remember(self) -> None:
+        """Know names and series as the file has them."""
+        self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
+        self._series = self._known_series()
+
+    def _mend(self, error: sqlite3.Error) -> None:
+        """Set a damaged file aside, and begin a new one.
+
+        Raises
+        ------
+        sqlite3.Error
+            the same, where that does not help: the file is not damaged, belongs to another process,
+            or the last one was set aside a moment ago.
+        """
+        too_soon = self._clock() < self._damaged_at + AGAIN_S
+        if not is_damage(error) or not self._mends or too_soon:
+            raise error
+        self._damaged_at = self._clock()
+        with self._reading:
+            self._close()
+            self._is_open = False
+            kept = name_aside(self.path)
+            kept.with_name(kept.name + SALVAGING).touch()
+            move_aside(self.path, kept)
+            self._notes.append(f"{self.path} is damaged ({error}); it is set aside as {kept.name}")
+            self._open()
+
+    def _work(self, budget_s: float) -> None:
+        """Run chores for a while."""
+        if not self._mends:
+            return
+        ends = self._clock() + budget_s
+        try:
+            with transaction(self._writer):
+                for _ in self._chores:
+                    if self._clock() >= ends:
+                        break
+        except sqlite3.Error as error:
+            if not is_damage(error):  # a full disk, say: from the start, a little later
+                self._notes.append(f"{self.path} cannot be mended yet: {error}")
+                self._begin_chores()
+            else:
+                self._mend(error)
+            return
+        for marker in self._finished:
+            marker.unlink(missing_ok=True)
+            self._recounted = 0
+        self._finished.clear()
+
+    def _waiting(self) -> Generator[None]:
+        """Check each block, then copy the readable blocks of files set aside."""
+        dropped = 0
+        for lost in check_blocks(self._writer, self._names):
+            if lost:
+                self.lost, dropped = self.lost + lost, dropped + lost
+                self._series = self._known_series()
+            yield
+        if dropped:
+            self._notes.append(f"{self.path}: columns of {dropped:,} rows are damaged and dropped")
+        for marker, damaged in _set_aside_before(self.path):
+            kept = lost = 0
+            for taken in take_over(self._writer, damaged, self._number):
+                kept, lost = kept + taken.rows, lost + taken.lost
+                self.lost, self._recounted = self.lost + taken.lost, self._recounted + taken.lost
+                if taken.rows:
+                    self._continue(taken)
+                yield
+            self._notes.append(
+                f"{damaged.name}: {kept:,} rows are copied; {lost:,} rows lack columns or all"
+            )
+            self._finished.append(marker)
+
+    def _continue(self, taken: Taken) -> None:
+        """Append behind a block that was taken over."""
+        series = self._series.setdefault(
+            taken.series, _Series(self._number(taken.series), taken.last)
+        )
+        series.last = max(series.last, taken.last)
 
     def _bytes(self) -> int:
         pages, free, page = (
             pragma(self._writer, name) for name in ("page_count", "freelist_count", "page_size")
         )
         return (pages - free) * page
-
-    def close(self) -> None:
-        """Close the file; safe to call twice."""
-        with self._writing, self._reading, naming(self.path):
-            self._writer.close()
-            self._reader.close()
 
     def _append(self, piece: Piece) -> int:
         """Write a piece as a block, and join small blocks once they make a large one."""
@@ -213,46 +371,39 @@ class HistoryFile(Closing):
         newer = piece.t > ordered[:-1]
         t = piece.t[newer]
         if len(t):
-            columns: dict[str, NDArray[Any]] = {_T: t, _CODES: piece.codes[newer]}
+            columns: dict[str, NDArray[Any]] = {T: t, CODES: piece.codes[newer]}
             columns |= {name: values[newer] for name, values in piece.columns.items()}
-            series.small.append(self._insert(series.number, columns))
+            series.small.append(self._insert(piece.series, columns))
             series.last, series.rows = int(t[-1]), series.rows + len(t)
             if series.rows >= BLOCK:
-                self._join(series)
+                self._join(piece.series, series)
         return int((len(piece.t) - len(t)) * len(piece.columns))
 
-    def _insert(self, series: int, columns: Mapping[str, NDArray[Any]]) -> int:
-        t = columns[_T]
-        insert = "INSERT INTO block (series, first, last, rows) VALUES (?, ?, ?, ?)"
-        block = self._writer.execute(insert, (series, int(t[0]), int(t[-1]), len(t))).lastrowid
-        assert block is not None  # noqa: S101 - a row was inserted
-        packed = [(self._number(name), _pack(name, column)) for name, column in columns.items()]
-        self._writer.executemany(
-            "INSERT INTO part (block, name, digest, data) VALUES (?, ?, ?, ?)",
-            [(block, name, zlib.crc32(data), data) for name, data in packed],
-        )
-        return block
+    def _insert(self, series: str, columns: Mapping[str, NDArray[Any]]) -> int:
+        parts = {name: pack(name, column) for name, column in columns.items()}
+        return insert(self._writer, series, columns[T], parts, self._number)
 
-    def _join(self, series: _Series) -> None:
+    def _join(self, name: str, series: _Series) -> None:
         """Make one block of a series' small ones; a column that some lack is NaN there."""
-        numbers = {number: name for name, number in self._names.items()}
-        blocks = [self._parts(self._writer, block) for block in series.small]
-        names = [numbers[number] for parts in blocks for number in parts]
-        rows = [len(_unpack(_T, parts[self._names[_T]])) for parts in blocks]
+        examined = [self._examined(self._writer, name, block) for block in series.small]
+        blocks = [found for found in examined if len(found.t)]
         columns = {
-            name: np.concatenate(
+            column: np.concatenate(
                 [
-                    _unpack(name, parts[self._names[name]])
-                    if self._names[name] in parts
-                    else np.full(n, np.nan)
-                    for parts, n in zip(blocks, rows, strict=True)
+                    unpack(column, found.parts[column])
+                    if column in found.parts
+                    else np.full(len(found.t), np.nan)
+                    for found in blocks
                 ]
             )
-            for name in dict.fromkeys(names)
+            for column in dict.fromkeys(column for found in blocks for column in found.parts)
         }
+        self.lost += sum(len(found.t) for found in blocks if found.damaged)
+        self.lost += series.rows - sum(len(found.t) for found in blocks)
         self._delete(series.small)
-        self._insert(series.number, columns)
         series.small, series.rows = [], 0
+        if columns:
+            self._insert(name, columns)
 
     def _drop(self, condition: str, values: tuple[int, ...]) -> int:
         select = f"SELECT id FROM block WHERE {condition}"  # noqa: S608 - constant
@@ -291,8 +442,7 @@ class HistoryFile(Closing):
         last = "SELECT series, max(last) FROM block GROUP BY series"
         for number, newest in self._writer.execute(last).fetchall():
             series = found[names[number]] = _Series(number, newest)
-            small = "SELECT id, rows FROM block WHERE series = ? AND rows < ? ORDER BY first"
-            for block, rows in self._writer.execute(small, (number, BLOCK)):
+            for block, rows in self._writer.execute(_SMALL, {"series": number, "full": BLOCK}):
                 series.small.append(block)
                 series.rows += rows
         return found
@@ -303,56 +453,35 @@ class HistoryFile(Closing):
             self._names[name] = int(insert.lastrowid or 0)
         return int(self._names[name])
 
-    def _known(self, name: str) -> int | None:
-        row = self._reader.execute("SELECT id FROM name WHERE name = ?", (name,)).fetchone()
-        return None if row is None else int(row[0])
-
-    def _blocks(self, series: int, low: int, high: int, *, backwards: bool) -> Iterator[_Block]:
+    def _blocks(self, series: int, low: int, high: int, *, backwards: bool) -> Iterator[int]:
         order = "DESC" if backwards else "ASC"
         select = (
-            "SELECT id, first, last, rows FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
+            "SELECT id FROM block WHERE series = ? AND first <= ? AND last >= ? "  # noqa: S608
             f"ORDER BY first {order}"
         )
-        return map(_Block._make, self._reader.execute(select, (series, high, low)))
+        return (block for (block,) in self._reader.execute(select, (series, high, low)))
 
-    def _rows_of(self, block: _Block, names: Mapping[str, int | None], column: str) -> Past:
-        parts = self._parts(self._reader, block.id, [names[_T], names[_CODES], names[column]])
-        t, codes = (_unpack(name, parts.get(names[name])) for name in (_T, _CODES))
-        if len(t) != block.rows or len(codes) != block.rows:
+    def _rows_of(self, block: int, series: str, column: str) -> Past:
+        found = self._examined(self._reader, series, block, (T, CODES, column))
+        if column not in found.parts:  # the series had no such column then, or it is damaged
             return _nothing()
-        values = _unpack(column, parts.get(names[column]))
-        if len(values) != block.rows:  # the series had no such column then, or it is damaged
-            return _nothing()
-        return Past(t, values, codes)
+        codes, values = (unpack(name, found.parts[name]) for name in (CODES, column))
+        return Past(found.t, values, codes)
 
-    @staticmethod
-    def _parts(
-        connection: sqlite3.Connection, block: int, names: Sequence[int | None] = ()
-    ) -> dict[int | None, bytes]:
-        """Columns of a block, packed; those that are damaged are left out."""
-        chosen = f"AND name IN ({', '.join('?' * len(names))})" if names else ""
+    def _examined(
+        self, connection: sqlite3.Connection, series: str, block: int, columns: Sequence[str] = ()
+    ) -> Examined:
+        """Columns of a block whose checksums hold; all, or those given."""
+        numbers = {self._names[name]: name for name in columns or self._names}
+        chosen = f"AND name IN ({', '.join('?' * len(columns))})" if columns else ""
         select = f"SELECT name, digest, data FROM part WHERE block = ? {chosen}"  # noqa: S608
-        rows = connection.execute(select, (block, *names)).fetchall()
-        return {name: data for name, digest, data in rows if zlib.crc32(data) == digest}
+        rows = connection.execute(select, (block, *(numbers if columns else ()))).fetchall()
+        parts = {numbers[n]: (digest, data) for n, digest, data in rows if n in numbers}
+        return examine(series, parts)
 
 
-def _pack(name: str, column: NDArray[Any]) -> bytes:
-    """Times as differences and codes are packed; values hardly can be."""
-    if name == _T:
-        return zlib.compress(np.diff(column, prepend=np.int64(0)).astype("<i8").tobytes(), 1)
-    if name == _CODES:
-        return zlib.compress(column.astype("<u4").tobytes(), 1)
-    return column.astype("<f8").tobytes()
-
-
-def _unpack(name: str, data: bytes | None) -> NDArray[Any]:
-    if data is None:
-        return np.empty(0)
-    if name == _T:
-        return np.cumsum(np.frombuffer(zlib.decompress(data), "<i8"))
-    if name == _CODES:
-        return np.frombuffer(zlib.decompress(data), "<u4")
-    return np.frombuffer(data, "<f8")
+def _no_chores() -> Generator[None]:
+    yield from ()
 
 
 def _nothing() -> Past:
@@ -369,15 +498,24 @@ def _joined(parts: Sequence[Past]) -> Past:
     return Past(t, values, codes)
 
 
+def _set_aside_before(path: Path) -> list[tuple[Path, Path]]:
+    """Files set aside of which not all is taken over, each with the mark of it; newest first."""
+    markers = [
+        marker
+        for marker in path.parent.iterdir()
+        if marker.name.startswith(f"{path.name}.damaged-") and marker.name.endswith(SALVAGING)
+    ]
+    found = [(marker, marker.with_name(marker.name.removesuffix(SALVAGING))) for marker in markers]
+    return sorted((pair for pair in found if pair[1].exists()), reverse=True)
+
+
 def _open(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    connection.text_factory = text
     try:
-        if check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION):
-            for statement in _SCHEMA:
-                connection.execute(statement)
+        prepare(connection, path)
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
-        alarm_changes.prepare(connection)
     except BaseException:
         connection.close()
         raise

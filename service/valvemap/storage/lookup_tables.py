@@ -7,11 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.errors import ConfigurationError, StorageError
+from valvemap.errors import ConfigurationError
 from valvemap.model.lookup_table import LookupTable
 from valvemap.model.samples import Floats
+from valvemap.owned_files import write_whole
 
 INVALID: Final = -1000.0
+FINITE: Final = "1.0e300"  # in Structured Text, which has no other test: beyond is not a number
 _AXES: Final = "r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min"
 STATUSES: Final = {
     "OK": 0,
@@ -35,11 +37,7 @@ def write_table(file: Path, table: LookupTable, title: str) -> None:
         naming the file.
     """
     check_form(file)
-    text = _FORMS[file.suffix.lower()](table, title)
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    write_whole(file, _FORMS[file.suffix.lower()](table, title))
 
 
 def check_form(file: Path) -> None:
@@ -136,6 +134,14 @@ static const unsigned char valvemap_guess[VALVEMAP_N_R][VALVEMAP_N_DP] = {{
 {_c_marks(table.guessed)}
 }};
 
+/* By its bits, so that it holds under -ffast-math, too. */
+static int valvemap_is_finite(double x)
+{{
+    union {{ double value; unsigned long long bits; }} of;
+    of.value = x;
+    return ((of.bits >> 52) & 0x7ff) != 0x7ff;
+}}
+
 static int valvemap_place(const double *axis, int n, double x)
 {{
     int low = 0, high = n - 1;
@@ -155,7 +161,7 @@ int valvemap_required_U(double Q, double dp, double *U)
 {{
     int status = VALVEMAP_OK, i, j;
     double low, high, r, u, v;
-    if (!(Q - Q == 0.0) || !(dp - dp == 0.0))
+    if (!valvemap_is_finite(Q) || !valvemap_is_finite(dp))
         return VALVEMAP_NOT_FINITE;
     if (dp < valvemap_dp[0] || dp > valvemap_dp[VALVEMAP_N_DP - 1]) {{
         status = VALVEMAP_OUTSIDE;
@@ -165,6 +171,8 @@ int valvemap_required_U(double Q, double dp, double *U)
     v = (dp - valvemap_dp[j]) / (valvemap_dp[j + 1] - valvemap_dp[j]);
     low = (1.0 - v) * valvemap_lowest[j] + v * valvemap_lowest[j + 1];
     high = (1.0 - v) * valvemap_highest[j] + v * valvemap_highest[j + 1];
+    if (!(high > low))
+        return VALVEMAP_UNIDENTIFIED;
     r = (Q - low) / (high - low);
     i = valvemap_place(valvemap_r, VALVEMAP_N_R, r);
     if (status == VALVEMAP_OK
@@ -193,7 +201,7 @@ int valvemap_required_U(double Q, double dp, double *U)
 def as_structured_text(table: LookupTable, title: str) -> str:
     """A function block of IEC 61131-3 (third edition): inputs Q, dp; outputs U, Status."""
     n_r, n_dp = len(table.r), len(table.dp)
-    meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items() if code != 5)
+    meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items())
     return f"""(* {_in_a_comment(title)}
 
    Inverse flow map of a hydraulic valve: control voltage U in % from flow Q in l/min and pressure
@@ -204,7 +212,8 @@ def as_structured_text(table: LookupTable, title: str) -> str:
    a guess, and Status {STATUSES["EXTRAPOLATING"]}.
 
    Status: {meanings}.
-   With UNIDENTIFIED U keeps its value; outside the axis of dp U is that of its nearest end.
+   With UNIDENTIFIED and NOT_FINITE U keeps its value; outside the axis of dp U is that of its
+   nearest end.
    In the table {INVALID:.1f} means that no U can be trusted. *)
 FUNCTION_BLOCK FB_ValveRequiredU
 VAR_INPUT
@@ -246,48 +255,59 @@ VAR
 END_VAR
 
 Status := 0;
-y := LIMIT(AxisDp[0], dp, AxisDp[{n_dp - 1}]);
-IF y <> dp THEN
-    Status := {STATUSES["OUTSIDE"]};
-END_IF;
-
-j := 0;
-WHILE (j < {n_dp - 2}) AND (AxisDp[j + 1] <= y) DO
-    j := j + 1;
-END_WHILE;
-b := (y - AxisDp[j]) / (AxisDp[j + 1] - AxisDp[j]);
-QLow := (1.0 - b) * Lowest[j] + b * Lowest[j + 1];
-QHigh := (1.0 - b) * Highest[j] + b * Highest[j + 1];
-r := (Q - QLow) / (QHigh - QLow);
-i := 0;
-WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
-    i := i + 1;
-END_WHILE;
-k := i * {n_dp} + j;
-IF (Status = 0) AND (Guess[k] + Guess[k + 1] + Guess[k + {n_dp}] + Guess[k + {n_dp + 1}] > 0) THEN
-    Status := {STATUSES["EXTRAPOLATING"]};
-END_IF;
-
-IF r > 1.0 THEN
-    U := 100.0;
-    IF Status = 0 THEN
-        Status := {STATUSES["ABOVE_REACH"]};
-    END_IF;
-ELSIF r < 0.0 THEN
-    U := 0.0;
-    IF Status = 0 THEN
-        Status := {STATUSES["BELOW_REACH"]};
-    END_IF;
+IF NOT ((Q >= -{FINITE}) AND (Q <= {FINITE}) AND (dp >= -{FINITE}) AND (dp <= {FINITE})) THEN
+    Status := {STATUSES["NOT_FINITE"]};
 ELSE
-    IF (TableU[k] <= {INVALID:.1f}) OR (TableU[k + 1] <= {INVALID:.1f})
-        OR (TableU[k + {n_dp}] <= {INVALID:.1f}) OR (TableU[k + {n_dp + 1}] <= {INVALID:.1f}) THEN
-        IF Status <> {STATUSES["OUTSIDE"]} THEN
-            Status := {STATUSES["UNIDENTIFIED"]};
+    y := LIMIT(AxisDp[0], dp, AxisDp[{n_dp - 1}]);
+    IF y <> dp THEN
+        Status := {STATUSES["OUTSIDE"]};
+    END_IF;
+
+    j := 0;
+    WHILE (j < {n_dp - 2}) AND (AxisDp[j + 1] <= y) DO
+        j := j + 1;
+    END_WHILE;
+    b := (y - AxisDp[j]) / (AxisDp[j + 1] - AxisDp[j]);
+    QLow := (1.0 - b) * Lowest[j] + b * Lowest[j + 1];
+    QHigh := (1.0 - b) * Highest[j] + b * Highest[j + 1];
+    IF QHigh > QLow THEN
+        r := (Q - QLow) / (QHigh - QLow);
+    ELSE
+        r := 0.0;
+        Status := {STATUSES["UNIDENTIFIED"]};
+    END_IF;
+    i := 0;
+    WHILE (i < {n_r - 2}) AND (AxisR[i + 1] <= r) DO
+        i := i + 1;
+    END_WHILE;
+    k := i * {n_dp} + j;
+    IF (Status = 0)
+        AND (Guess[k] + Guess[k + 1] + Guess[k + {n_dp}] + Guess[k + {n_dp + 1}] > 0) THEN
+        Status := {STATUSES["EXTRAPOLATING"]};
+    END_IF;
+
+    IF r > 1.0 THEN
+        U := 100.0;
+        IF Status = 0 THEN
+            Status := {STATUSES["ABOVE_REACH"]};
+        END_IF;
+    ELSIF r < 0.0 THEN
+        U := 0.0;
+        IF Status = 0 THEN
+            Status := {STATUSES["BELOW_REACH"]};
         END_IF;
     ELSE
-        a := (r - AxisR[i]) / (AxisR[i + 1] - AxisR[i]);
-        U := (1.0 - a) * ((1.0 - b) * TableU[k] + b * TableU[k + 1])
-            + a * ((1.0 - b) * TableU[k + {n_dp}] + b * TableU[k + {n_dp + 1}]);
+        IF (TableU[k] <= {INVALID:.1f}) OR (TableU[k + 1] <= {INVALID:.1f})
+            OR (TableU[k + {n_dp}] <= {INVALID:.1f})
+            OR (TableU[k + {n_dp + 1}] <= {INVALID:.1f}) THEN
+            IF Status <> {STATUSES["OUTSIDE"]} THEN
+                Status := {STATUSES["UNIDENTIFIED"]};
+            END_IF;
+        ELSE
+            a := (r - AxisR[i]) / (AxisR[i + 1] - AxisR[i]);
+            U := (1.0 - a) * ((1.0 - b) * TableU[k] + b * TableU[k + 1])
+                + a * ((1.0 - b) * TableU[k + {n_dp}] + b * TableU[k + {n_dp + 1}]);
+        END_IF;
     END_IF;
 END_IF;
 END_FUNCTION_BLOCK

@@ -87,6 +87,8 @@ class LinearSection(_Section):
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> "LinearSection":
+        if (least := _fewest(self.structure)) > len(self.theta):
+            raise ValueError(f"theta has {len(self.theta)} numbers; {least} or more are allowed")
         n = len(_structure(self.structure).parameter_names)
         if len(self.theta) != n:
             raise ValueError(f"theta has {len(self.theta)} numbers; {n} are allowed")
@@ -155,6 +157,14 @@ class RegionSection(_Section):
     U: Numbers
     dp: Numbers
     samples: Rows
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> "RegionSection":
+        sizes = len(self.samples), {len(row) for row in self.samples}
+        if sizes != (len(EDGES_U) - 1, {len(EDGES_DP) - 1}):
+            rows, columns = len(EDGES_U) - 1, len(EDGES_DP) - 1
+            raise ValueError(f"samples: {rows} rows of {columns} numbers are allowed")
+        return self
 
 
 class SupportSection(_Section):
@@ -332,6 +342,17 @@ def _structure(section: StructureSection) -> Structure:
             return TensorSpline(**section.model_dump(exclude={"kind"}))
         case RadialBasisSection():
             return RadialBasis(**section.model_dump(exclude={"kind"}))
+
+
+def _fewest(section: StructureSection) -> int:
+    """Lower bound of the number of parameters, known before the structure is built."""
+    match section:
+        case PolynomialSection():
+            return 1
+        case SplineSection():
+            return len(section.U) * len(section.s) * max(1, len(section.T))
+        case RadialBasisSection():
+            return len(section.U) * len(section.s)
 
 
 def _auto_section(state: AutoState) -> AutoSection:

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pydantic import ValidationError
@@ -13,6 +13,7 @@ from valvemap.model.estimator import Estimator
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Floats
 from valvemap.model.support import Support
+from valvemap.owned_files import write_whole
 from valvemap.storage.model_document import (
     UNITS,
     ModelDocument,
@@ -22,6 +23,10 @@ from valvemap.storage.model_document import (
     support_of,
     support_section,
 )
+
+MOST_BYTES: Final = 64_000_000  # of a model file; a map of 1,000 parameters takes 20 MB
+MOST_SHOWN: Final = 60  # characters of a value in a message
+DEEPEST: Final = 8  # lists and objects within each other; a model has 4
 
 
 @dataclass(frozen=True)
@@ -94,11 +99,8 @@ def save_model(
         region=region_section(spread),
         support=support_section(support),
     )
-    try:
-        text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
-        file.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    text = json.dumps(document.model_dump(mode="json"), ensure_ascii=False, indent=1)
+    write_whole(file, text + "\n")
 
 
 def load_model(file: Path) -> Model:
@@ -110,17 +112,12 @@ def load_model(file: Path) -> Model:
         in one line: file, field, value, what is allowed.
     """
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        document = ModelDocument.model_validate(content)
+        document = ModelDocument.model_validate(_content(file))
         estimator, state = map_of(document.map)
     except FileNotFoundError:
         raise NoSuchFile(f"{file}: no such file") from None
     except OSError as error:
         raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
-    except UnicodeDecodeError:
-        raise StorageError(f"{file}: not a text file in UTF-8") from None
-    except json.JSONDecodeError as error:
-        raise StorageError(f"{file}: not JSON: {error}") from None
     except ValidationError as error:
         raise StorageError(f"{file}: {_first(error)}") from None
     except (ConfigurationError, ValueError) as error:
@@ -138,6 +135,42 @@ def load_model(file: Path) -> Model:
     )
 
 
+def _content(file: Path) -> object:
+    """What the file holds, within bounds of size and depth."""
+    with file.open("rb") as opened:
+        read = opened.read(MOST_BYTES + 1)
+    if len(read) > MOST_BYTES:
+        allowed = f"up to {MOST_BYTES // 1_000_000} MB are allowed"
+        raise StorageError(f"{file}: it is too large; {allowed}")
+    try:
+        content: object = json.loads(read.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise StorageError(f"{file}: not a text file in UTF-8") from None
+    except RecursionError:
+        raise StorageError(f"{file}: nested too deep; {DEEPEST} levels are allowed") from None
+    except ValueError as error:
+        raise StorageError(f"{file}: not JSON: {error}") from None
+    if _depth(content) > DEEPEST:
+        raise StorageError(f"{file}: nested too deep; {DEEPEST} levels are allowed")
+    return content
+
+
+def _depth(content: object) -> int:
+    """Levels of lists and objects within each other; a level more than allowed is enough."""
+    level, depth = [content], 0
+    while depth <= DEEPEST:
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, list | dict)
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+        if not level:
+            break
+        depth += 1
+    return depth
+
+
 def is_model(file: Path) -> bool:
     """Whether the file's name says that it holds a model."""
     return file.suffix.lower() == ".json"
@@ -149,7 +182,7 @@ def _first(error: ValidationError) -> str:
     field = ".".join(str(key) for key in details["loc"] if key not in tags)
     message = details["msg"].removeprefix("Value error, ").replace("\n", " ")
     if isinstance(details["input"], str | int | float):
-        message += f", not {details['input']!r}"
+        message += f", not {repr(details['input'])[:MOST_SHOWN]}"
     return f"{field}: {message}" if field else message
 
 

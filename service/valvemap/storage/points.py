@@ -9,6 +9,7 @@ import numpy as np
 from valvemap.errors import NoSuchFile, StorageError
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Floats
+from valvemap.owned_files import written_aside
 from valvemap.vocabulary.statuses import InverseStatus
 
 Points = tuple[Floats, Floats, Floats]
@@ -52,15 +53,12 @@ def write_answers(file: Path, points: Points, answer: Inversion) -> None:
         naming the file.
     """
     columns = (*points, answer.U, answer.lower, answer.upper)
-    try:
-        with file.open("w", encoding="utf-8", newline="") as out:
-            writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(["Q", "dp", "T", "U", "lower", "upper", "status"])
-            for *numbers, status in zip(*columns, answer.status, strict=True):
-                texts = ["" if np.isnan(x) else repr(float(x)) for x in numbers]
-                writer.writerow([*texts, InverseStatus(status).name])
-    except OSError as error:
-        raise StorageError(f"{file}: {(error.strerror or str(error)).lower()}") from None
+    with written_aside(file) as draft, draft.open("w", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["Q", "dp", "T", "U", "lower", "upper", "status"])
+        for *numbers, status in zip(*columns, answer.status, strict=True):
+            texts = ["" if np.isnan(x) else repr(float(x)) for x in numbers]
+            writer.writerow([*texts, InverseStatus(status).name])
 
 
 def _column(file: Path, place: int, name: str, rows: list[tuple[int, list[str]]]) -> Floats:

@@ -228,6 +228,12 @@ class RecordingWriter(Closing):
             with _naming(self.path):
                 self._form.finish(self._part, self.path)
 
+    def discard(self) -> None:
+        """Finish without a recording: a file of that name stays as it was."""
+        self._file.close()
+        with _naming(self.path):
+            self._part.unlink(missing_ok=True)
+
     def _write(self) -> None:
         block = self._form.pack(bytes(self._pending))
         try:

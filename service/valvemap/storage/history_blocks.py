@@ -1,0 +1,129 @@
+"""Blocks of the history: successive rows of a series, a packed column in each part."""
+
+import sqlite3
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.samples import Times
+
+T: Final = "t"
+CODES: Final = "codes"
+BYTES_OF_VALUE: Final = 8  # of all columns but times and codes, which are packed
+
+_BLOCK = "INSERT INTO block (series, first, last, rows) VALUES (?, ?, ?, ?)"
+_PART = "INSERT INTO part (block, name, digest, data) VALUES (?, ?, ?, ?)"
+
+Parts = Mapping[str, tuple[int, bytes]]
+"""Packed columns by name, each with its checksum."""
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What of a block its checksums confirm.
+
+    Attributes
+    ----------
+    t : (n,)
+        Times of its rows, UTC ns; none where times or codes are damaged.
+    parts
+        Packed columns that are whole; none without times and codes.
+    damaged
+        Columns that are not.
+    """
+
+    t: Times
+    parts: Mapping[str, bytes]
+    damaged: tuple[str, ...]
+
+    @classmethod
+    def none(cls, parts: Parts | None = None) -> Self:
+        """Nothing of it is whole."""
+        return cls(np.empty(0, np.int64), {}, tuple(parts or ()))
+
+
+def examine(series: str, parts: Parts) -> Examined:
+    """Check the checksum of every column of a series' block, and that all have as many rows."""
+    t: Times = _unpacked(parts[T], series, T) if T in parts else np.empty(0, np.int64)
+    if not len(t) or (np.diff(t) <= 0).any():
+        return Examined.none(parts)
+    first = int(t[0])
+    whole = {
+        name: data
+        for name, (digest, data) in parts.items()
+        if len(_unpacked((digest, data), series, name, first)) == len(t)
+    }
+    if CODES not in whole:
+        return Examined.none(parts)
+    return Examined(t, whole, tuple(name for name in parts if name not in whole))
+
+
+def checksum(data: bytes, series: str, name: str, first: int) -> int:
+    """Of a packed column: it holds for this column of the block that begins at ``first`` alone."""
+    whose = f"{series}\n{name}\n{0 if name == T else first}"
+    return zlib.crc32(data, zlib.crc32(whose.encode("utf-8", "replace")))
+
+
+def _unpacked(part: tuple[object, object], series: str, name: str, first: int = 0) -> NDArray[Any]:
+    """A column as it was written, else no rows; checksums of version 1 know no name."""
+    digest, data = part
+    if not isinstance(data, bytes) or digest not in (
+        checksum(data, series, name, first),
+        zlib.crc32(data),
+    ):
+        return np.empty(0)
+    try:
+        return unpack(name, data)
+    except (zlib.error, ValueError):  # zeros have a checksum of zero
+        return np.empty(0)
+
+
+def pack(name: str, column: NDArray[Any]) -> bytes:
+    """Times as differences and codes are packed; values hardly can be."""
+    if name == T:
+        return zlib.compress(np.diff(column, prepend=np.int64(0)).astype("<i8").tobytes(), 1)
+    if name == CODES:
+        return zlib.compress(column.astype("<u4").tobytes(), 1)
+    return column.astype("<f8").tobytes()
+
+
+def unpack(name: str, data: bytes | None) -> NDArray[Any]:
+    """Return a column from its packed form; no rows from none."""
+    if data is None:
+        return np.empty(0)
+    if name == T:
+        return np.cumsum(np.frombuffer(zlib.decompress(data), "<i8"))
+    if name == CODES:
+        return np.frombuffer(zlib.decompress(data), "<u4")
+    return np.frombuffer(data, "<f8")
+
+
+def before(t: int, found: Examined) -> Examined:
+    """The rows before a time, UTC ns."""
+    n = int(np.searchsorted(found.t, t))
+    parts = {name: pack(name, unpack(name, data)[:n]) for name, data in found.parts.items()}
+    return Examined(found.t[:n], parts, found.damaged)
+
+
+def insert(
+    connection: sqlite3.Connection,
+    series: str,
+    t: Times,
+    parts: Mapping[str, bytes],
+    number: Callable[[str], int],
+) -> int:
+    """Write a block; return its number. ``number`` gives a name's."""
+    first = int(t[0])
+    row = number(series), first, int(t[-1]), len(t)
+    block = connection.execute(_BLOCK, row).lastrowid
+    assert block is not None  # noqa: S101 - a row was inserted
+    packed = [
+        (block, number(name), checksum(data, series, name, first), data)
+        for name, data in parts.items()
+    ]
+    connection.executemany(_PART, packed)
+    return block

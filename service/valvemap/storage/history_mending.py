@@ -1,0 +1,111 @@
+"""A history made whole again: blocks checked where they are, or taken over from a damaged file."""
+
+import sqlite3
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from valvemap.storage import alarm_changes
+from valvemap.storage.history_blocks import BYTES_OF_VALUE, Parts, before, examine, insert
+from valvemap.storage.salvage import Block, salvage_blocks, salvage_changes
+
+CHANGES_AT_ONCE: Final = 100  # alarm changes of a step, at some 10 us each
+
+_NEXT = (
+    "SELECT id, series, first, last, rows FROM block WHERE id > ? AND id <= ? ORDER BY id LIMIT 1"
+)
+_PARTS = "SELECT name, digest, data FROM part WHERE block = ?"
+_BETWEEN = "SELECT block, max(length(data)) FROM part WHERE block > ? AND block < ? GROUP BY block"
+_DROP = "DELETE FROM part WHERE block = ? AND name = ?"
+_UPDATE = "UPDATE block SET first = ?, last = ?, rows = ? WHERE id = ?"
+_OVERLAP = "SELECT min(first) FROM block WHERE series = ? AND first <= ? AND last >= ?"
+_CHANGE = (
+    "INSERT OR IGNORE INTO alarm_change (t, owner, digest, report, checksum) VALUES (?, ?, ?, ?, ?)"
+)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Rows of a block that were copied, and rows that are lost."""
+
+    series: str = ""
+    last: int = 0
+    rows: int = 0
+    lost: int = 0
+
+
+def check_blocks(
+    connection: sqlite3.Connection, names: Mapping[str, int]
+) -> Generator[int, None, None]:
+    """Check each block there is; yield how many of its rows are lost.
+
+    Columns that are damaged are dropped, and a block without times with all of them. What the table
+    says of a block's rows is set right.
+    """
+    numbers = {number: name for name, number in names.items()}
+    (newest,) = connection.execute("SELECT max(id) FROM block").fetchone()
+    block = 0
+    while row := connection.execute(_NEXT, (block, newest)).fetchone():
+        for stray, size in connection.execute(_BETWEEN, (block, row[0])).fetchall():
+            connection.execute("DELETE FROM part WHERE block = ?", (stray,))
+            yield size // BYTES_OF_VALUE
+        block, owner, first, last, rows = row
+        stored = connection.execute(_PARTS, (block,)).fetchall()
+        known = {n: numbers[n] for n, *_ in stored if n in numbers}
+        parts: Parts = {known[n]: (digest, data) for n, digest, data in stored if n in known}
+        found = examine(numbers.get(owner, ""), parts)
+        dropped = [n for n, *_ in stored if n not in known or known[n] in found.damaged]
+        connection.executemany(_DROP, [(block, n) for n in dropped])
+        n = len(found.t)
+        if not n:
+            connection.execute("DELETE FROM block WHERE id = ?", (block,))
+        elif (first, last, rows) != (true := (int(found.t[0]), int(found.t[-1]), n)):
+            connection.execute(_UPDATE, (*true, block))
+        yield 0 if n and not dropped else n or max(rows, 1)
+
+
+def take_over(
+    connection: sqlite3.Connection, damaged: Path, number: Callable[[str], int]
+) -> Generator[Taken, None, None]:
+    """Copy the readable blocks of a damaged file, one a step.
+
+    Rows that the new file has already stay: from saves since, or copied before a kill.
+
+    Parameters
+    ----------
+    connection
+        Of the new file, within a transaction.
+    number
+        A name's number there.
+    """
+    for block in salvage_blocks(damaged):
+        yield _take_over(connection, block, number)
+    changes = []
+    for change in salvage_changes(damaged):
+        changes.append(change)
+        if len(changes) == CHANGES_AT_ONCE:
+            yield _note(connection, changes)
+            changes = []
+    yield _note(connection, changes)
+
+
+def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[str], int]) -> Taken:
+    if not block.series:
+        return Taken(lost=block.lost)
+    found, series = block.found, number(block.series)
+    span = series, int(found.t[-1]), int(found.t[0])
+    (known_from,) = connection.execute(_OVERLAP, span).fetchone()
+    if known_from is not None:
+        found = before(known_from, found)
+    if not len(found.t):
+        return Taken(lost=block.lost)
+    insert(connection, block.series, found.t, found.parts, number)
+    return Taken(block.series, int(found.t[-1]), len(found.t), block.lost)
+
+
+def _note(connection: sqlite3.Connection, changes: list[tuple[object, ...]]) -> Taken:
+    """Keep changes of alarms; of those that are damaged none."""
+    whole = [change for change in changes if alarm_changes.is_whole(change)]
+    connection.executemany(_CHANGE, whole)
+    return Taken(lost=len(changes) - len(whole))

@@ -1,0 +1,202 @@
+"""What can still be read of a damaged history: block by block, the newest first.
+
+Three B-trees of the file know each block: its table, and the indexes by time and by age; its
+columns are in a fourth. What one of them has lost another may hold, so all are read, from both
+ends. Columns are believed by their checksums alone, times and number of rows of a block are those
+of its column of times; they know whose they are. Where the first page is damaged,
+which holds header and schema, that of a new file takes its place: all of ours have the same tables
+at the same pages.
+"""
+
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from valvemap.storage import alarm_changes
+from valvemap.storage.history_blocks import BYTES_OF_VALUE, Examined, examine
+from valvemap.storage.history_schema import FIXED, PAGE, first_page, has_header, has_tables
+from valvemap.storage.sqlite_files import FIRST_PAGE, text
+
+CHANGE: Final = slice(24, 28)  # of the header: number of the last change
+SIZE: Final = slice(28, 32)  # pages of the file
+FREE_PAGES: Final = slice(32, 40)  # where they begin, and how many
+SIZE_HOLDS_FOR: Final = slice(92, 96)  # number of the change
+MOST_ROWS_OF_BLOCK: Final = 10_000_000  # more than that a block never has: the number is damaged
+_TABLE = "SELECT id, series, rows FROM block NOT INDEXED ORDER BY id"
+_BY_TIME = "SELECT id, series, first FROM block INDEXED BY by_time ORDER BY series {}, first {}"
+_BY_AGE = "SELECT id, last FROM block INDEXED BY by_age ORDER BY last"
+_NAMES = (
+    "SELECT id, name FROM name NOT INDEXED ORDER BY id",
+    "SELECT id, name FROM name INDEXED BY sqlite_autoindex_name_1 ORDER BY name",
+)
+_OWNERLESS = "SELECT DISTINCT block FROM part ORDER BY block"
+_PARTS = "SELECT name, digest, data FROM part WHERE block = ?"
+_PART = f"{_PARTS} AND name = ?"
+_CHANGES = "SELECT t, owner, digest, report, checksum FROM alarm_change NOT INDEXED ORDER BY id"
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block that was found: whose it is, what of it is whole, and how many of its rows are not.
+
+    ``series`` is empty where nothing of it can be used.
+    """
+
+    series: str
+    found: Examined
+    lost: int
+
+
+def salvage_blocks(damaged: Path) -> Iterator[Block]:
+    """Blocks of a damaged file that nothing writes, the newest first."""
+    with closing(_opened(damaged)) as connection:
+        names = _names(connection)
+        for block, owners, said in _blocks(connection):
+            rows, cut = _parts(connection, block, names)
+            parts = {
+                name: (digest, data)
+                for number, digest, data in rows
+                for name in names.get(number, ())
+            }
+            series = {name for owner in owners for name in names.get(owner, ())}
+            found = {name: examine(name, parts) for name in series}
+            usable = [name for name in series if len(found[name].t)]
+            if len(usable) != 1:  # none, or it is not known whose it is
+                longest = (
+                    max((len(data) for *_, data in rows if isinstance(data, bytes)), default=0)
+                    // BYTES_OF_VALUE
+                )
+                yield Block("", Examined.none(), max(said, longest) or 1)
+                continue
+            (whose,) = usable
+            lacks = cut or bool(found[whose].damaged) or len(parts) < len(rows)
+            yield Block(whose, found[whose], len(found[whose].t) if lacks else 0)
+
+
+def salvage_changes(damaged: Path) -> Iterator[tuple[Any, ...]]:
+    """Rows of alarm_change: t, owner, digest, report, checksum."""
+    with closing(_opened(damaged)) as connection:
+        yield from _both_ways(connection, _CHANGES, *alarm_changes.KINDS)
+
+
+def _opened(damaged: Path) -> sqlite3.Connection:
+    if not has_header(damaged) or not _knows_its_size(damaged):
+        _mend_header(damaged)
+    connection = _connected(damaged)
+    if not has_tables(connection):
+        connection.close()
+        _replace_first_page(damaged)
+        connection = _connected(damaged)
+    return connection
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, check_same_thread=False)
+    connection.text_factory = text
+    return connection
+
+
+def _mend_header(damaged: Path) -> None:
+    """Write what every header of ours says; the first page as it was is kept beside."""
+    with damaged.open("rb") as file:
+        page = bytearray(file.read(PAGE))
+    for own in FIXED:
+        page[own] = first_page()[own]
+    page[SIZE] = (damaged.stat().st_size // PAGE).to_bytes(4, "big")
+    page[SIZE_HOLDS_FOR] = page[CHANGE]
+    _write_first_page(damaged, page)
+
+
+def _knows_its_size(path: Path) -> bool:
+    with path.open("rb") as file:
+        header = file.read(PAGE)
+    return int.from_bytes(header[SIZE], "big") == path.stat().st_size // PAGE
+
+
+def _replace_first_page(damaged: Path) -> None:
+    """Write the first page of an empty file; the log knows pages of the one before."""
+    size, page = damaged.stat().st_size, bytearray(first_page())
+    page[SIZE] = (size // PAGE).to_bytes(4, "big")
+    page[FREE_PAGES] = bytes(8)  # none: they are not read
+    page[SIZE_HOLDS_FOR] = page[CHANGE]
+    _write_first_page(damaged, page)
+    for companion in ("-wal", "-shm"):
+        damaged.with_name(damaged.name + companion).unlink(missing_ok=True)
+
+
+def _write_first_page(damaged: Path, page: bytearray) -> None:
+    beside = damaged.with_name(f"{damaged.name}{FIRST_PAGE}")
+    with damaged.open("r+b") as file:
+        if not beside.exists():
+            beside.write_bytes(file.read(PAGE))
+            file.seek(0)
+        file.write(page)
+
+
+def _names(connection: sqlite3.Connection) -> dict[int, set[str]]:
+    """Names by number; where table and index contradict each other, both."""
+    names: dict[int, set[str]] = {}
+    for select in _NAMES:
+        for number, name in _both_ways(connection, select, int, str):
+            names.setdefault(number, set()).add(name)
+    return names
+
+
+def _blocks(connection: sqlite3.Connection) -> Iterator[tuple[int, set[int], int]]:
+    """Number of each block, who owns it, and its rows, 0 if unknown; the newest first."""
+    owners: dict[int, set[int]] = {}
+    rows: dict[int, int] = {}
+    for block, series, n in _both_ways(connection, _TABLE, int, int, int):
+        owners.setdefault(block, set()).add(series)
+        rows[block] = n if 0 < n < MOST_ROWS_OF_BLOCK else 0
+    orders = (_BY_TIME.format(order, order) for order in ("ASC", "DESC"))
+    for block, series, _ in _either(connection, orders, (int, int, int)):
+        owners.setdefault(block, set()).add(series)
+    ages = dict(_both_ways(connection, _BY_AGE, int, int))
+    known = owners.keys() | ages.keys() | {n for (n,) in _both_ways(connection, _OWNERLESS, int)}
+    for block in sorted(known, key=_newest(ages), reverse=True):
+        yield block, owners.get(block, set()), rows.get(block, 0)
+
+
+def _newest(ages: Mapping[int, int]) -> Any:  # noqa: ANN401 - a key
+    return lambda block: (ages.get(block, 0), block)
+
+
+def _parts(
+    connection: sqlite3.Connection, block: int, names: Iterable[int]
+) -> tuple[list[tuple[int, Any, Any]], bool]:
+    """Packed columns of a block, and whether some could not be read."""
+    try:
+        return connection.execute(_PARTS, (block,)).fetchall(), False
+    except sqlite3.Error:
+        rows = []
+    for number in names:
+        with suppress(sqlite3.Error):
+            rows += connection.execute(_PART, (block, number)).fetchall()
+    return rows, True
+
+
+def _both_ways(
+    connection: sqlite3.Connection, select: str, *kinds: type
+) -> Iterable[tuple[Any, ...]]:
+    """Rows of a B-tree from its start, and from its end where that way is cut off."""
+    return _either(connection, (select, f"{select} DESC"), kinds)
+
+
+def _either(
+    connection: sqlite3.Connection, selects: Iterable[str], kinds: Sequence[type]
+) -> Iterable[tuple[Any, ...]]:
+    """Rows of which each value is of its kind."""
+    found: dict[tuple[Any, ...], None] = {}
+    for select in selects:
+        try:
+            for row in connection.execute(select):
+                if all(map(isinstance, row, kinds)):
+                    found[tuple(row)] = None
+        except sqlite3.Error:
+            continue
+        break
+    return list(found)
