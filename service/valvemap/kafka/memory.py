@@ -17,6 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from valvemap.errors import FleetError
+from valvemap.kafka.group_clock import Ahead
 from valvemap.pipeline.valve_columns import Columns
 
 MAGIC: Final = b"valvemap memory\n"
@@ -50,6 +51,8 @@ class Memory:
         By valve: its approved map, packed.
     replies
         To the last commands, packed, the oldest first: one that comes again is not done again.
+    ahead
+        Of the last blocks, those that were dated far ahead: number and median of their times.
     """
 
     catalogue: int
@@ -59,6 +62,7 @@ class Memory:
     columns: Sequence[Columns]
     baselines: Mapping[str, bytes]
     replies: Sequence[str] = ()
+    ahead: Ahead = ()
 
 
 def write_memory(memory: Memory) -> bytes:
@@ -87,6 +91,7 @@ def write_memory(memory: Memory) -> bytes:
         "counts": dict(memory.counts),
         "columns": said_of,
         "replies": list(memory.replies),
+        **({"ahead": memory.ahead} if memory.ahead else {}),
         "baselines": [[valve, len(packed)] for valve, packed in memory.baselines.items()],
     }
     said = json.dumps(head).encode()
@@ -144,6 +149,7 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
         found,
         baselines,
         [str(reply) for reply in head.get("replies", ())],
+        tuple((int(number), int(t)) for number, t in head.get("ahead", ())),
     )
 
 

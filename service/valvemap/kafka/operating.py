@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from valvemap.errors import CommandRejected
-from valvemap.kafka.commands import Command, Reply
+from valvemap.errors import BlockError, CommandRejected
+from valvemap.kafka.commands import Command, Reply, read_command, write_message
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Status
@@ -205,6 +205,11 @@ class FleetOperator:
             comment="" if remark is None else remark.text,
             by="" if remark is None else remark.by,
         )
+
+        try:
+            read_command(write_message(command))
+        except BlockError as error:
+            raise CommandRejected(f"{valve}: {error}") from None
 
         def refused(why: str) -> None:
             reply = Reply(command.id, command.group, 0, done=False, reason=why)
