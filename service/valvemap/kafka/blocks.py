@@ -30,6 +30,14 @@ _COLUMNS: Final[Mapping[str, pa.DataType]] = {
     "quality": pa.uint8(),
 }
 _WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # threads cost
+_DAMAGE: Final = (
+    pa.ArrowException,
+    OSError,
+    ValueError,
+    MemoryError,
+    OverflowError,
+    RecursionError,
+)
 _READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # more than a small block gives them
 
 
@@ -181,14 +189,7 @@ def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
         if len(batches) != 1:
             raise BlockError(f"{len(batches)} record batches: a block has one")
         batches[0].validate(full=True)
-    except (
-        pa.ArrowException,
-        OSError,
-        ValueError,
-        MemoryError,
-        OverflowError,
-        RecursionError,
-    ) as error:
+    except _DAMAGE as error:
         raise BlockError(f"not an Arrow IPC stream: {_one_line(error)}") from None
     return head, batches[0]
 

@@ -98,8 +98,9 @@ _TEXTS: Final = {  # of a command, and how many characters each may have
     **dict.fromkeys(("id", "group", "valve", "action", "estimator"), MOST_NAME),
     **dict.fromkeys(("comment", "by"), MOST_TEXT),
 }
-_MOST_VALUES: Final = 5  # of a command or a reply: `compare` answers with so many
-QUESTIONS: Final = ("predict", "predict_measurement", "invert", "compare")
+ANSWERS: Final = {"predict": 3, "predict_measurement": 4, "invert": 4, "compare": 5}
+QUESTIONS: Final = tuple(ANSWERS)  # each, and how many values its answer has
+_MOST_VALUES: Final = max(ANSWERS.values())  # of a command or a reply
 
 
 def carry_out(command: Command, operator: Identification) -> tuple[float | None, ...]:

@@ -176,6 +176,9 @@ class Group:
             afresh = self.identification.remember(memory.columns, memory.baselines)
         except (FleetError, StateMismatchError) as error:
             raise FleetError(f"group {self.plan.name}: {error}") from None
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            why = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise FleetError(f"group {self.plan.name}: its memory cannot be used: {why}") from None
         self.number = memory.number
         self.counts.update(memory.counts)
         self._due = dict(memory.due)
@@ -218,9 +221,7 @@ class Group:
             return samples
         self.counts[AHEAD] += int((~taken).sum())
         if not taken.any():
-            raise BlockError(
-                f"all samples are dated far ahead of the group's clock, up to {t.max()}"
-            )
+            raise BlockError(f"all samples are dated far off the group's clock, e.g. {t.max()} ns")
         return some(samples, taken)
 
     def _newest(self) -> int:

@@ -6,9 +6,7 @@ from typing import Any, Final
 
 from valvemap.errors import BlockError
 
-MOST_BYTES: Final = (
-    65_536  # of a command or a reply: 14 times the longest comment's at 4 bytes each
-)
+MOST_BYTES: Final = 65_536  # of a command or a reply: both its texts, each character escaped
 MOST_NAME: Final = 1_024  # characters of an id, or of a name: a NodeId's are no longer
 MOST_TEXT: Final = 4_096  # characters of a comment, or of a reason
 LATEST: Final = 2**62  # UTC ns, the year 2116: twice a time still fits into 64 bits

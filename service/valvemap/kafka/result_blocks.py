@@ -167,7 +167,7 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
 
 
 def _table_shape(said: object) -> tuple[int, int]:
-    if not isinstance(said, list) or len(said) != 2:  # noqa: PLR2004
+    if not isinstance(said, list) or len(said) != 2:
         raise BlockError("metadata valvemap.map_shape: rows and columns are needed")
     rows, columns = (whole("metadata valvemap.map_shape", n, most=_MOST_OF_TABLE) for n in said)
     return rows, columns

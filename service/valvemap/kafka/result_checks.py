@@ -1,4 +1,4 @@
-"""Whether results can be those of a group's valves: names, shapes and codes against the catalogue."""
+"""Whether results can be those of a group's valves: names, shapes and codes."""
 
 from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
@@ -125,5 +125,5 @@ def _among(codes: NDArray[np.uint8], allowed: type[IntEnum], name: str) -> None:
 
 
 def _between(values: NDArray[np.int64], name: str) -> None:
-    if len(values) and not (0 <= values.min() and values.max() <= LATEST):
+    if len(values) and not (values.min() >= 0 and values.max() <= LATEST):
         raise BlockError(f"column {name}: 0 to {LATEST} is allowed")

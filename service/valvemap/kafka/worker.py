@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Protocol, TypeVar
 
 import structlog
 
-from valvemap.errors import BlockError, FleetError
+from valvemap.errors import BlockError
 from valvemap.kafka.blocks import SamplesBlock
 from valvemap.kafka.catalogue import Catalogue
 from valvemap.kafka.commands import Command, Reply, write_message
@@ -179,7 +179,7 @@ class Worker:
             held.steps[-1] = _REFUSED
             return why, []
         ahead = held.group.counts[AHEAD] - before
-        return (f"{ahead} samples are dated far ahead of the group's clock" if ahead else ""), out
+        return (f"{ahead} samples are dated far off the group's clock" if ahead else ""), out
 
     def _before(self, name: str, store: Store, steps: list[_Step]) -> Group:
         """A group as it was, to the bit: its memory, and what it has done since."""
