@@ -128,5 +128,6 @@ def test_a_worker_survives_mutants_and_learns_what_it_accepts_as_a_group_alone_d
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(3_600)
 def test_a_worker_survives_a_hundred_thousand_mutants(known, honest):
     assert survive(known, honest, 100_000, 2) > LIKELY_BAD * 100_000

@@ -1,6 +1,7 @@
 """Workers on a real broker: a catalogue, messages of its groups, and what came of them."""
 
 import time
+from contextlib import suppress
 
 from confluent_kafka import Producer
 
@@ -8,6 +9,7 @@ from support.fleet import as_messages, day, feed
 from support.kafka import everything, until
 from support.processes import running
 from valvemap.cli import run
+from valvemap.errors import BlockError
 from valvemap.kafka.catalogue import load_catalogue
 from valvemap.kafka.commands import is_reply
 from valvemap.kafka.group import Group, Rhythm
@@ -40,12 +42,14 @@ def memories(broker, topic):
 
 
 def numbers(broker, topic):
-    """The last block behind the results of each group."""
+    """The last block behind the results of each group; what cannot be read is left aside."""
     found = {}
     for message in everything(broker, topic):
-        if not is_reply(message.value()):
-            block = read_results(message.value())
-            found[block.group] = block.number
+        packed = message.value()
+        if packed and not is_reply(packed):
+            with suppress(BlockError):
+                block = read_results(packed)
+                found[block.group] = max(block.number, found.get(block.group, 0))
     return found
 
 

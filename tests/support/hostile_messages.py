@@ -130,7 +130,7 @@ def results(block):
     yield "id: []", said(REPLY, id=[])
     yield "id: {}", said(REPLY, id={})
     yield "values", said(REPLY, values=[[]])
-    yield "rows", bomb(block, 100_000)
+    yield "rows", bomb(block, 10_000)
     yield "empty", b""
 
 
