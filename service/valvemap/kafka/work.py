@@ -2,6 +2,7 @@
 
 import logging
 import time
+import uuid
 import warnings
 from collections.abc import Iterator
 from functools import partial
@@ -250,6 +251,7 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "receive.message.max.bytes": 8 * largest,
         },
         producer_extra_config={
+            "transactional.id": f"{group}.{uuid.uuid4()}",  # by its beginning it is allowed
             "compression.type": "none",  # results are packed; of memories it saves no half
             "message.max.bytes": largest,
             # It begins with what is sent first after a commit: a broker must not end it before.
