@@ -55,8 +55,7 @@ class Decoder:
         self._tracebacks = Tracebacks()
         largest = round((topics or TopicsConfig()).message_mb * 1e6)
         valves = max((len(one.plans) for one in catalogue.groups.values()), default=0)
-        # `collect` cuts blocks so that they fill SHARE of a message before they are packed. A
-        # foreign writer's may be as large as a message.
+        # `collect` cuts blocks so that they fill SHARE of a message before they are packed.
         self._samples = Limits(largest, most_rows(largest), largest, valves)
         # Results are smaller than the memory behind them, which must fit into a message.
         self._results = Limits(largest, valves, largest, valves)
