@@ -36,16 +36,12 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class Heard:
-    """What came: what is to be shown, what is older than what was shown first, and the rest.
-
-    ``rejected`` counts the messages that nothing is done with, since the start.
-    """
+    """What came: what is to be shown, what is older than what was shown first, and the rest."""
 
     results: list[ResultsBlock] = field(default_factory=list)
     earlier: list[ResultsBlock] = field(default_factory=list)
     replies: list[Reply] = field(default_factory=list)
     samples: list[SamplesBlock] = field(default_factory=list)
-    rejected: int = 0
 
 
 class ResultsReader:
@@ -136,7 +132,6 @@ class ResultsReader:
                 log.info("broker is back")
             if message.key() in self._groups:
                 self._sort(message, heard)
-        heard.rejected = self._log.count
         return heard
 
     def commit(self) -> None:

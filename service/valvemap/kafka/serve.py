@@ -173,7 +173,7 @@ class Show:
         )
         self._past = None if past is None else PastKeeper(past, names)
         self.certificate_until_ns = 0
-        self.rejected = self.failed = 0  # messages
+        self.failed = 0  # messages that passed all checks, and could not be shown
         self._tracebacks = Tracebacks()
         now = self._clock.monotonic()
         self._heard_at = np.full(len(names), now)
@@ -206,7 +206,6 @@ class Show:
 
     async def _take(self, server: ResultsServer, heard: Heard) -> None:
         now = self._clock.monotonic()
-        self.rejected = heard.rejected
         if self._past is not None:
             for block in heard.earlier:
                 with self._bulkhead(block.group):
