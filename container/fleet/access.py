@@ -21,7 +21,7 @@ from valvemap.kafka.settings import FleetConfig, load_fleet
 
 READ, WRITE = AclOperation.READ, AclOperation.WRITE
 LOOK = AclOperation.DESCRIBE_CONFIGS
-TOPICS = {  # by user: what it may do to which topics; READ and WRITE let it look at them, too
+TOPICS = {  # by user: operations on topics; READ and WRITE imply DESCRIBE
     "collect": {"samples": (WRITE,)},
     "work": {
         "samples": (READ, LOOK),
@@ -42,7 +42,7 @@ GROUPS = {"work": "work", "serve": "serve."}  # consumer groups, by how their na
 
 
 def main(file: Path) -> None:
-    """Let each user do what it must."""
+    """Allow each user the operations of the tables."""
     config = load_fleet(file)
     admin = AdminClient(client_settings(config.broker))
     made = admin.create_acls(bindings(config), request_timeout=config.broker.timeout_s)

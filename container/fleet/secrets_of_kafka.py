@@ -22,7 +22,7 @@ KEYSTORE, JAAS, AUTHORITY = "broker.pem", "jaas.conf", "ca.pem"
 
 
 def main(kafka: Path, ours: Path, hosts: list[str]) -> None:
-    """Make what is missing."""
+    """Make all files, unless they exist."""
     if (kafka / JAAS).exists():
         return
     ours.mkdir(parents=True, exist_ok=True)
@@ -31,7 +31,7 @@ def main(kafka: Path, ours: Path, hosts: list[str]) -> None:
         write(ours / f"{user}-password", password + "\n", 0o600)
     keystore, authority = certificates(hosts)
     write(ours / AUTHORITY, authority, 0o644)
-    # The broker runs under another user, and nobody else has this volume.
+    # The broker runs under another user id; only its container mounts this volume.
     write(kafka / KEYSTORE, keystore, 0o644)
     users = "".join(f' user_{user}="{password}"' for user, password in passwords.items())
     login = "org.apache.kafka.common.security.plain.PlainLoginModule required"

@@ -1,4 +1,4 @@
-"""The broker of the compose profile: TLS and passwords, and each user may do what it must alone."""
+"""The broker of the compose profile: TLS, passwords, and no user may do more than it must."""
 
 import sys
 from importlib.util import module_from_spec, spec_from_file_location

@@ -8,7 +8,7 @@ pytest.importorskip("pyarrow")
 from support.fleet import block, catalogue, feed, group
 from support.plant import START
 from valvemap.errors import BlockError
-from valvemap.kafka.group_clock import AHEAD_NS, BELIEVED, GAP_NS, LATEST_NS, UNSET_NS, plausible
+from valvemap.kafka.group_clock import AHEAD_NS, CONFIRMED, GAP_NS, LATEST_NS, UNSET_NS, plausible
 
 DAY_NS = 86_400_000_000_000
 YEAR_NS = 365 * DAY_NS
@@ -46,15 +46,15 @@ def test_a_source_whose_clock_runs_ahead_is_taken_from_its_first_block_on():
     assert run(ahead, ahead + 1, ahead + DAY_NS, ahead + 2, sent=NOW) == [1, 1, 0, 1]
 
 
-def test_a_clock_that_was_set_is_believed_after_some_blocks_that_agree():
+def test_a_clock_that_was_set_is_accepted_after_three_blocks_that_agree():
     later = NOW + 10 * UNSET_NS
     found = run(*(later + k for k in range(5)), sent=NOW)
-    assert found == [0] * (BELIEVED - 1) + [1] * (5 - BELIEVED + 1)
+    assert found == [0] * (CONFIRMED - 1) + [1] * (5 - CONFIRMED + 1)
     apart = [NOW + k * 10 * UNSET_NS for k in range(1, 6)]
     assert run(*apart, sent=NOW) == [0] * 5
 
 
-def test_a_block_that_comes_again_is_not_believed_twice():
+def test_a_block_that_is_repeated_confirms_no_clock():
     ahead = ()
     for _ in range(5):
         taken, ahead = plausible(np.array([NOW + 2 * UNSET_NS]), 7, NOW, NOW, ahead)
@@ -69,7 +69,7 @@ def test_times_that_no_clock_has_are_never_taken(t):
 
 @pytest.mark.parametrize("sent", [None, START, START - 50 * DAY_NS])
 def test_a_valve_learns_all_its_honest_samples_around_one_of_2116(sent):
-    """In a block with honest ones, in a block of its own, and handed over after each block."""
+    """In a block with honest ones, in a separate block, and with a takeover after each block."""
     plan, far = catalogue().groups["north.0"], START + 90 * YEAR_NS
     alone, one = group(plan), group(plan)
     for number in range(1, 22):

@@ -19,7 +19,7 @@ from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.result_blocks import write_results
 from valvemap.kafka.worker import MEMORY, Worker
 
-# Of sums over flows of 1e308 l/min; what comes of them is judged by the valve's own checks.
+# Of sums over flows of 1e308 l/min: outside of tests a warning, no exception.
 pytestmark = pytest.mark.filterwarnings("ignore:(overflow|invalid value|divide by zero)")
 
 NAME = "north.0"
@@ -85,7 +85,7 @@ def test_the_rows_are_rejected_quickly_and_what_is_around_them_is_learnt_bit_for
 
 
 def expected(decoder, one, message):
-    """What a group alone makes of a message, if it is one."""
+    """The output of a group alone, if the message is valid."""
     kind, key, packed = message
     found = (decoder.samples if kind == "samples" else decoder.command)(key, packed)
     if isinstance(found, Rejected):

@@ -30,7 +30,7 @@ KEY = NAME.encode()
 MUTANTS = 2_000
 LIKELY_BAD = 0.5  # of the mutants: the others are honest by chance
 
-# Of plots of flows of 1e308 l/min; what is shown is what came.
+# Of flows of 1e308 l/min, which are shown as they are.
 pytestmark = pytest.mark.filterwarnings("ignore:(overflow|invalid value|divide by zero)")
 
 
@@ -45,21 +45,21 @@ def honest(known):
     return feed(one, day(known.groups[NAME]))
 
 
-class Nobody:
+class Silent:
     def send(self, command, refused):
-        raise AssertionError("nobody asks")
+        raise AssertionError("no command is expected")
 
     def tend(self):
         pass
 
 
 class Shown:
-    """A results server, and what it makes of messages."""
+    """A results server that is fed with messages."""
 
     def __init__(self, known):
         groups = {name: Group(plan, 1, RHYTHM) for name, plan in known.groups.items()}
         self._decoder = Decoder(known)
-        self.show = Show(known, "north", FleetConfig(), groups, Nobody())
+        self.show = Show(known, "north", FleetConfig(), groups, Silent())
         descriptions = [d for g in groups.values() for d in g.identification.descriptions()]
         self.server = ResultsServer(
             results_settings(none_on_loopback=True), descriptions, self.show.operator
@@ -149,7 +149,7 @@ async def test_a_server_survives_a_hundred_thousand_mutants(known, honest):
 
 
 async def test_a_reply_with_another_number_of_values_is_refused_in_one_line(known):
-    """To whoever asked: a worker of another version may answer otherwise."""
+    """A worker of another version may answer otherwise."""
     shown = Shown(known)
 
     class Echo:

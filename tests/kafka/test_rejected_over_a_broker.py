@@ -41,7 +41,7 @@ def broker(request, tmp_path_factory):
 
 
 class Attacker:
-    """Sends what it likes: the brokers let it."""
+    """Sends any message; the broker allows it."""
 
     def __init__(self, broker, prefix):
         self._prefix = prefix

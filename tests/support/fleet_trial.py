@@ -1,4 +1,4 @@
-"""Workers on a real broker: a catalogue, messages of its groups, and what came of them."""
+"""Workers on a real broker: a catalogue, messages of its groups, and their results."""
 
 import time
 from contextlib import suppress

@@ -145,7 +145,7 @@ def renumbered(samples: ByValve, numbers: NDArray[np.int64]) -> ByValve:
 
 
 def some(samples: ByValve, rows: NDArray[np.bool_]) -> ByValve:
-    """Some rows; valves without any have no segment.
+    """Select rows by a mask (N,); valves without any have no segment.
 
     Examples
     --------

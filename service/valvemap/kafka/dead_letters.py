@@ -15,12 +15,12 @@ from valvemap.kafka.broker import client_settings, reason, silent
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.topics import REJECTED, topic_name
 
-MOST_PAYLOAD: Final = 65_536  # bytes; what a person looks at, and a command as a whole
+MOST_PAYLOAD: Final = 65_536  # bytes; enough to inspect a message, and the whole of a command
 _MOST_KEY: Final = 1_024  # bytes; a group's name is shorter
 _MOST_REASON: Final = 1_000  # characters
 _LINES_PER_S: Final = 0.1  # of the log: a flood of messages shall not flood it, too
 _LINES_AT_ONCE: Final = 20
-_QUEUED_KB: Final = 16_000  # that wait for the broker; what comes beyond is counted as lost
+_QUEUED_KB: Final = 16_000  # that wait for the broker; further dead letters are counted as lost
 
 log = structlog.get_logger(__name__)
 
@@ -45,7 +45,7 @@ class DeadLetter:
 
     @classmethod
     def of(cls, key: bytes | None, message: bytes, why: str) -> "DeadLetter":
-        """What is kept of a message.
+        """Make the dead letter of a message.
 
         >>> len(DeadLetter.of(b"north.0", bytes(100_000), "too large").payload)
         65536
@@ -123,7 +123,7 @@ class DeadLetterPost:
         self._producer.poll(0)
 
     def close(self) -> None:
-        """Wait a little for what is on its way."""
+        """Flush the queue, for at most 1 s."""
         self._producer.flush(1.0)
 
     def _delivered(self, error: KafkaError | None, _message: Any) -> None:  # noqa: ANN401

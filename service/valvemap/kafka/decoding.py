@@ -1,4 +1,4 @@
-"""What comes from a topic, checked: a value, or why it is rejected. One decoder for all kinds.
+"""Decode and check messages: a value, or the reason of the rejection. One decoder for all kinds.
 
 Every reader of messages goes through `Decoder`: workers, the results server and its mirror, the
 status. Limits follow from the configuration; they are compared before anything is decompressed.
@@ -34,7 +34,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class Rejected:
-    """A message that nothing is done with, and why: one line."""
+    """A message without effect, and the reason in one line."""
 
     reason: str
 
@@ -47,7 +47,7 @@ class Decoder:
     catalogue
         All groups.
     topics
-        Says how large messages are.
+        Largest message.
     """
 
     def __init__(self, catalogue: Catalogue, topics: TopicsConfig | None = None) -> None:
@@ -155,7 +155,7 @@ class Tracebacks:
 
 
 def most_rows(largest: int) -> int:
-    """Rows that a block of samples may have, where a message may have so many bytes.
+    """Rows that a block of samples may have, by the bytes of the largest message.
 
     >>> most_rows(16_000_000)
     150943

@@ -79,7 +79,7 @@ class Group:
         self._numbers = {one.name: number for number, one in enumerate(plan.plans)}
 
     def take(self, block: SamplesBlock, sent: int | None = None) -> Iterator[ResultsBlock]:
-        """Learn from a block; what came before is left aside, and what is dated far ahead.
+        """Learn from a block; repeated blocks and samples far off the clock are rejected.
 
         ``sent`` is the message's time in Kafka, UTC ns, if it is known.
 

@@ -8,7 +8,7 @@ is made of messages alone, never of the worker's clock:
 - where the source's clock runs ahead of Kafka's, or Kafka's time is unknown, the clock is the
   newest sample that was taken, and a sample may be ``GAP_NS`` ahead of it; the first block of a
   group sets it, by the median of its samples, to at most ``UNSET_NS`` ahead of Kafka's time;
-- where the medians of ``BELIEVED`` blocks in a row are ahead, and agree, the source has been off
+- where the medians of ``CONFIRMED`` blocks in a row are ahead, and agree, the source has been off
   for longer than that, or its clock was set: the last of them is taken, and the clock with it.
 """
 
@@ -22,7 +22,7 @@ from valvemap.model.samples import Times
 AHEAD_NS: Final = 60_000_000_000  # ns; clocks of source and sender differ by less, or are not set
 GAP_NS: Final = 3_600_000_000_000  # ns; no sample is lost by a pause that lasts less than an hour
 UNSET_NS: Final = 366 * 86_400_000_000_000  # ns; clocks that were set, but not well, err by less
-BELIEVED: Final = 3  # blocks in a row; two wrong ones are a coincidence, three a clock
+CONFIRMED: Final = 3  # blocks in a row; two may be a coincidence
 LATEST_NS: Final = 2**62  # UTC ns; the difference of any two times still fits into 64 bits
 
 Ahead = tuple[tuple[int, int], ...]  # of blocks that were ahead: number and median, UTC ns
@@ -31,14 +31,14 @@ Ahead = tuple[tuple[int, int], ...]  # of blocks that were ahead: number and med
 def plausible(
     t: Times, number: int, newest: int, sent: int | None, ahead: Ahead
 ) -> tuple[NDArray[np.bool_], Ahead]:
-    """Which samples of a block are not ahead, and what is remembered of blocks that were.
+    """Return which samples of a block are not ahead, and the blocks in a row that were.
 
     Parameters
     ----------
     t
         Of all samples of a block, UTC ns, (n,).
     number
-        Of the block: one that comes twice is not believed twice.
+        Of the block: a repeated block confirms nothing.
     newest
         Of the samples that were taken before, UTC ns; 0: none.
     sent
@@ -58,7 +58,7 @@ def plausible(
     limit = _limit(median, newest, sent)
     if median > limit:
         ahead = _with(ahead, number, median)
-        if len(ahead) >= BELIEVED:
+        if len(ahead) >= CONFIRMED:
             limit, ahead = median + GAP_NS, ()
     else:
         ahead = ()

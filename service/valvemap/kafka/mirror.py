@@ -57,7 +57,7 @@ class Mirror:
         return found
 
     def forget(self, names: Sequence[str]) -> None:
-        """Leave aside what is known of some valves: it cannot be shown."""
+        """Drop the results of the given valves: they cannot be shown."""
         for valve in (self._numbers[name] for name in names if name in self._numbers):
             self._rows.pop(valve, None)
             self._maps.pop(valve, None)

@@ -52,7 +52,7 @@ class _Step(NamedTuple):
 
 @dataclass
 class _Held:
-    """A group, and what it has done since its memory was stored."""
+    """A group, and its steps since its memory was stored."""
 
     group: Group
     mark: bytes = b""
@@ -73,7 +73,7 @@ class Worker:
     rhythm
         When results are due.
     topics
-        Says how large messages are.
+        Largest message.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Worker:
         Raises
         ------
         FleetError
-            if what is kept of the group cannot be gone on from: nothing is done with it then.
+            if the group's memory cannot be used: nothing is changed then.
         """
 
         def learn(block: SamplesBlock) -> _Step:
@@ -121,7 +121,7 @@ class Worker:
         return self._do(key, message, store, self._decoder.command, do)
 
     def rejected(self) -> list[DeadLetter]:
-        """What was rejected since the last call."""
+        """Return the dead letters since the last call."""
         found, self._rejected = self._rejected, []
         return found
 
@@ -164,7 +164,7 @@ class Worker:
         return out
 
     def _step(self, name: str, store: Store, held: _Held, step: _Step) -> tuple[str, list[bytes]]:
-        """Take one step; say why it could not be taken, if not as a whole, and what came of it."""
+        """Take one step; return the reason, if the message was rejected, and the results."""
         before, out = held.group.counts[AHEAD], list[bytes]()
         held.steps.append(step)
         try:
@@ -182,7 +182,7 @@ class Worker:
         return (f"{ahead} samples are dated far off the group's clock" if ahead else ""), out
 
     def _before(self, name: str, store: Store, steps: list[_Step]) -> Group:
-        """A group as it was, to the bit: its memory, and what it has done since."""
+        """Rebuild a group, to the bit: from its memory, and its steps since."""
         group = self._kept(name, store)
         for step in steps:
             try:
