@@ -33,7 +33,7 @@ FROM ${PYTHON_IMAGE}
 LABEL org.opencontainers.image.title="valvemap" \
       org.opencontainers.image.description="Online identification of hydraulic valve flow maps over OPC UA" \
       org.opencontainers.image.licenses="Apache-2.0"
-RUN mkdir /data && chown 10001:10001 /data
+RUN mkdir /data /kafka && chown 10001:10001 /data /kafka
 COPY --from=build /opt/valvemap /opt/valvemap
 COPY container/healthcheck.py /opt/valvemap/healthcheck.py
 ENV PATH=/opt/valvemap/venv/bin:$PATH \

@@ -186,7 +186,8 @@ def test_only_what_the_image_is_made_of_reaches_the_builder():
 
 
 OF_FLEET = ("collect", "worker", "fleet-service")
-OURS = ("init", "rig", "service", "page", "rig-fleet", "fleet-topics", *OF_FLEET)
+ONCE = ("fleet-secrets", "fleet-topics", "fleet-access")
+OURS = ("init", "rig", "service", "page", "rig-fleet", *ONCE, *OF_FLEET)
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -199,7 +200,8 @@ def test_every_container_is_locked_down(name):
     assert container["tmpfs"][0].startswith("/tmp:")
     data, *settings = container["volumes"]
     assert data == "data:/data"
-    assert settings in ([], ["./container/fleet:/fleet:ro"])
+    own = ["kafka-secrets:/kafka"] if name == "fleet-secrets" else []
+    assert settings in ([], ["./container/fleet:/fleet:ro", *own])
     assert not {"privileged", "cap_add", "devices", "pid", "ipc"} & set(container)
     assert container.get("network_mode") != "host"
     assert "data" in COMPOSE["volumes"]
@@ -212,7 +214,7 @@ def test_there_are_four_containers_and_more_to_watch_them_where_they_are_wanted(
         **dict.fromkeys(["init", "rig", "service", "page"]),
         **dict.fromkeys(["prometheus", "grafana"], monitoring),
         **dict.fromkeys(["fuxa", "fuxa-project"], scada),
-        **dict.fromkeys(["kafka", "fleet-topics", "rig-fleet", *OF_FLEET], fleet),
+        **dict.fromkeys(["kafka", *ONCE, "rig-fleet", *OF_FLEET], fleet),
     }
 
 
@@ -353,9 +355,15 @@ def test_the_fleet_is_one_that_its_commands_understand(monkeypatch):
         "0.0.0.0", "rig-fleet"
     )
     assert fleet.broker.addresses == ("kafka:9092",)
-    assert (
-        SERVICES["kafka"]["environment"]["KAFKA_ADVERTISED_LISTENERS"] == "PLAINTEXT://kafka:9092"
-    )
+    kafka = SERVICES["kafka"]["environment"]
+    listeners = kafka["KAFKA_ADVERTISED_LISTENERS"].split(",")
+    assert listeners == ["CLIENTS://kafka:9092", "OWN://localhost:9094"]
+    assert "CLIENTS:SASL_SSL" in kafka["KAFKA_LISTENER_SECURITY_PROTOCOL_MAP"].split(",")
+    assert fleet.broker.tls
+    for name in ("fleet-topics", "fleet-access", *OF_FLEET):
+        own = environment(name)
+        user = own["VALVEMAP_FLEET_BROKER__USER"]
+        assert own["VALVEMAP_FLEET_BROKER__PASSWORD_FILE"] == f"/data/kafka/{user}-password"
     largest = {topic.settings["max.message.bytes"] for topic in wanted(fleet.topics)}
     assert largest == {SERVICES["kafka"]["environment"]["KAFKA_MESSAGE_MAX_BYTES"]}
     assert SERVICES["worker"]["deploy"]["replicas"] <= fleet.topics.partitions

@@ -1,28 +1,16 @@
 """The fleet against a real Apache Kafka."""
 
-import time
-
 import pytest
 
 from support.broker import artifacts, brokers
-from support.processes import running, wait_for
+from support.processes import wait_for
 
 pytest.importorskip("confluent_kafka")
 
-from confluent_kafka import Producer
 from confluent_kafka.admin import AdminClient, NewPartitions
 
-from support.fleet import as_messages, day, feed
-from support.kafka import everything, until
+from support.fleet_trial import BLOCKS, GROUPS, Trial, write
 from valvemap.cli import run
-from valvemap.kafka.catalogue import load_catalogue
-from valvemap.kafka.commands import is_reply
-from valvemap.kafka.group import Group, Rhythm
-from valvemap.kafka.memory import MAGIC
-from valvemap.kafka.result_blocks import read_results
-from valvemap.kafka.settings import load_fleet
-
-GROUPS = ("north.0", "north.1", "north.2")
 
 pytestmark = [pytest.mark.broker, pytest.mark.timeout(600)]
 
@@ -34,25 +22,16 @@ def broker(request, tmp_path_factory):
         yield f"127.0.0.1:{node.port}"
 
 
-def write(folder, broker, prefix, more="", replication=1):
-    file = folder / "fleet.toml"
-    file.write_text(
-        f"[broker]\naddresses = {broker.split(',')}\n"
-        f"[topics]\nprefix = '{prefix}'\npartitions = 3\nreplication = {replication}\n{more}",
-        encoding="utf-8",
-    )
-    return file
-
-
 def test_topics_are_made_once_and_every_contradiction_is_named(broker, tmp_path, capsys):
     file = str(write(tmp_path, broker, "made"))
     assert run(["fleet", "topics", "-c", file]) == 0
     made = capsys.readouterr().out.splitlines()
     assert made[0] == "made.samples: made, 3 partitions on 1 brokers"
-    assert len(made) == 4
+    assert len(made) == 5
     assert run(["fleet", "topics", "-c", file]) == 0
     assert set(capsys.readouterr().out.splitlines()) == {
-        f"made.{kind}: as configured" for kind in ("samples", "commands", "results", "state")
+        f"made.{kind}: as configured"
+        for kind in ("samples", "commands", "results", "rejected", "state")
     }
     admin = AdminClient({"bootstrap.servers": broker})
     for done in admin.create_partitions([NewPartitions("made.commands", 4)]).values():
@@ -60,92 +39,10 @@ def test_topics_are_made_once_and_every_contradiction_is_named(broker, tmp_path,
     file = str(write(tmp_path, broker, "made", more="samples_h = 1\n"))
     assert run(["fleet", "topics", "-c", file]) == 1
     said = capsys.readouterr().err.splitlines()
-    assert len(said) == 3
+    assert len(said) == 4
     assert "made.samples: retention.ms = 172800000, 3600000 wanted" in said[0]
     assert said[1].startswith("made.commands: 4 partitions, 3 wanted")
     assert "made.commands: retention.ms" in said[2]
-
-
-def memories(broker, topic):
-    """The newest memory of each group, as the state topic holds it."""
-    found = {}
-    for message in everything(broker, topic):
-        value = message.value()
-        if value is not None and MAGIC in value[:64]:
-            name = next(n for n in GROUPS if n.encode() in message.key())
-            found[name] = value[value.index(MAGIC) :]
-    return found
-
-
-def numbers(broker, topic):
-    """The last block behind the results of each group."""
-    found = {}
-    for message in everything(broker, topic):
-        if not is_reply(message.value()):
-            block = read_results(message.value())
-            found[block.group] = block.number
-    return found
-
-
-BLOCKS = 60
-
-
-class Trial:
-    """A catalogue, messages of its groups, and workers on them."""
-
-    def __init__(self, folder, broker, name, replication=1, work="takeover_s = 6"):
-        self.folder, self.broker, self.name = folder, broker, name
-        estimators = "".join(
-            f"[[valves.estimators]]\nkind = '{k}'\n" for k in ("RLS", "RML", "RBF")
-        )
-        valves = "".join(f"[[valves]]\nname = 'V{k}'\n{estimators}" for k in range(5))
-        (folder / "north.toml").write_text(valves, encoding="utf-8")
-        more = "[catalogue]\nvalves_per_group = 2\nsites = { north = 'north.toml' }\n"
-        more += f"[work]\nresults_s = 0\n{work}\n"
-        self.file = write(folder, broker, name, more, replication)
-        assert run(["fleet", "topics", "-c", str(self.file)]) == 0
-        self.known = load_catalogue(load_fleet(self.file).catalogue)
-        self.days = {
-            name: day(self.known.groups[name], BLOCKS, seed=k) for k, name in enumerate(GROUPS)
-        }
-        self._producer = Producer(
-            {
-                "bootstrap.servers": broker,
-                "partitioner": "murmur2_random",
-                "linger.ms": 0,
-                "enable.idempotence": True,
-            }
-        )
-
-    def send(self, begin, end):
-        for name in GROUPS:
-            for kind, key, packed in as_messages(self.days[name][begin:end]):
-                self._producer.produce(f"{self.name}.{kind}", packed, key)
-                self._producer.flush()
-                time.sleep(0.002)  # the order of commands and samples is that of their times
-
-    def worker(self, n):
-        env = {"VALVEMAP_FLEET_WORK__STATE": str(self.folder / f"state{n}")}
-        command = ("fleet", "work", "-c", str(self.file))
-        return running(*command, env=env, log=self.log(n))
-
-    def log(self, n):
-        return self.folder / f"worker{n}.log"
-
-    def until_each_is_behind(self, block):
-        results = f"{self.name}.results"
-        until(lambda: min(map(numbers(self.broker, results).get, GROUPS, [0] * 3)) >= block)
-
-    def check_bits(self):
-        """Results and memories are those of one machine that never stopped."""
-        found = memories(self.broker, f"{self.name}.state")
-        shown = {name: [] for name in GROUPS}
-        for message in everything(self.broker, f"{self.name}.results"):
-            shown[message.key().decode()].append(message.value())
-        for name in GROUPS:
-            alone = Group(self.known.groups[name], 1, Rhythm(0, 60_000_000_000))
-            assert shown[name] == feed(alone, self.days[name])
-            assert found[name] == alone.to_bytes()
 
 
 def test_workers_that_are_killed_and_join_come_to_one_machines_bits(broker, tmp_path, capsys):

@@ -81,6 +81,7 @@ def test_topics_that_meet_in_a_worker_have_equal_partitions():
         "plant.samples",
         "plant.commands",
         "plant.results",
+        "plant.rejected",
         "plant.state",
     ]
     assert {topic.partitions for topic in topics} == {5}

@@ -13,6 +13,7 @@ from support.fleet import RHYTHM, Dictionary, as_messages, block, catalogue, day
 from valvemap.errors import FleetError
 from valvemap.kafka.blocks import write_samples
 from valvemap.kafka.group import Group
+from valvemap.kafka.memory import read_memory, write_memory
 from valvemap.kafka.worker import MEMORY, Worker
 
 GROUPS = ("north.0", "north.1")
@@ -75,7 +76,7 @@ def test_whoever_learns_and_whatever_is_rolled_back_the_bits_are_the_same(
         assert stores[name].kept[MEMORY] == undisturbed[name][1]
 
 
-def test_messages_that_cannot_be_read_are_counted_and_said_and_nothing_else(known):
+def test_messages_that_cannot_be_read_are_counted_said_and_handed_over_as_dead_letters(known):
     worker, store = Worker(known, RHYTHM), Dictionary()
     with structlog.testing.capture_logs() as said:
         assert worker.samples(b"north.0", b"nonsense", store) == []
@@ -85,6 +86,10 @@ def test_messages_that_cannot_be_read_are_counted_and_said_and_nothing_else(know
     warnings = [(one["group"], one["reason"]) for one in said if one["log_level"] == "warning"]
     assert [name for name, _ in warnings] == ["north.0", "north.0", "south.7", ""]
     assert warnings[1] == ("north.0", "not a command: not JSON")
+    letters = worker.rejected()
+    assert [one.reason for one in letters] == [reason for _, reason in warnings]
+    assert [one.key for one in letters] == [b"north.0", b"north.0", b"south.7", b""]
+    assert worker.rejected() == []
     one = Group(known.groups["north.0"], 1, RHYTHM)
     worker.keep()
     one.remember(store.get_bytes(MEMORY))
@@ -92,23 +97,57 @@ def test_messages_that_cannot_be_read_are_counted_and_said_and_nothing_else(know
     assert one.number == 0
 
 
-def test_a_group_that_is_in_no_catalogue_any_more_is_named_once(known):
+def test_a_flood_of_rejected_messages_does_not_flood_the_log(known):
     worker, store = Worker(known, RHYTHM), Dictionary()
     sent = replace(block(known.groups["north.0"], 1, (5, 5, 5)), group="south.0", catalogue=1)
     with structlog.testing.capture_logs() as said:
-        for _ in range(3):
+        for _ in range(500):
             assert worker.samples(b"south.0", write_samples(sent), store) == []
-    assert [one["group"] for one in said] == ["south.0"]
+    assert 0 < len(said) < 30
+    assert len(worker.rejected()) == 500
     assert store.get_bytes(MEMORY) is None
 
 
-@pytest.mark.parametrize("name", ["north.0", "south.0"])
-def test_samples_of_a_newer_catalogue_wait_for_a_worker_that_knows_it(known, name):
+@pytest.mark.parametrize("catalogue", [2, 2**62])
+def test_samples_of_a_newer_catalogue_are_rejected_and_stop_no_worker(known, catalogue):
     worker, store = Worker(known, RHYTHM), Dictionary()
-    sent = replace(block(known.groups["north.0"], 1, (5, 5, 5)), group=name, catalogue=2)
-    with pytest.raises(FleetError, match="version 2 of the catalogue, this is version 1: bring"):
-        worker.samples(name.encode(), write_samples(sent), store)
-    assert store.get_bytes(MEMORY) is None
+    sent = replace(block(known.groups["north.0"], 1, (5, 5, 5)), catalogue=catalogue)
+    assert worker.samples(b"north.0", write_samples(sent), store) == []
+    (letter,) = worker.rejected()
+    said = f"version {catalogue} of the catalogue, this is version 1: bring the worker's catalogue"
+    assert said in letter.reason
+
+
+def test_a_message_whose_processing_raises_is_rejected_and_its_group_is_as_before(
+    known, undisturbed, monkeypatch
+):
+    """In the middle of learning, between two commits, with what was learnt since the last."""
+    worker, store, out = Worker(known, RHYTHM), Dictionary(), []
+    learn, poison = Group.take, block(known.groups["north.0"], 999, (5, 5, 5))
+
+    def take(one, sent, at=None):
+        yield from learn(one, sent, at)
+        if sent.number == poison.number:
+            raise RuntimeError("in the middle")
+
+    monkeypatch.setattr(Group, "take", take)
+    with structlog.testing.capture_logs() as said:
+        for k, message in enumerate(as_messages(day(known.groups["north.0"], seed=0))):
+            out += run(worker, {"north.0": store}, message)
+            assert worker.samples(b"north.0", write_samples(poison), store) == []
+            (letter,) = worker.rejected()
+            assert letter.reason == "unexpected RuntimeError: in the middle"
+            if k % 4 == 3:
+                worker.keep()
+                store.commit()
+    worker.keep()
+    assert out == undisturbed["north.0"][0]
+    found, alone = (
+        replace(read_memory(one), counts={})
+        for one in (store.get_bytes(MEMORY), undisturbed["north.0"][1])
+    )
+    assert write_memory(found) == write_memory(alone)
+    assert len([one for one in said if "exc_info" in one]) == 1
 
 
 def test_a_memory_that_does_not_fit_stops_the_worker_with_one_line(known):

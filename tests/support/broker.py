@@ -52,7 +52,7 @@ def artifacts(cache: Path) -> Path:
 class Node:
     """One broker that is its own controller among N."""
 
-    def __init__(self, jars, folder, number, ports, controllers):
+    def __init__(self, jars, folder, number, ports, controllers, more=None, options=()):
         self.port = ports[number - 1]
         self._folder = folder / f"node{number}"
         self._folder.mkdir(parents=True)
@@ -82,11 +82,13 @@ class Node:
             "message.max.bytes": 16_000_000,
             "replica.fetch.max.bytes": 16_000_000,
             "auto.create.topics.enable": "false",
+            **(more or {}),
         }
         self._settings = self._folder / "server.properties"
         self._settings.write_text("".join(f"{k}={v}\n" for k, v in settings.items()))
         self._java = ["java", "-cp", f"{jars}/*"]
         self._java += [f"-Dlog4j2.configurationFile={self._folder / 'log4j2.properties'}"]
+        self._java += options
         command = ["kafka.tools.StorageTool", "format", "-t", CLUSTER, "-c", self._settings]
         subprocess.run([*self._java, *command], check=True, capture_output=True)
         self._process = None

@@ -14,6 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from valvemap.errors import BlockError
+from valvemap.kafka.json_messages import loads, text, whole
 from valvemap.model.samples import Samples, Segments
 from valvemap.pipeline.alignment import ByValve
 
@@ -29,6 +30,14 @@ _COLUMNS: Final[Mapping[str, pa.DataType]] = {
     "quality": pa.uint8(),
 }
 _WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # threads cost
+_DAMAGE: Final = (
+    pa.ArrowException,
+    OSError,
+    ValueError,
+    MemoryError,
+    OverflowError,
+    RecursionError,
+)
 _READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # more than a small block gives them
 
 
@@ -109,9 +118,7 @@ def read_samples(message: bytes) -> SamplesBlock:
     starts = np.flatnonzero(np.diff(index, prepend=-1)).astype(np.int64)
     stops = np.append(starts[1:], len(index)) if len(starts) else starts
     segments = Segments(index[starts], starts, stops)
-    catalogue = head.more.get("catalogue", 0)
-    if type(catalogue) is not int:
-        raise BlockError("metadata valvemap.catalogue: a whole number is needed")
+    catalogue = whole("metadata valvemap.catalogue", head.more.get("catalogue", 0))
     samples = ByValve(Samples(**columns), segments)
     return SamplesBlock(head.group, head.number, valves, samples, catalogue)
 
@@ -135,6 +142,23 @@ def renumbered(samples: ByValve, numbers: NDArray[np.int64]) -> ByValve:
     edges = np.cumsum([0, *map(len, parts)]).astype(np.int64)
     whole = Samples.concatenate(parts)
     return ByValve(whole, Segments(numbers[order], edges[:-1], edges[1:]))
+
+
+def some(samples: ByValve, rows: NDArray[np.bool_]) -> ByValve:
+    """Select rows by a mask (N,); valves without any have no segment.
+
+    Examples
+    --------
+    >>> samples = Samples.of(t=[0, 1], U=[10, 20], p1=[200, 200], p2=[100, 0], Q=[9, 30])
+    >>> two = ByValve(samples, Segments(*(np.array(x) for x in ([0, 1], [0, 1], [1, 2]))))
+    >>> {valve: one.Q.tolist() for valve, one in some(two, np.array([False, True])).items()}
+    {1: [30.0]}
+    """
+    members, starts, stops = samples.segments
+    before = np.concatenate([[0], np.cumsum(rows)]).astype(np.int64)
+    starts, stops = before[starts], before[stops]
+    left = stops > starts
+    return ByValve(samples.samples[rows], Segments(members[left], starts[left], stops[left]))
 
 
 def write(head: Head, columns: Mapping[str, pa.Array]) -> bytes:
@@ -165,7 +189,7 @@ def read(message: bytes, kind: str) -> tuple[Head, pa.RecordBatch]:
         if len(batches) != 1:
             raise BlockError(f"{len(batches)} record batches: a block has one")
         batches[0].validate(full=True)
-    except (pa.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+    except _DAMAGE as error:
         raise BlockError(f"not an Arrow IPC stream: {_one_line(error)}") from None
     return head, batches[0]
 
@@ -208,21 +232,24 @@ def _head(metadata: Mapping[bytes, bytes], kind: str) -> Head:
             said[name.removeprefix(_PREFIX)] = _said(name, value)
     if "block" not in said or "version" not in said:
         raise BlockError("not a block of valvemap: the schema's metadata do not say so")
-    if said["version"] != VERSION:
-        raise BlockError(f"a block of version {said['version']}, this one knows {VERSION}")
+    if type(said["version"]) is not int or said["version"] != VERSION:
+        raise BlockError(f"a block of version {said['version']!r:.40}, this one knows {VERSION}")
     if said["block"] != kind:
-        raise BlockError(f"a block of {said['block']}, not of {kind}")
-    group, number = said.pop("group", None), said.pop("number", None)
-    if not isinstance(group, str) or type(number) is not int or number < 1:
-        raise BlockError("a block says its group, and its number from 1")
+        raise BlockError(f"a block of {said['block']!s:.40}, not of {kind}")
+    least = 1 if kind == _SAMPLES else 0  # results may come of a command, before the first block
+    try:
+        group = text("group", said.pop("group", None))
+        number = whole("number", said.pop("number", None), least)
+    except BlockError as error:
+        raise BlockError(f"a block says its group, and its number from {least}: {error}") from None
     return Head(kind, group, number, said)
 
 
 def _said(name: str, value: bytes) -> Any:  # noqa: ANN401 - JSON
     try:
-        return json.loads(value)
-    except (ValueError, RecursionError):
-        raise BlockError(f"metadata {name}: not JSON") from None
+        return loads(value)
+    except BlockError:
+        raise BlockError(f"metadata {name:.100}: not JSON") from None
 
 
 def _one_line(error: BaseException) -> str:
@@ -238,4 +265,4 @@ def names_of(said: Any, what: str) -> Sequence[str]:  # noqa: ANN401 - JSON
     """
     if not isinstance(said, list) or not all(isinstance(name, str) for name in said):
         raise BlockError(f"metadata {_PREFIX}{what}: a list of names is needed")
-    return said
+    return [text(f"metadata {_PREFIX}{what}", name) for name in said]

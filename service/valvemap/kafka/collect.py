@@ -16,6 +16,7 @@ from valvemap.clock import Clock, SystemClock
 from valvemap.errors import ConfigurationError, SourceError, StorageError
 from valvemap.kafka.blocks import SamplesBlock, write_samples
 from valvemap.kafka.catalogue import Catalogue, GroupPlan, load_catalogue
+from valvemap.kafka.decoding import most_rows
 from valvemap.kafka.sending import SAID_AGAIN_S, Sender
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.spool import Packed, Spool
@@ -26,8 +27,6 @@ from valvemap.pipeline.arrivals import Arrivals
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.sources import Sources, supervise_all
 
-_ROW_BYTES: Final = 8 * 6 + 1 + 4  # of a sample as it travels, unpacked
-_SHARE: Final = 0.5  # of the largest message that a block may fill, before it is packed
 _LONGEST_TICK_S: Final = 0.5  # of more, the rest was our own standstill
 _UNSAVED: Final = 64_000_000  # bytes that are held where the disk takes nothing; the oldest go
 
@@ -123,7 +122,7 @@ class Collector:
         self._groups = groups_of(catalogue, site)
         self._per_group = config.catalogue.valves_per_group
         self._commit_s = config.collect.commit_s
-        self._rows = max(1, int(config.topics.message_mb * 1e6 * _SHARE / _ROW_BYTES))
+        self._rows = most_rows(round(config.topics.message_mb * 1e6))
         site_config = catalogue.sites[site]
         self._arrivals = Arrivals(
             [valve.name for valve in valves],

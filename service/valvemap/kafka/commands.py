@@ -7,6 +7,16 @@ from typing import Any, Final
 import numpy as np
 
 from valvemap.errors import BlockError, CommandRejected
+from valvemap.kafka.json_messages import (
+    LATEST,
+    MOST_BYTES,
+    MOST_NAME,
+    MOST_TEXT,
+    loads,
+    numbers,
+    text,
+    whole,
+)
 from valvemap.pipeline.alarms import ALARM_NAMES
 from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.ports import Remark
@@ -84,8 +94,13 @@ ACTIONS: Final = {
     "invert": (NOTHING, 3),
     "compare": (ESTIMATOR, 0),
 }
-TEXTS: Final = ("id", "group", "valve", "action", "estimator", "comment", "by")
-QUESTIONS: Final = ("predict", "predict_measurement", "invert", "compare")
+_TEXTS: Final = {  # of a command, and how many characters each may have
+    **dict.fromkeys(("id", "group", "valve", "action", "estimator"), MOST_NAME),
+    **dict.fromkeys(("comment", "by"), MOST_TEXT),
+}
+ANSWERS: Final = {"predict": 3, "predict_measurement": 4, "invert": 4, "compare": 5}
+QUESTIONS: Final = tuple(ANSWERS)  # each, and how many values its answer has
+_MOST_VALUES: Final = max(ANSWERS.values())  # of a command or a reply
 
 
 def carry_out(command: Command, operator: Identification) -> tuple[float | None, ...]:
@@ -149,17 +164,14 @@ def read_command(message: bytes) -> Command:
         if it is none, or of another version.
     """
     said = _read(message, _COMMAND)
-    texts = {name: said.pop(name, "") for name in TEXTS}
-    values = said.pop("values", [])
-    wrong = [name for name, text in texts.items() if not isinstance(text, str)]
-    if wrong or said:
-        raise BlockError(f"a command: {', '.join([*wrong, *said])} cannot be so")
-    if not isinstance(values, list) or not all(
-        value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-        for value in values
-    ):
-        raise BlockError("a command: values must be numbers, or null")
-    return Command(**texts, values=tuple(values))
+    texts = {name: text(name, said.pop(name, ""), most) for name, most in _TEXTS.items()}
+    values = numbers(said.pop("values", []), _MOST_VALUES)
+    if said:
+        raise BlockError(f"a command: {', '.join(map(str, said))[:MOST_NAME]} cannot be so")
+    on, _ = ACTIONS.get(texts["action"], (NOTHING, 0))
+    if on == ALARM and not all(value is None or 0 <= value <= LATEST for value in values):
+        raise BlockError(f"a command: the time of {texts['action']} is 0 to {LATEST} ns")
+    return Command(**texts, values=values)
 
 
 def read_reply(message: bytes) -> Reply:
@@ -171,20 +183,32 @@ def read_reply(message: bytes) -> Reply:
         if it is none, or of another version.
     """
     said = _read(message, _REPLY)
-    try:
-        return Reply(**{**said, "values": tuple(said.get("values", ()))})
-    except TypeError as error:
-        raise BlockError(f"a reply: {error}") from None
+    done = said.pop("done", None)
+    if not isinstance(done, bool):
+        raise BlockError("a reply: done is true or false")
+    reply = Reply(
+        id=text("id", said.pop("id", None)),
+        group=text("group", said.pop("group", None)),
+        number=whole("number", said.pop("number", None)),
+        done=done,
+        reason=text("reason", said.pop("reason", ""), MOST_TEXT),
+        values=numbers(said.pop("values", []), _MOST_VALUES),
+    )
+    if said:
+        raise BlockError(f"a reply: {', '.join(map(str, said))[:MOST_NAME]} cannot be so")
+    return reply
 
 
 def _read(message: bytes, kind: str) -> dict[str, Any]:
+    if len(message) > MOST_BYTES:
+        raise BlockError(f"{len(message)} bytes: a {kind} has at most {MOST_BYTES}")
     try:
-        said = json.loads(message)
-    except (ValueError, RecursionError):
-        raise BlockError(f"not a {kind}: not JSON") from None
+        said = loads(message)
+    except BlockError as error:
+        raise BlockError(f"not a {kind}: {error}") from None
     if not isinstance(said, dict) or said.pop("valvemap", None) != kind:
         raise BlockError(f"not a {kind}")
     version = said.pop("version", None)
-    if version != VERSION:
-        raise BlockError(f"a {kind} of version {version}, this one knows {VERSION}")
+    if type(version) is not int or version != VERSION:
+        raise BlockError(f"a {kind} of version {version!r:.40}, this one knows {VERSION}")
     return said

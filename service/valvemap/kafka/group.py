@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.errors import BlockError, CommandRejected, FleetError
-from valvemap.kafka.blocks import SamplesBlock, renumbered
+from valvemap.kafka.blocks import SamplesBlock, renumbered, some
 from valvemap.kafka.catalogue import GroupPlan
 from valvemap.kafka.commands import (
     ACTIONS,
@@ -24,6 +24,7 @@ from valvemap.kafka.commands import (
     read_reply,
     write_message,
 )
+from valvemap.kafka.group_clock import Ahead, plausible
 from valvemap.kafka.memory import Memory, read_memory, write_memory
 from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.estimator import StateMismatchError
@@ -35,7 +36,8 @@ REPEATED: Final = "repeated"  # blocks that had come before
 MISSING: Final = "missing"  # blocks that never came
 BEGUN_ANEW: Final = "begun_anew"  # times that the numbers began anew
 REFUSED: Final = "refused"  # messages that could not be read
-COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED)
+AHEAD: Final = "ahead"  # samples that were dated far ahead of the group's clock
+COUNTS: Final = (REPEATED, MISSING, BEGUN_ANEW, REFUSED, AHEAD)
 _RESULTS: Final = "results"
 _MAPS: Final = "maps"
 _NO_TABLE: Final = np.empty((0, 0))
@@ -72,18 +74,21 @@ class Group:
         self.number = 0
         self.counts = dict.fromkeys(COUNTS, 0)
         self._due: dict[str, int] = {}
+        self._ahead: Ahead = ()
         self._replies: dict[str, Reply] = {}
         self._numbers = {one.name: number for number, one in enumerate(plan.plans)}
 
-    def take(self, block: SamplesBlock) -> Iterator[ResultsBlock]:
-        """Learn from a block; what came before is left aside.
+    def take(self, block: SamplesBlock, sent: int | None = None) -> Iterator[ResultsBlock]:
+        """Learn from a block; repeated blocks and samples far off the clock are rejected.
+
+        ``sent`` is the message's time in Kafka, UTC ns, if it is known.
 
         Raises
         ------
         BlockError
-            if it is of other valves; nothing is learnt then.
+            if it is of other valves, or all of it is dated far ahead; nothing is learnt then.
         """
-        samples = self._own(block)
+        samples = self._without_ahead(self._own(block), block.number, sent)
         newest = int(samples.samples.t.max(initial=0))
         if block.number <= self.number:
             if newest <= self._newest():
@@ -152,6 +157,7 @@ class Group:
                 counts=self.counts,
                 columns=own.columns(),
                 baselines=own.baselines(),
+                ahead=self._ahead,
                 replies=[write_message(reply).decode() for reply in self._replies.values()],
             )
         )
@@ -170,9 +176,13 @@ class Group:
             afresh = self.identification.remember(memory.columns, memory.baselines)
         except (FleetError, StateMismatchError) as error:
             raise FleetError(f"group {self.plan.name}: {error}") from None
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            why = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise FleetError(f"group {self.plan.name}: its memory cannot be used: {why}") from None
         self.number = memory.number
         self.counts.update(memory.counts)
         self._due = dict(memory.due)
+        self._ahead = memory.ahead
         for packed_reply in memory.replies:
             self._note(read_reply(packed_reply.encode()))
         return sorted(f"{valve}: {key.partition(' ')[0]}" for key, valve in afresh)
@@ -202,6 +212,17 @@ class Group:
         return renumbered(
             block.samples, np.array([self._numbers[name] for name in names], np.int64)
         )
+
+    def _without_ahead(self, samples: ByValve, number: int, sent: int | None) -> ByValve:
+        """The samples that are not dated far ahead of the group's clock."""
+        t, newest = samples.samples.t, self._newest()
+        taken, self._ahead = plausible(t, number, newest, sent, self._ahead)
+        if taken.all():
+            return samples
+        self.counts[AHEAD] += int((~taken).sum())
+        if not taken.any():
+            raise BlockError(f"all samples are dated far off the group's clock, e.g. {t.max()} ns")
+        return some(samples, taken)
 
     def _newest(self) -> int:
         (signals, *_) = self.identification.columns()

@@ -17,6 +17,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from valvemap.errors import FleetError
+from valvemap.kafka.group_clock import Ahead
 from valvemap.pipeline.valve_columns import Columns
 
 MAGIC: Final = b"valvemap memory\n"
@@ -25,6 +26,8 @@ READABLE: Final = (1, 2)  # 1 compressed nothing
 _SIZE: Final = struct.Struct("<Q")
 _CODEC: Final = pa.Codec("lz4_raw")
 _DENSEST: Final = 255  # bytes that one of LZ4's can stand for
+_ROOM: Final = 64_000_000  # bytes; of memories that hold little but zeros yet
+_DENSE: Final = 32  # unpacked bytes for each packed one, at most; those that learnt have 2 to 4
 _COUNTS: Final = "u"
 
 _Alike = dict[tuple[str, tuple[int, ...]], NDArray[Any]]  # by type and shape the last column
@@ -50,6 +53,8 @@ class Memory:
         By valve: its approved map, packed.
     replies
         To the last commands, packed, the oldest first: one that comes again is not done again.
+    ahead
+        Of the last blocks, those that were dated far ahead: number and median of their times.
     """
 
     catalogue: int
@@ -59,6 +64,7 @@ class Memory:
     columns: Sequence[Columns]
     baselines: Mapping[str, bytes]
     replies: Sequence[str] = ()
+    ahead: Ahead = ()
 
 
 def write_memory(memory: Memory) -> bytes:
@@ -87,6 +93,7 @@ def write_memory(memory: Memory) -> bytes:
         "counts": dict(memory.counts),
         "columns": said_of,
         "replies": list(memory.replies),
+        **({"ahead": memory.ahead} if memory.ahead else {}),
         "baselines": [[valve, len(packed)] for valve, packed in memory.baselines.items()],
     }
     said = json.dumps(head).encode()
@@ -110,18 +117,34 @@ def read_memory(packed: bytes) -> Memory:
         if head["format"] not in READABLE:
             raise FleetError(f"a memory of format {head['format']}, this one knows up to {FORMAT}")
         return _memory(head, packed, start + size)
-    except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:
+    except _DAMAGE as error:
         raise FleetError(f"a group's memory is damaged: {error}") from None
 
 
+_DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    SyntaxError,  # of a column's type
+    TypeError,
+    ValueError,
+)
+
+
 def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
-    found, alike = [], _Alike()
+    found, alike, room = [], _Alike(), _ROOM + _DENSE * len(packed)
     for key, valves, arrays in head["columns"]:
         columns = {}
         for name, kind, shape, *compressed in arrays:
             dtype, n = np.dtype(kind), int(np.prod(shape, dtype=np.int64))
             if dtype.hasobject or n < 0 or len(shape) < 1 or shape[0] != len(valves):
                 raise FleetError(f"a group's memory is damaged: {name} of shape {shape}")
+            room -= n * dtype.itemsize
+            if room < 0:
+                raise FleetError("a group's memory is damaged: too large once it is decompressed")
             if compressed:
                 (size,) = compressed
                 columns[name] = _unpacked(packed[at : at + size], dtype, tuple(shape), alike)
@@ -144,6 +167,7 @@ def _memory(head: Mapping[str, Any], packed: bytes, at: int) -> Memory:
         found,
         baselines,
         [str(reply) for reply in head.get("replies", ())],
+        tuple((int(number), int(t)) for number, t in head.get("ahead", ())),
     )
 
 

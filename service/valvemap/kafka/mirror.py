@@ -57,6 +57,15 @@ class Mirror:
             self.newest[valves] = found.signals.t
         return found
 
+    def forget(self, names: Sequence[str]) -> None:
+        """Drop the results of the given valves: they cannot be shown."""
+        for valve in (self._numbers[name] for name in names if name in self._numbers):
+            self._rows.pop(valve, None)
+            self._maps.pop(valve, None)
+            self.newest[valve] = 0
+            for key in [key for key in self._surveys if key[0] == valve]:
+                del self._surveys[key]
+
     def again(self, valves: Sequence[int], at_best: int) -> Iterator[Results]:
         """The newest of some valves once more, of no better quality than that."""
         together: dict[int, tuple[Results, list[int]]] = {}

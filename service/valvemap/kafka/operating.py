@@ -5,17 +5,18 @@ import math
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Final, Protocol
 
 import numpy as np
 
-from valvemap.errors import CommandRejected
-from valvemap.kafka.commands import Command, Reply
+from valvemap.errors import BlockError, CommandRejected
+from valvemap.kafka.commands import ANSWERS, Command, Reply, read_command, write_message
 from valvemap.kafka.mirror import Mirror
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline.alarms import SERVICE_ALARM_NAMES, SERVICE_RULES, ServiceAlarm, ServiceAlarms
 from valvemap.pipeline.ports import AlarmReport, Answer, Remark, Version
-from valvemap.vocabulary.statuses import Status
+from valvemap.vocabulary.statuses import InverseStatus, Status
 
 
 class Post(Protocol):
@@ -116,7 +117,7 @@ class FleetOperator:
     ) -> tuple[float, float, Status]:
         """Q (l/min), its standard deviation and the estimator's status."""
         Q, std, status = await self._ask(valve, "predict", estimator, U, dp, T)
-        return Q, std, Status(int(status))
+        return Q, std, _status(status)
 
     async def predict_measurement(
         self, valve: str, estimator: str, U: float, dp: float, T: float
@@ -124,18 +125,18 @@ class FleetOperator:
         """Q, the 95 % interval of a new measurement (l/min), and the estimator's status."""
         answer = await self._ask(valve, "predict_measurement", estimator, U, dp, T)
         Q, lower, upper, status = answer
-        return Q, lower, upper, Status(int(status))
+        return Q, lower, upper, _status(status)
 
     async def invert(self, valve: str, Q: float, dp: float, T: float) -> Inversion:
         """U for a demanded flow at a pressure drop."""
         U, lower, upper, status = await self._ask(valve, "invert", "", Q, dp, T)
-        code = np.array([int(status)], np.uint8)
+        code = np.array([_code(status, InverseStatus)], np.uint8)
         return Inversion(np.array([U]), np.array([lower]), np.array([upper]), code)
 
     async def compare(self, valve: str, estimator: str) -> _Moved:
         """By how much an estimator's map has moved away from the baseline."""
         mean, largest, U, dp, points = await self._ask(valve, "compare", estimator)
-        return _Moved(mean, largest, U, dp, int(points))
+        return _Moved(mean, largest, U, dp, 0 if math.isnan(points) else int(points))
 
     def baseline(self, valve: int) -> Version | None:
         """The baseline of a valve, by its number."""
@@ -206,6 +207,11 @@ class FleetOperator:
             by="" if remark is None else remark.by,
         )
 
+        try:
+            read_command(write_message(command))
+        except BlockError as error:
+            raise CommandRejected(f"{valve}: {error}") from None
+
         def refused(why: str) -> None:
             reply = Reply(command.id, command.group, 0, done=False, reason=why)
             loop.call_soon_threadsafe(self.take, reply)
@@ -223,7 +229,23 @@ class FleetOperator:
             del self._asked[command.id]
         if not reply.done:
             raise CommandRejected(reply.reason)
+        if len(reply.values) != ANSWERS.get(action, 0):
+            raise CommandRejected(f"{valve}: {_NO_ANSWER}")
         return tuple(math.nan if value is None else value for value in reply.values)
+
+
+def _status(value: float) -> Status:
+    return Status(_code(value, Status))
+
+
+def _code(value: float, allowed: type[IntEnum]) -> int:
+    """A code that a worker answered with; it may be of another version."""
+    if value not in [int(one) for one in allowed]:
+        raise CommandRejected(_NO_ANSWER)
+    return int(value)
+
+
+_NO_ANSWER: Final = "the answer is none that this version knows"
 
 
 def _of_service(alarm: str) -> ServiceAlarm:

@@ -8,14 +8,24 @@ from typing import Any, Final
 import structlog
 from confluent_kafka import Consumer, KafkaError, KafkaException, Producer, TopicPartition
 
-from valvemap.errors import BlockError, FleetError
-from valvemap.kafka.blocks import SamplesBlock, read_samples
+from valvemap.errors import FleetError
+from valvemap.kafka.blocks import SamplesBlock
 from valvemap.kafka.broker import client_settings, reason, silent, speaking_to
-from valvemap.kafka.commands import Command, Reply, is_reply, read_reply, write_message
-from valvemap.kafka.result_blocks import ResultsBlock, read_results
+from valvemap.kafka.commands import Command, Reply, write_message
+from valvemap.kafka.dead_letters import DeadLetter, DeadLetterPost, Place, RejectionLog
+from valvemap.kafka.decoding import Decoder, Rejected
+from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.state_topic import memories
-from valvemap.kafka.topics import COMMANDS, RESULTS, SAMPLES, STATE, check_partitions, topic_name
+from valvemap.kafka.topics import (
+    COMMANDS,
+    REJECTED,
+    RESULTS,
+    SAMPLES,
+    STATE,
+    check_partitions,
+    topic_name,
+)
 
 _AT_ONCE: Final = 200  # messages
 _WAIT_S: Final = 0.05
@@ -45,12 +55,20 @@ class ResultsReader:
         Under which the brokers keep how far was read.
     groups
         Whose results.
+    decoder
+        Reads them.
     keeps_history
         Whether all is to be heard that came since the last `commit`, and the samples, too.
     """
 
     def __init__(
-        self, config: FleetConfig, name: str, groups: Collection[str], *, keeps_history: bool
+        self,
+        config: FleetConfig,
+        name: str,
+        groups: Collection[str],
+        decoder: Decoder,
+        *,
+        keeps_history: bool,
     ) -> None:
         self._config = config
         self._groups = frozenset(name.encode() for name in groups)
@@ -70,6 +88,9 @@ class ResultsReader:
             },
             logger=silent(),
         )
+        self._decoder = decoder
+        self._dead_letters = DeadLetterPost(config)
+        self._log = RejectionLog(time.monotonic)
         self._ends: dict[tuple[str, int], int] = {}
         self._away = False
         self._said = -_SAID_AGAIN_S
@@ -84,7 +105,7 @@ class ResultsReader:
         FleetError
         """
         config = self._config
-        check_partitions(config, RESULTS, COMMANDS, STATE, SAMPLES)
+        check_partitions(config, RESULTS, COMMANDS, STATE, SAMPLES, REJECTED)
         with speaking_to(config.broker):
             starts = [self._start(place) for place in self._places()]
             names = {name.decode() for name in self._groups}
@@ -126,6 +147,7 @@ class ResultsReader:
     def close(self) -> None:
         """Leave."""
         self._consumer.close()
+        self._dead_letters.close()
 
     def _places(self) -> list[TopicPartition]:
         partitions = range(self._config.topics.partitions)
@@ -143,18 +165,22 @@ class ResultsReader:
         return TopicPartition(place.topic, place.partition, at)
 
     def _sort(self, message: Any, heard: Heard) -> None:  # noqa: ANN401 - Kafka's
-        packed, topic = message.value() or b"", message.topic()
+        packed, key, topic = message.value() or b"", message.key(), message.topic()
         new = message.offset() >= self._ends[topic, message.partition()]
-        try:
-            if self._topics[topic] == SAMPLES:
-                heard.samples.append(read_samples(packed))
-            elif is_reply(packed):
-                heard.replies.append(read_reply(packed))
-            else:
-                (heard.results if new else heard.earlier).append(read_results(packed))
-        except BlockError as error:
-            group = message.key().decode("utf-8", "replace")
-            log.warning("message left aside", group=group, reason=str(error))
+        if self._topics[topic] == SAMPLES:
+            samples = self._decoder.samples(key, packed)
+            if not isinstance(samples, Rejected):  # else a worker makes a dead letter of it
+                heard.samples.append(samples)
+            return
+        match self._decoder.published(key, packed):
+            case Rejected(why):
+                self._log.note(key, why)
+                place = Place(topic, message.partition(), message.offset())
+                self._dead_letters.send(DeadLetter.of(key, packed, why), place)
+            case ResultsBlock() as block:
+                (heard.results if new else heard.earlier).append(block)
+            case Reply() as reply:
+                heard.replies.append(reply)
 
     def _noted(self, error: KafkaError) -> None:
         if error.name() == "_ALL_BROKERS_DOWN":

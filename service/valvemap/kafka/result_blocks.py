@@ -21,6 +21,7 @@ from valvemap.kafka.blocks import (
     times,
     write,
 )
+from valvemap.kafka.json_messages import whole
 from valvemap.model.change import Change
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
@@ -56,6 +57,7 @@ _ALARMS: Final = pa.list_(
     )
 )
 _NO_TABLE: Final = np.empty((0, 0))
+_MOST_OF_TABLE: Final = 1_000  # rows or columns of the inverse's table: 21 by default
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def read_results(message: bytes) -> ResultsBlock:
     head, batch = read(message, _RESULTS)
     try:
         return _results(head, batch)
-    except (ValueError, TypeError, KeyError, pa.ArrowException) as error:
+    except (ValueError, TypeError, KeyError, IndexError, pa.ArrowException) as error:
         raise BlockError(f"not results: {error}") from None
 
 
@@ -136,7 +138,7 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
     M = batch.num_rows
     estimators = names_of(head.more.get("estimators"), "estimators")
     counters = names_of(head.more.get("counters"), "counters")
-    shape = tuple(head.more.get("map_shape", (0, 0)))
+    shape = _table_shape(head.more.get("map_shape", [0, 0]))
     inverse = {name: form.values(batch, f"inverse.{name}") for name, form in _INVERSE.items()}
     tables = [
         _NO_TABLE if row is None else np.array(row).reshape(shape) for row in inverse["map_U"]
@@ -163,6 +165,13 @@ def _results(head: Head, batch: pa.RecordBatch) -> ResultsBlock:
     )
     names = tuple(batch_column(batch, "valve", pa.string()).to_pylist())
     return ResultsBlock(head.group, head.number, names, results)
+
+
+def _table_shape(said: object) -> tuple[int, int]:
+    if not isinstance(said, list) or len(said) != 2:
+        raise BlockError("metadata valvemap.map_shape: rows and columns are needed")
+    rows, columns = (whole("metadata valvemap.map_shape", n, most=_MOST_OF_TABLE) for n in said)
+    return rows, columns
 
 
 def _signals(batch: pa.RecordBatch) -> SignalResults | None:

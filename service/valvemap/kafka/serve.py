@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from typing import Final, Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from valvemap.errors import BrokerAway, FleetError
 from valvemap.kafka.blocks import SamplesBlock, renumbered
 from valvemap.kafka.catalogue import Catalogue, load_catalogue
 from valvemap.kafka.collect import groups_of, site_of
+from valvemap.kafka.decoding import Decoder, Tracebacks
 from valvemap.kafka.group import Group
 from valvemap.kafka.mirror import Mirror
 from valvemap.kafka.operating import FleetOperator, Post
@@ -70,7 +71,10 @@ async def serve(
         descriptions = [
             one for group in groups.values() for one in group.identification.descriptions()
         ]
-        reader = ResultsReader(config, f"serve.{name}", groups, keeps_history=past is not None)
+        decoder = Decoder(catalogue, config.topics)
+        reader = ResultsReader(
+            config, f"serve.{name}", groups, decoder, keeps_history=past is not None
+        )
         opened.callback(reader.close)
         post = CommandPost(config)
         opened.callback(post.close)
@@ -120,10 +124,9 @@ def _everything(groups: dict[str, Group], kept: dict[str, bytes]) -> list[Result
             continue
         try:
             group.remember(kept[name])
+            blocks += group.everything()
         except FleetError as error:
             log.warning("not what is known of it, its next results are waited for", reason=error)
-            continue
-        blocks += group.everything()
     groups.clear()
     return blocks
 
@@ -171,6 +174,8 @@ class Show:
         )
         self._past = None if past is None else PastKeeper(past, names)
         self.certificate_until_ns = 0
+        self.failed = 0  # messages that passed all checks, and could not be shown
+        self._tracebacks = Tracebacks()
         now = self._clock.monotonic()
         self._heard_at = np.full(len(names), now)
         self._standing = np.full(len(names), int(Quality.BAD))  # nothing is known of the present
@@ -204,23 +209,46 @@ class Show:
         now = self._clock.monotonic()
         if self._past is not None:
             for block in heard.earlier:
-                self._past.note(self._earlier.take(block))
+                with self._bulkhead(block.group):
+                    self._past.note(self._earlier.take(block))
             for samples in heard.samples:
-                self._past.take(self._own(samples))
+                with self._bulkhead(samples.group):
+                    self._past.take(self._own(samples))
         for block in heard.results:
-            before = self.mirror.newest.copy()
-            found = self.mirror.take(block)
-            if not len(found.valves):
-                continue
-            newer = found.valves[self.mirror.newest[found.valves] > before[found.valves]]
-            self._heard_at[newer], self._standing[newer] = now, int(Quality.GOOD)
-            for results in self._as_they_stand(found.valves):
-                await server.publish(results)
-                if self._past is not None:
-                    self._past.note(results)
+            try:
+                await self._show(server, block, now)
+            except Exception as error:  # noqa: BLE001 - bulkhead: one message ends no server
+                self._note(block.group, error)
+                self.mirror.forget(block.valves)
             await asyncio.sleep(0)
         for reply in heard.replies:
             self.operator.take(reply)
+
+    async def _show(self, server: ResultsServer, block: ResultsBlock, now: float) -> None:
+        before = self.mirror.newest.copy()
+        found = self.mirror.take(block)
+        if not len(found.valves):
+            return
+        # Not "later than": results of a wrong time shall not make those that follow old.
+        newer = found.valves[self.mirror.newest[found.valves] != before[found.valves]]
+        self._heard_at[newer], self._standing[newer] = now, int(Quality.GOOD)
+        for results in self._as_they_stand(found.valves):
+            await server.publish(results)
+            if self._past is not None:
+                self._past.note(results)
+
+    @contextmanager
+    def _bulkhead(self, group: str) -> Iterator[None]:
+        """One message ends no server."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - bulkhead
+            self._note(group, error)
+
+    def _note(self, group: str, error: Exception) -> None:
+        self.failed += 1
+        why = self._tracebacks.note(error)
+        log.warning("results not shown", group=group, reason=why, failed=self.failed)
 
     def _as_they_stand(self, valves: Times) -> Iterator[Results]:
         for quality in np.unique(self._standing[valves]).tolist():

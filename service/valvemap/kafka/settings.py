@@ -45,19 +45,22 @@ class BrokerConfig(Section):
 
 
 class TopicsConfig(Section):
-    """The topics: samples, commands, results and state, named after a prefix."""
+    """The topics: samples, commands, results, rejected and state, named after a prefix."""
 
     prefix: str = Field(
         "valvemap",
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$",
-        description="their names are PREFIX.samples, .commands, .results, .state",
+        description="their names are PREFIX.samples, .commands, .results, .rejected, .state",
     )
     partitions: int = Field(
         12, ge=1, le=1_000, description="most workers that can share the work; never changed later"
     )
     replication: int = Field(3, ge=1, le=9, description="brokers that hold each message")
     samples_h: float = Field(
-        48.0, ge=0.1, le=87_600.0, description="how long samples and commands are held, h"
+        48.0,
+        ge=0.1,
+        le=87_600.0,
+        description="how long samples, commands and rejected messages are held, h",
     )
     results_h: float = Field(24.0, ge=0.1, le=87_600.0, description="how long results are held, h")
     message_mb: float = Field(

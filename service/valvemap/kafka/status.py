@@ -7,11 +7,11 @@ import numpy as np
 from confluent_kafka import Consumer, TopicPartition
 from confluent_kafka.admin import AdminClient
 
-from valvemap.errors import FleetError
 from valvemap.kafka.broker import client_settings, speaking_to
 from valvemap.kafka.catalogue import load_catalogue
+from valvemap.kafka.decoding import Decoder, Rejected
 from valvemap.kafka.group import COUNTS
-from valvemap.kafka.memory import Memory, read_memory
+from valvemap.kafka.memory import Memory
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.state_topic import Kept, memories
 from valvemap.kafka.topics import SAMPLES, STATE, WORKERS, check_partitions, topic_name
@@ -35,6 +35,8 @@ class GroupStatus:
         What is kept of it.
     size
         Bytes of that.
+    fault
+        Why it cannot be read, if it cannot.
     """
 
     name: str
@@ -43,6 +45,7 @@ class GroupStatus:
     lag: int = 0
     memory: Memory | None = None
     size: int = 0
+    fault: str = ""
 
     @property
     def newest(self) -> int:
@@ -77,7 +80,8 @@ def status(config: FleetConfig) -> list[GroupStatus]:
             owners = _owners(config)
     finally:
         reader.close()
-    return [_of(name, kept.get(name), lags, owners) for name in catalogue.groups]
+    decoder = Decoder(catalogue, config.topics)
+    return [_of(name, kept.get(name), lags, owners, decoder) for name in catalogue.groups]
 
 
 def lines(found: list[GroupStatus], now: int) -> Iterator[str]:
@@ -96,6 +100,9 @@ def lines(found: list[GroupStatus], now: int) -> Iterator[str]:
     for row in rows:
         cells = (row[k].ljust(width) for k, width in zip(shown, widths, strict=True))
         yield "  ".join(cells).rstrip()
+    for one in found:
+        if one.fault:
+            yield f"group {one.name}: {one.fault}"
 
 
 _ODD = COUNTS  # columns that are left out where there is nothing to say
@@ -112,18 +119,20 @@ def _row(one: GroupStatus, now: int) -> tuple[str, ...]:
 
 
 def _of(
-    name: str, kept: Kept | None, lags: Mapping[int, int], owners: Mapping[int, str]
+    name: str,
+    kept: Kept | None,
+    lags: Mapping[int, int],
+    owners: Mapping[int, str],
+    decoder: Decoder,
 ) -> GroupStatus:
     if kept is None:
         return GroupStatus(name, None)
-    try:
-        memory = read_memory(kept.packed)
-    except FleetError as error:
-        raise FleetError(f"group {name}: {error}") from None
     where = kept.partition
-    return GroupStatus(
-        name, where, owners.get(where, ""), lags.get(where, 0), memory, len(kept.packed)
-    )
+    owner, lag = owners.get(where, ""), lags.get(where, 0)
+    memory = decoder.memory(kept.packed)
+    if isinstance(memory, Rejected):
+        return GroupStatus(name, where, owner, lag, size=len(kept.packed), fault=memory.reason)
+    return GroupStatus(name, where, owner, lag, memory, len(kept.packed))
 
 
 def _lags(reader: Consumer, config: FleetConfig) -> dict[int, int]:

@@ -15,6 +15,7 @@ from valvemap.kafka.settings import BrokerConfig, FleetConfig, TopicsConfig
 SAMPLES: Final = "samples"
 COMMANDS: Final = "commands"
 RESULTS: Final = "results"
+REJECTED: Final = "rejected"  # dead letters
 STATE: Final = "state"  # Quix Streams' changelog
 WORKERS: Final = "work"  # the workers' consumer group, named after the prefix, too
 _MS_PER_H: Final = 3_600_000
@@ -48,6 +49,7 @@ def wanted(topics: TopicsConfig) -> list[Topic]:
         SAMPLES: {"cleanup.policy": "delete", "retention.ms": _ms(topics.samples_h)},
         COMMANDS: {"cleanup.policy": "delete", "retention.ms": _ms(topics.samples_h)},
         RESULTS: {"cleanup.policy": "delete", "retention.ms": _ms(topics.results_h)},
+        REJECTED: {"cleanup.policy": "delete", "retention.ms": _ms(topics.samples_h)},
         STATE: {"cleanup.policy": "compact", "segment.bytes": str(_SMALLEST_SEGMENT)},
     }
     return [

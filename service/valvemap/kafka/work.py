@@ -2,6 +2,7 @@
 
 import logging
 import time
+import uuid
 import warnings
 from collections.abc import Iterator
 from functools import partial
@@ -14,10 +15,12 @@ from valvemap.app.warm_up import warm_up
 from valvemap.errors import FleetError
 from valvemap.kafka.broker import client_settings, reason
 from valvemap.kafka.catalogue import Catalogue, load_catalogue
+from valvemap.kafka.dead_letters import DeadLetter, Place
 from valvemap.kafka.group import Rhythm
 from valvemap.kafka.settings import FleetConfig
 from valvemap.kafka.topics import (
     COMMANDS,
+    REJECTED,
     RESULTS,
     SAMPLES,
     STATE,
@@ -29,7 +32,7 @@ from valvemap.kafka.worker import Worker
 from valvemap.runtime.backoff import backoff
 
 with warnings.catch_warnings(record=True):  # of what Quix brings along, which insists on them
-    from quixstreams import Application
+    from quixstreams import Application, message_context
     from quixstreams.exceptions import QuixException
     from quixstreams.kafka import ConnectionConfig
     from quixstreams.models import TopicAdmin, TopicManager
@@ -65,7 +68,7 @@ def work(config: FleetConfig) -> None:
         if another try would not help: topics, catalogue, state.
     """
     catalogue = load_catalogue(config.catalogue)
-    check_partitions(config, SAMPLES, COMMANDS, RESULTS, STATE)
+    check_partitions(config, SAMPLES, COMMANDS, RESULTS, REJECTED, STATE)
     for site in catalogue.sites.values():
         warm_up(site)
     _say_little(config)
@@ -93,18 +96,20 @@ _LONG_ENOUGH_S: Final = 60.0  # a run that lasted so long was a good one
 def _run(config: FleetConfig, catalogue: Catalogue) -> None:
     work, topics = config.work, config.topics
     rhythm = Rhythm(round(work.results_s * 1e9), round(work.maps_s * 1e9))
-    worker = Worker(catalogue, rhythm)
+    worker = Worker(catalogue, rhythm, topics)
     app = _application(config)
     raw = {"key_deserializer": "bytes", "value_deserializer": "bytes"}
     samples = app.dataframe(app.topic(topic_name(topics, SAMPLES), **raw))
     commands = app.dataframe(app.topic(topic_name(topics, COMMANDS), **raw))
-    results = app.topic(
-        topic_name(topics, RESULTS), key_serializer="bytes", value_serializer="bytes"
-    )
+    written = {"key_serializer": "bytes", "value_serializer": "bytes"}
+    results = app.topic(topic_name(topics, RESULTS), **written)
+    dead_letters = app.topic(topic_name(topics, REJECTED), **written)
     tagged = samples.apply(partial(_tagged, SAMPLES)), commands.apply(partial(_tagged, COMMANDS))
     together = tagged[0].concat(tagged[1])
     learnt = together.apply(partial(_handle, worker), stateful=True, metadata=True, expand=True)
-    learnt.to_topic(results)
+    learnt.filter(_is_result).to_topic(results)
+    rejected = learnt.filter(_is_rejected).set_headers(_headers_of)
+    rejected.apply(_payload_of).to_topic(dead_letters)
     learnt.sink(_Keeper(worker))
     app.run()
 
@@ -160,13 +165,39 @@ def _handle(
     worker: Worker,
     value: tuple[str, bytes],
     key: bytes | None,
-    _timestamp: int,
+    timestamp: int,
     _headers: Any,  # noqa: ANN401 - Quix's
     state: Any,  # noqa: ANN401
-) -> Iterator[bytes]:
+) -> Iterator[bytes | DeadLetter]:
     kind, message = value
-    take = worker.samples if kind == SAMPLES else worker.command
-    return iter(take(key, message, state))
+    if kind == SAMPLES:
+        sent = timestamp * 1_000_000 if timestamp > 0 else None
+        out = worker.samples(key, message, state, sent)
+    else:
+        out = worker.command(key, message, state)
+    return iter([*out, *worker.rejected()])
+
+
+def _is_result(value: bytes | DeadLetter) -> bool:
+    return isinstance(value, bytes)
+
+
+def _is_rejected(value: bytes | DeadLetter) -> bool:
+    return isinstance(value, DeadLetter)
+
+
+def _headers_of(
+    letter: DeadLetter,
+    _key: bytes | None,
+    _timestamp: int,
+    _headers: Any,  # noqa: ANN401 - Quix's
+) -> list[tuple[str, bytes]]:
+    at = message_context()
+    return letter.headers(Place(at.topic, at.partition, at.offset))
+
+
+def _payload_of(letter: DeadLetter) -> bytes:
+    return letter.payload
 
 
 class _OwnNames(TopicManager):
@@ -220,6 +251,7 @@ def _application(config: FleetConfig) -> Any:  # noqa: ANN401
             "receive.message.max.bytes": 8 * largest,
         },
         producer_extra_config={
+            "transactional.id": f"{group}.{uuid.uuid4()}",  # by its beginning it is allowed
             "compression.type": "none",  # results are packed; of memories it saves no half
             "message.max.bytes": largest,
             # It begins with what is sent first after a commit: a broker must not end it before.

@@ -7,18 +7,22 @@ is packed once for each commit: `Worker.keep`, which the engine calls before it 
 """
 
 import os
+import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Final, Protocol
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import structlog
 
-from valvemap.errors import BlockError, FleetError
-from valvemap.kafka.blocks import read_samples
+from valvemap.errors import BlockError
+from valvemap.kafka.blocks import SamplesBlock
 from valvemap.kafka.catalogue import Catalogue
-from valvemap.kafka.commands import Reply, read_command, write_message
-from valvemap.kafka.group import Group, Rhythm
+from valvemap.kafka.commands import Command, Reply, write_message
+from valvemap.kafka.dead_letters import DeadLetter, RejectionLog
+from valvemap.kafka.decoding import ROW_BYTES, Decoder, Rejected, Tracebacks
+from valvemap.kafka.group import AHEAD, Group, Rhythm
 from valvemap.kafka.result_blocks import ResultsBlock, write_results
+from valvemap.kafka.settings import TopicsConfig
 
 MEMORY: Final = "memory"
 MARK: Final = "mark"
@@ -36,16 +40,31 @@ class Store(Protocol):
         """Keep it from now on."""
 
 
-@dataclass(frozen=True)
+T = TypeVar("T")
+
+
+class _Step(NamedTuple):
+    """One message's effect on its group, and the bytes that it takes to hold it."""
+
+    take: Callable[[Group], Iterator[ResultsBlock | Reply]]
+    size: int = 0
+
+
+@dataclass
 class _Held:
+    """A group, and its steps since its memory was stored."""
+
     group: Group
-    mark: bytes
+    mark: bytes = b""
+    steps: list[_Step] = field(default_factory=list)
 
 
 class Worker:
     """Takes messages of any groups; `samples` and `command` return what goes to the results.
 
-    Nothing may be committed before `keep`.
+    Nothing may be committed before `keep`. Messages that nothing can be done with are in
+    `rejected` after each call, and belong into the same transaction. One whose processing raises
+    is rejected, too: its group is as it was before, from its memory and the messages since.
 
     Parameters
     ----------
@@ -53,35 +72,39 @@ class Worker:
         All groups.
     rhythm
         When results are due.
+    topics
+        Largest message.
     """
 
-    def __init__(self, catalogue: Catalogue, rhythm: Rhythm) -> None:
+    def __init__(
+        self, catalogue: Catalogue, rhythm: Rhythm, topics: TopicsConfig | None = None
+    ) -> None:
         self._catalogue = catalogue
         self._rhythm = rhythm
+        self._decoder = Decoder(catalogue, topics)
         self._held: dict[str, _Held] = {}
         self._unkept: dict[str, Store] = {}
         self._own, self._turn = os.urandom(12), 0
-        self._unknown: set[str] = set()
+        self._rejected: list[DeadLetter] = []
+        self._tracebacks = Tracebacks()
+        self._log = RejectionLog(time.monotonic)
+        self._most_held = round((topics or TopicsConfig()).message_mb * 1e6)
 
-    def samples(self, key: bytes | None, message: bytes, store: Store) -> list[bytes]:
-        """Learn from a block of samples.
+    def samples(
+        self, key: bytes | None, message: bytes, store: Store, sent: int | None = None
+    ) -> list[bytes]:
+        """Learn from a block of samples; ``sent`` is its time in Kafka, UTC ns, if it is known.
 
         Raises
         ------
         FleetError
-            if what is kept of the group cannot be gone on from, or the block is of a newer
-            catalogue: nothing is done with it then.
+            if the group's memory cannot be used: nothing is changed then.
         """
 
-        def learn(group: Group) -> Iterator[ResultsBlock | Reply]:
-            block = read_samples(message)
-            self._check(block.group, block.catalogue)
-            return group.take(block)
+        def learn(block: SamplesBlock) -> _Step:
+            return _Step(lambda group: group.take(block, sent), len(block.samples) * ROW_BYTES)
 
-        if self._name(key) is None:
-            self._leave(key, message)
-            return []
-        return self._do(key, store, learn)
+        return self._do(key, message, store, self._decoder.samples, learn)
 
     def command(self, key: bytes | None, message: bytes, store: Store) -> list[bytes]:
         """Do what an operator asks for.
@@ -91,7 +114,16 @@ class Worker:
         FleetError
             as `samples`.
         """
-        return self._do(key, store, lambda group: group.do(read_command(message)))
+
+        def do(command: Command) -> _Step:
+            return _Step(lambda group: group.do(command), len(message))
+
+        return self._do(key, message, store, self._decoder.command, do)
+
+    def rejected(self) -> list[DeadLetter]:
+        """Return the dead letters since the last call."""
+        found, self._rejected = self._rejected, []
+        return found
 
     def keep(self) -> None:
         """Write what is remembered of the groups that had messages since."""
@@ -99,83 +131,108 @@ class Worker:
             held = self._held[name]
             if store.get_bytes(MARK) == held.mark:  # else it was rolled back since
                 store.set_bytes(MEMORY, held.group.to_bytes())
+                held.steps = []
         self._unkept.clear()
 
     def _do(
         self,
         key: bytes | None,
+        message: bytes,
         store: Store,
-        what: Callable[[Group], Iterator[ResultsBlock | Reply]],
+        decode: Callable[[bytes | None, bytes], T | Rejected],
+        step_of: Callable[[T], _Step],
     ) -> list[bytes]:
-        name = self._name(key)
-        if name is None:
-            self._say_unknown(key)
-            return []
-        group = self._group(name, store)
-        try:
-            out = [_packed(one) for one in what(group)]
-        except BlockError as error:
-            group.refuse()
-            out = []
-            self._say("message left aside", key, error)
-        self._mark(name, group, store)
+        found = decode(key, message)
+        why = found.reason if isinstance(found, Rejected) else ""
+        out: list[bytes] = []
+        name = (key or b"").decode("utf-8", "replace")
+        if name not in self._catalogue.groups:
+            self._reject(key, message, why)
+            return out
+        held = self._hold(name, store)
+        if isinstance(found, Rejected):
+            held.group.refuse()
+            held.steps.append(_REFUSED)
+        else:
+            why, out = self._step(name, store, held, step_of(found))
+        if why:
+            self._reject(key, message, why)
+        self._mark(name, held, store)
+        if len(held.steps) >= _MOST_STEPS or sum(s.size for s in held.steps) > self._most_held:
+            store.set_bytes(MEMORY, held.group.to_bytes())
+            held.steps = []
         return out
 
-    def _group(self, name: str, store: Store) -> Group:
+    def _step(self, name: str, store: Store, held: _Held, step: _Step) -> tuple[str, list[bytes]]:
+        """Take one step; return the reason, if the message was rejected, and the results."""
+        before, out = held.group.counts[AHEAD], list[bytes]()
+        held.steps.append(step)
+        try:
+            out = [_packed(one) for one in step.take(held.group)]
+        except BlockError as error:
+            held.group.refuse()
+            return str(error), []
+        except Exception as error:  # noqa: BLE001 - bulkhead: one message ends no worker
+            why = self._tracebacks.note(error)
+            held.group = self._before(name, store, held.steps[:-1])
+            held.group.refuse()
+            held.steps[-1] = _REFUSED
+            return why, []
+        ahead = held.group.counts[AHEAD] - before
+        return (f"{ahead} samples are dated far off the group's clock" if ahead else ""), out
+
+    def _before(self, name: str, store: Store, steps: list[_Step]) -> Group:
+        """Rebuild a group, to the bit: from its memory, and its steps since."""
+        group = self._kept(name, store)
+        for step in steps:
+            try:
+                for _ in step.take(group):
+                    pass
+            except BlockError:
+                group.refuse()
+        return group
+
+    def _hold(self, name: str, store: Store) -> _Held:
         """The group as it is kept: as we know it, if we were the last to keep it."""
         held, mark = self._held.get(name), store.get_bytes(MARK)
         if held is not None and mark == held.mark:
-            return held.group
+            return held
+        group = self._kept(name, store)
+        if group.number or store.get_bytes(MEMORY) is not None:
+            log.info("group taken over", group=name, block=group.number)
+        else:
+            log.info("group begun", group=name)
+        return _Held(group)
+
+    def _kept(self, name: str, store: Store) -> Group:
         group = Group(self._catalogue.groups[name], self._catalogue.version, self._rhythm)
         packed = store.get_bytes(MEMORY)
-        if packed is None:
-            log.info("group begun", group=name)
-        else:
-            afresh = group.remember(packed)
-            log.info("group taken over", group=name, block=group.number)
-            if afresh:
-                log.warning("configured otherwise now, starts afresh", group=name, what=afresh)
+        afresh = [] if packed is None else group.remember(packed)
+        if afresh:
+            log.warning("configured otherwise now, starts afresh", group=name, what=afresh)
         return group
 
-    def _mark(self, name: str, group: Group, store: Store) -> None:
+    def _mark(self, name: str, held: _Held, store: Store) -> None:
         self._turn += 1
-        mark = self._own + self._turn.to_bytes(8, "big")
+        held.mark = self._own + self._turn.to_bytes(8, "big")
         self._unkept[name] = store
-        store.set_bytes(MARK, mark)
-        self._held[name] = _Held(group, mark)
+        store.set_bytes(MARK, held.mark)
+        self._held[name] = held
 
-    def _name(self, key: bytes | None) -> str | None:
-        name = None if key is None else key.decode("utf-8", "replace")
-        return name if name in self._catalogue.groups else None
-
-    def _check(self, group: str, catalogue: int) -> None:
-        if catalogue > self._catalogue.version:
-            raise FleetError(
-                f"group {group}: its samples come under version {catalogue} of the catalogue, this "
-                f"is version {self._catalogue.version}: bring the worker's catalogue up to date"
-            )
-
-    def _leave(self, key: bytes | None, message: bytes) -> None:
-        """A block of no group that we know: of a newer catalogue, of none any more, or none."""
-        try:
-            block = read_samples(message)
-        except BlockError as error:
-            self._say("message left aside", key, error)
-            return
-        self._check(block.group, block.catalogue)
-        self._say_unknown(key)
-
-    def _say(self, event: str, key: bytes | None, error: BlockError) -> None:
-        log.warning(event, group=(key or b"").decode("utf-8", "replace"), reason=str(error))
-
-    def _say_unknown(self, key: bytes | None) -> None:
-        name = (key or b"").decode("utf-8", "replace")
-        if name not in self._unknown and len(self._unknown) < _MOST_NAMED:
-            self._unknown.add(name)
-            log.warning("no such group in the catalogue, its messages are left aside", group=name)
+    def _reject(self, key: bytes | None, message: bytes, why: str) -> None:
+        self._rejected.append(DeadLetter.of(key, message, why))
+        self._log.note(key, why)
 
 
-_MOST_NAMED = 1_000
+_MOST_STEPS: Final = 1_000  # of a group between two commits, that are held to be taken again
+
+
+def _refuse(group: Group) -> Iterator[ResultsBlock | Reply]:
+    group.refuse()
+    return iter(())
+
+
+_REFUSED: Final = _Step(_refuse)
 
 
 def _packed(one: ResultsBlock | Reply) -> bytes:
