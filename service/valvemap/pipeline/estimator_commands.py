@@ -52,8 +52,6 @@ class EstimatorCommands:
             if it is out of range, or the estimator has none.
         """
         lane = self._valves.lane(valve, estimator)
-        if not 0.0 < lam <= 1.0:
-            raise CommandRejected(f"forgetting factor {lam:g}: allowed is 0 < lam <= 1")
         if not isinstance(lane.estimator, Forgetful):
             raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
         try:

@@ -35,7 +35,7 @@ from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
 
@@ -109,6 +109,9 @@ class Lanes:
         """Go on from what was written of `columns`."""
         self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
         self._rests.take_up(arrays)
+        for m in np.flatnonzero(np.isfinite(self._lam)).tolist():
+            if not _allows(self._estimator, float(self._lam[m])):
+                self._lam[m] = np.nan  # set when less was allowed: as configured again
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         """The newest change of some valves that was found."""
@@ -280,6 +283,17 @@ for _status, _quality in {
     Status.REJECTED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
+
+
+def _allows(estimator: AnyEstimator, lam: float) -> bool:
+    """Whether an operator may set a forgetting factor."""
+    if not isinstance(estimator, Forgetful):
+        return False
+    try:
+        estimator.with_forgetting(lam)
+    except ValueError:
+        return False
+    return True
 
 
 def _prediction_only(lane: Lane, samples: Samples) -> Trace:

@@ -342,8 +342,8 @@ def lane_from_bytes(
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
     if lam is None:
         return lane
-    if not (isinstance(configured, Forgetful) and 0.0 < lam <= 1.0):
-        raise StateMismatchError(f"forgetting factor {lam!r}: allowed is 0 < lam <= 1")
+    if not isinstance(configured, Forgetful):
+        raise StateMismatchError(f"a forgetting factor {lam!r}, and none is used")
     try:
         return with_forgetting(lane, lam)
     except ValueError as error:
