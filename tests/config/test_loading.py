@@ -101,7 +101,7 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
         *(
             (
                 f"[[valves]]\n[[valves.estimators]]\nkind = '{kind}'\nlam = 1e-300\n",
-                f"lam = 1e-300: forgetting factor lam = 1e-300: allowed is {least} <= lam <= 1",
+                f"lam = 1e-300: forgetting factor 1e-300: allowed is {least} <= lam <= 1",
             )
             for kind, least in (("RLS", 0.8333), ("RML", 0.5), ("Auto", 0.5))
         ),

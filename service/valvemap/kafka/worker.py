@@ -19,6 +19,7 @@ from valvemap.kafka.catalogue import Catalogue
 from valvemap.kafka.commands import Reply, read_command, write_message
 from valvemap.kafka.group import Group, Rhythm
 from valvemap.kafka.result_blocks import ResultsBlock, write_results
+from valvemap.pipeline.failure_log import log_failure
 
 MEMORY: Final = "memory"
 MARK: Final = "mark"
@@ -113,11 +114,13 @@ class Worker:
             return []
         group = self._group(name, store)
         try:
-            out = [_packed(one) for one in what(group)]
+            out = [packed for one in what(group) for packed in _packed(group, one)]
         except BlockError as error:
             group.refuse()
             out = []
             self._say("message left aside", key, error)
+        for failure in group.identification.new_failures():
+            log_failure(failure)
         self._mark(name, group, store)
         return out
 
@@ -178,5 +181,18 @@ class Worker:
 _MOST_NAMED = 1_000
 
 
-def _packed(one: ResultsBlock | Reply) -> bytes:
-    return write_message(one) if isinstance(one, Reply) else write_results(one)
+def _packed(group: Group, one: ResultsBlock | Reply) -> list[bytes]:
+    """A message, or one for each valve where the results of one of them cannot be packed."""
+    if isinstance(one, Reply):
+        return [write_message(one)]
+    try:
+        return [write_results(one)]
+    except Exception:  # noqa: BLE001 - a bulkhead: which valve it is turns out next
+        return [_packed_alone(group, block) for block in group.alone(one.results)]
+
+
+def _packed_alone(group: Group, one: ResultsBlock) -> bytes:
+    try:
+        return write_results(one)
+    except Exception as error:  # noqa: BLE001 - a bulkhead: the others are sent
+        return write_results(group.stop(one.results, error))

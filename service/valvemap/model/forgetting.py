@@ -210,7 +210,7 @@ def check_lam(lam: float, least: float) -> None:
         return
     samples = round(1.0 / (1.0 - least))
     raise ValueError(
-        f"forgetting factor lam = {lam!r}: allowed is {least:.4g} <= lam <= 1, a memory "
+        f"forgetting factor {lam!r}: allowed is {least:.4g} <= lam <= 1, a memory "
         f"1/(1 - lam) of at least {samples} samples, as many as there are unknowns"
     )
 

@@ -33,6 +33,7 @@ class Status(IntEnum):
     FROZEN = 4
     HELD = 5
     EXTRAPOLATING = 6
+    FAILED = 7
 
     @property
     def sentence(self) -> str:
@@ -49,6 +50,8 @@ _STATUS_SENTENCES = {
     Status.HELD: "The update would have left the range of numbers; the state was not touched.",
     Status.EXTRAPOLATING: "Nothing was measured near this point, or it lies beyond what the "
     "estimator can describe; nothing was learnt from it.",
+    Status.FAILED: "The estimator stopped at an unexpected error; its last state is kept. Reset "
+    "starts it again; the alarm LaneFailed names the reason.",
 }
 
 

@@ -9,6 +9,7 @@ from valvemap.model.inversion import Inversion
 from valvemap.model.samples import Status
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.valve_state import Forgetful, Required
 
 
@@ -25,11 +26,12 @@ class EstimatorCommands:
         self._valves = valves
 
     def reset(self, valve: str, estimator: str) -> None:
-        """Forget all samples; what the operator set stays set."""
+        """Forget all samples; what the operator set stays set. A lane that failed starts again."""
         lane = self._valves.lane(valve, estimator)
         fresh = valve_state.fresh_lane(lane.estimator, lane.support.forgotten())
         self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
         fleet, m = self._valves.named(valve)
+        fleet.start_again(m)
         if estimator == fleet.plan.inverse:
             fleet.alarms.forget_map(m)
 
@@ -90,7 +92,11 @@ class EstimatorCommands:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """The answer to a valve's standing demand, and how its estimator stands."""
-        plan, state = self._valves.inverted(valve)
-        status = state.lanes[plan.inverse].status
-        answer = valve_state.required(plan, state)
-        return answer, Status.WARMING_UP if status is None else status
+        plan = self._valves.plans[valve]
+        if self._valves.runs(valve, plan.inverse):
+            with self._valves.bulkhead(valve, Step.INVERSE, plan.inverse):
+                plan, state = self._valves.inverted(valve)
+                status = state.lanes[plan.inverse].status
+                answer = valve_state.required(plan, state)
+                return answer, Status.WARMING_UP if status is None else status
+        return valve_state.NOTHING_REQUIRED, Status.FAILED

@@ -6,15 +6,35 @@ a fleet of one. What is handed out (:class:`~valvemap.pipeline.valve_state.Lane`
 :class:`~valvemap.pipeline.valve_state.ValveState`) are copies that later samples do not change.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model.auto import Auto
 from valvemap.model.estimator import key_of
-from valvemap.model.samples import Floats, Samples, Segments, Times, Trace
+from valvemap.model.samples import (
+    Codes,
+    Floats,
+    Quality,
+    Samples,
+    Segments,
+    Times,
+    Trace,
+)
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
+from valvemap.pipeline.lane_failures import (
+    LaneFailure,
+    LaneFailures,
+    Restore,
+    Step,
+    all_of,
+    isolate,
+    saved,
+)
 from valvemap.pipeline.lanes import Lanes, SharedRests
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
@@ -31,7 +51,7 @@ from valvemap.pipeline.valve_state import (
 
 MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
 
-COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
+COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag", "lane_failures")
 
 
 class Fleet:
@@ -43,10 +63,20 @@ class Fleet:
         Gate and estimators of each.
     M
         How many.
+    names, failures
+        What they are called, and what takes the failures of their lanes.
     """
 
-    def __init__(self, plan: ValvePlan, M: int) -> None:
+    def __init__(
+        self,
+        plan: ValvePlan,
+        M: int,
+        names: Sequence[str] | None = None,
+        failures: LaneFailures | None = None,
+    ) -> None:
         self.plan = plan
+        self._names = [plan.name] * M if names is None else names
+        self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
@@ -68,17 +98,100 @@ class Fleet:
 
         ``segments`` says which are whose, in the fleet's own numbers; none may be empty.
         """
-        judged = self.plan.gate.judge(self._gate, samples, segments)
+        judged = self._judged(samples, segments)
         traces, rests = {}, []
         for name, lanes in self._lanes.items():
-            traces[name], own = lanes.take(judged, segments)
+            stop = partial(self._stop_at, name, Step.LEARNING)
+            traces[name], own = lanes.take(judged, segments, stop)
             rests.append((traces[name].status, own))
-        self._support.learn(judged, rests, segments)
-        self._t[segments.members] = samples.t[segments.stops - 1]
-        kernel.last_T(judged.T, judged.quality, self._T, segments)
-        self.alarms.watch(judged, traces[self.plan.inverse], segments)
-        self._note(segments.members)
+        self._support_from(judged, rests, segments)
+        running = segments.of(~self.stopped()[segments.members])
+        self._t[running.members] = samples.t[running.stops - 1]
+        kernel.last_T(judged.T, judged.quality, self._T, running)
+
+        def watch(rows: NDArray[np.intp]) -> None:
+            own = Segments(*(array[rows] for array in running))
+            self.alarms.watch(judged, traces[self.plan.inverse], own)
+            self._note(own.members)
+
+        self.watch(running.members, watch)
         return judged, traces
+
+    def stopped(self) -> NDArray[np.bool_]:
+        """At which valves (M,) all lanes have failed: nothing is done with their samples."""
+        return np.asarray(np.all([lanes.failed for lanes in self._lanes.values()], axis=0))
+
+    def has_failed(self, m: int, name: str) -> bool:
+        """Whether a lane of one valve stopped at an error."""
+        return bool(self._lanes[name].failed[m])
+
+    def stop(self, m: int, step: Step, name: str | None, error: Exception) -> None:
+        """Stop one lane of a valve, or (None) all of them, because of an error in a step.
+
+        Lanes that stopped before stay as they are: an error is noted once.
+        """
+        lanes = self._lanes.values() if name is None else [self._lanes[name]]
+        if all(one.failed[m] for one in lanes):
+            return
+        for one in lanes:
+            one.fail(m)
+        failure = LaneFailure(self._names[m], name, step, error)
+        self._failures.note(failure)
+        self.alarms.note_failure(m, failure.reason, whole=name is None)
+        self.show_stopped(m)
+
+    def start_again(self, m: int) -> None:
+        """Have all lanes go on that an error of the valve itself has stopped."""
+        if self.alarms.stopped_whole(m):
+            for lanes in self._lanes.values():
+                lanes.start_again(m)
+        self.show_stopped(m)
+
+    def show_stopped(self, m: int) -> None:
+        """Have the alarm say how many lanes of a valve are stopped."""
+        count = sum(bool(lanes.failed[m]) for lanes in self._lanes.values())
+        self.alarms.note_stopped(m, count, int(self._t[m]))
+
+    def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
+        """Judge alarms of some valves (K,); ``do`` takes which of the K."""
+        running = np.flatnonzero(~self.stopped()[chosen])
+        stop = partial(self._stop_at, None, Step.ALARMS)
+        isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)
+
+    def _stop_at(self, name: str | None, step: Step, m: int, error: Exception) -> None:
+        self.stop(m, step, name, error)
+
+    def _alarms_saved(self, members: Times) -> Restore:
+        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+
+    def _judged(self, samples: Samples, segments: Segments) -> Samples:
+        """The samples as the gate judges them; all are BAD of a valve that is stopped."""
+        quality = np.full(len(samples), Quality.BAD, np.uint8)
+        running = np.flatnonzero(~self.stopped()[segments.members])
+        state = *self._gate.memory, self._gate.bad_status
+
+        def judge(rows: NDArray[np.intp]) -> None:
+            own = Segments(*(array[running[rows]] for array in segments))
+            found = self.plan.gate.judge(self._gate, samples, own).quality
+            for _, start, stop in zip(*own, strict=True):
+                quality[start:stop] = found[start:stop]
+
+        stop = partial(self._stop_at, None, Step.GATE)
+        isolate(segments.members[running], judge, partial(saved, state), stop)
+        return replace(samples, quality=quality)
+
+    def _support_from(
+        self, judged: Samples, rests: Sequence[tuple[Codes, Segments]], segments: Segments
+    ) -> None:
+        running = np.flatnonzero(~self.stopped()[segments.members])
+
+        def learn(rows: NDArray[np.intp]) -> None:
+            chosen = running[rows]
+            some = [(status, Segments(*(a[chosen] for a in own))) for status, own in rests]
+            self._support.learn(judged, some, Segments(*(array[chosen] for array in segments)))
+
+        stop = partial(self._stop_at, None, Step.SUPPORT)
+        isolate(segments.members[running], learn, self._support.saved, stop)
 
     def _note(self, chosen: Times) -> None:
         """Take up for the alarms what estimators found in the last samples."""
@@ -130,6 +243,10 @@ class Fleet:
         """What is published of the estimators of some valves; surveys are made elsewhere."""
         return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
 
+    def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
+        """What is published of one valve where its results cannot be made."""
+        return {name: lanes.unknown(m) for name, lanes in self._lanes.items()}
+
     def demands(self, chosen: Times) -> Floats:
         """Flow and pressure drop demanded of some valves (M, 2); NaN where none is."""
         return np.asarray(self._demand[chosen])
@@ -161,9 +278,12 @@ class Fleet:
         _, _, *of_lanes = written
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
+        for m in range(len(self._t)):
+            self.show_stopped(m)
 
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
-        return np.column_stack((self._gate.counts(), beyond, too_fast))
+        failed = self.alarms.failures()
+        return np.column_stack((self._gate.counts(), beyond, too_fast, failed))

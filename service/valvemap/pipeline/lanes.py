@@ -4,7 +4,7 @@ A lane whose estimator an operator froze, or gave another ``lam``, goes its own 
 time; all others learn in one call.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -31,6 +31,7 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
+from valvemap.pipeline.lane_failures import Restore, all_of, isolate, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
@@ -70,8 +71,56 @@ class Lanes:
         self._lam = np.full(M, np.nan)  # what an operator set
         self._notes = kernel.nothing(M)
 
-    def take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
-        """Learn; what was made of samples, and on which of them the maps rest."""
+    def take(
+        self, samples: Samples, segments: Segments, stop: Callable[[int, Exception], None]
+    ) -> tuple[Trace, Segments]:
+        """Learn; what was made of samples, and on which of them the maps rest.
+
+        Lanes that failed learn nothing; ``stop`` takes those at which learning raises.
+        """
+        running = np.flatnonzero(~self.failed[segments.members])
+        trace, starts = _nothing_of(len(samples)), segments.starts.copy()
+
+        def learn(rows: NDArray[np.intp]) -> None:
+            nonlocal trace
+            own = Segments(*(array[running[rows]] for array in segments))
+            if len(own.members) == len(segments.members):
+                trace, rests = self._take(samples, own)
+                starts[:] = rests.starts
+                return
+            for k in running[rows]:
+                start, end = segments.starts[k], segments.stops[k]
+                one = Segments.one(end - start)._replace(members=segments.members[k : k + 1])
+                said, rests = self._take(samples[start:end], one)
+                starts[k] = start + rests.starts[0]
+                for f in fields(Trace):
+                    getattr(trace, f.name)[start:end] = getattr(said, f.name)
+
+        isolate(segments.members[running], learn, self.saved, stop)
+        return trace, Segments(segments.members, starts, segments.stops)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which lanes (M,) stopped at an error."""
+        return np.asarray(self._notes.status == Status.FAILED)
+
+    def fail(self, m: int) -> None:
+        """Stop the lane of valve ``m``; its state stays."""
+        self._notes.status[m] = Status.FAILED
+
+    def start_again(self, m: int) -> None:
+        """Have a lane that stopped go on from its last state."""
+        if self.failed[m]:
+            self._notes.status[m] = NO_STATUS
+
+    def saved(self, members: Times) -> Restore:
+        """Keep what the lanes of some valves remember; what is returned writes that back."""
+        spread = self._spread
+        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
+        own = saved((*arrays, self.beyond, *self._notes), members)
+        return all_of([self._states.saved(members), own])
+
+    def _take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
         beyond, began = self._beyond_range(samples, segments), self._states.began()
         if beyond is None:
             trace = self._learn(samples, segments)
@@ -218,6 +267,29 @@ class Lanes:
             systematic_std=np.full(len(chosen), np.nan),
         )
 
+    def unknown(self, m: int) -> EstimatorResults:
+        """What is published of valve ``m`` where its results cannot be made."""
+        n = len(self._estimator.parameter_names)
+        nothing, t = np.full(1, np.nan), np.maximum(self._notes.t[m : m + 1], 1)
+        return EstimatorResults(
+            t=t,
+            quality=np.full(1, Quality.BAD, np.uint8),
+            theta=np.full((1, n), np.nan),
+            std=np.full((1, n), np.nan),
+            predicted=nothing,
+            residual=nothing,
+            residual_rmse=nothing,
+            sample_count=self._notes.learnt[m : m + 1],
+            status=np.full(1, Status.FAILED, np.uint8),
+            noise_std=nothing,
+            survey=[None],
+            change=[None],
+            structure=[None],
+            lags=[None],
+            adaptation=np.zeros(1, np.uint8),
+            systematic_std=nothing,
+        )
+
     def put(self, m: int, lane: Lane) -> None:
         """Have valve ``m`` go on from another lane."""
         self._states.put(m, lane.state)
@@ -281,8 +353,15 @@ for _status, _quality in {
     Status.HELD: Quality.UNCERTAIN,
     Status.EXTRAPOLATING: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
+    Status.FAILED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
+
+
+def _nothing_of(N: int) -> Trace:
+    """What lanes that failed say of N samples."""
+    predicted, residual, early = np.full((3, N), np.nan)
+    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Codes, Flags, Samples, Segments, Status
+from valvemap.model.samples import Codes, Flags, Samples, Segments, Status, Times
 from valvemap.model.support import Support, SupportOfMany
+from valvemap.pipeline.lane_failures import Restore
 
 SPARE = 8  # one row more for so many, where all are taken
 
@@ -80,6 +81,22 @@ class SharedSupport:
             if first.any():
                 chosen = own._replace(members=rows).of(first)
                 self._kept.learn(samples, status, chosen)
+
+    def saved(self, members: Times) -> Restore:
+        """Keep what the maps of some valves rest on; what is returned writes that back."""
+        rows = self._of[:, members]
+        copies = [[array[own] for array in self._arrays] for own in rows]
+
+        def restore() -> None:  # `learn` may have given an estimator a row of its own meanwhile
+            for e, copied in enumerate(copies):
+                for array, copy in zip(self._arrays, copied, strict=True):
+                    array[self._of[e, members]] = copy
+
+        return restore
+
+    @property
+    def _arrays(self) -> list[NDArray[Any]]:
+        return [getattr(self._kept, field.name) for field in fields(SupportOfMany)]
 
     def one(self, e: int, m: int) -> Support:
         """A copy of what one estimator's map rests on."""

@@ -11,6 +11,7 @@ import structlog
 from valvemap.clock import Clock
 from valvemap.errors import StorageError
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
 
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
@@ -156,10 +157,20 @@ class StateKeeper:
         for start in range(0, len(valves), PACKED_AT_ONCE):
             began = self._clock.monotonic()
             some = valves[start : start + PACKED_AT_ONCE]
-            packed += self.states(some)
+            packed += self._states_of(some)
             self._packing_s = (self._clock.monotonic() - began) / len(some)
             await asyncio.sleep(0)
         return packed
+
+    def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
+        """The same of valves at once, or one by one: a valve whose state cannot be packed stops."""
+        try:
+            return self.states(valves)
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
+            if len(valves) == 1:
+                self._identification.stop(valves[0], Step.CHECKPOINT, error)
+                return []
+        return [one for valve in valves for one in self._states_of([valve])]
 
     def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
         if mark is None:
