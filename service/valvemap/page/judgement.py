@@ -32,6 +32,7 @@ class Reason(IntEnum):
     SENSOR_FAILURE = 10
     NO_SAMPLES = 11
     UNREADABLE = 12
+    FAILED = 13
 
     @property
     def severity(self) -> Severity:
@@ -58,6 +59,7 @@ _SEVERITIES = {
     Reason.SENSOR_FAILURE: Severity.ALARM,
     Reason.NO_SAMPLES: Severity.ALARM,
     Reason.UNREADABLE: Severity.ALARM,
+    Reason.FAILED: Severity.ALARM,
 }
 _SENTENCES = {
     Reason.OK: "Identified, and following.",
@@ -73,9 +75,10 @@ _SENTENCES = {
     Reason.SENSOR_FAILURE: "A sensor has failed.",
     Reason.NO_SAMPLES: "There is no connection to the valve's signals.",
     Reason.UNREADABLE: "The service does not show this valve any more.",
+    Reason.FAILED: "The estimator stopped at an unexpected error; Reset starts it again.",
 }
 
-_WARMING_UP, _UNEXCITED, _REJECTED, _FROZEN, _HELD, _EXTRAPOLATING = range(1, 7)  # Status
+_WARMING_UP, _UNEXCITED, _REJECTED, _FROZEN, _HELD, _EXTRAPOLATING, _FAILED = range(1, 8)  # Status
 _BY_STATUS = {
     _WARMING_UP: Reason.WARMING_UP,
     _UNEXCITED: Reason.UNEXCITED,
@@ -83,6 +86,7 @@ _BY_STATUS = {
     _FROZEN: Reason.FROZEN,
     _HELD: Reason.HELD,
     _EXTRAPOLATING: Reason.EXTRAPOLATING,
+    _FAILED: Reason.FAILED,
 }
 _MISFIT = 2  # Adaptation
 _BAD = 0x8000_0000

@@ -47,7 +47,7 @@ export const SIGNAL_NAMES = {
   U: "U control voltage", p1: "p₁ before", p2: "p₂ behind", dp: "Δp", Q: "Q flow", T: "T oil",
 };
 
-export const STATUS = ["ok", "warming up", "not excited", "rejected", "frozen", "held", "extrapolating"];
+export const STATUS = ["ok", "warming up", "not excited", "rejected", "frozen", "held", "extrapolating", "failed"];
 export const STATUS_SENTENCE = [
   "Follows every sample.",
   "Too few samples yet for all parameters.",
@@ -56,6 +56,7 @@ export const STATUS_SENTENCE = [
   "Adaptation is switched off.",
   "An update was refused: numbers out of range.",
   "Works where nothing was measured before.",
+  "Stopped at an unexpected error; Reset starts it again.",
 ];
 export const INVERSE_STATUS = [
   [0, "U delivers this flow."],
@@ -69,7 +70,7 @@ export const INVERSE_STATUS = [
 ];
 export const REASONS = [
   "ok", "adaptation off", "extrapolating", "not excited", "warming up", "misfit", "held",
-  "valve changed", "samples rejected", "no new samples", "sensor failed", "signals lost", "unreadable",
+  "valve changed", "samples rejected", "no new samples", "sensor failed", "signals lost", "unreadable", "failed",
 ];
 export const REASON_SENTENCES = [
   "Identified, and following.",
@@ -85,4 +86,5 @@ export const REASON_SENTENCES = [
   "A sensor has failed.",
   "There is no connection to the valve's signals.",
   "The service does not show this valve any more.",
+  "The estimator stopped at an unexpected error; Reset starts it again.",
 ];
