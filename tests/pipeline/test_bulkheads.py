@@ -86,7 +86,7 @@ class Running:
         recorder, keeper = Recorder(), PastKeeper(self.past, names)
         self.live = LiveService(
             *(self.known, source, self.sink, store, clock, LiveSettings()),
-            *(lambda *given: recorder.take(*given), keeper),
+            *(lambda *given: recorder.take(*given), keeper),  # noqa: PLW0108 - it is patched later
         )
         self.keeper = keeper
         for name in names:
