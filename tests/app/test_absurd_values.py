@@ -188,7 +188,7 @@ async def huge_write(node, client):
 
 
 async def attack(client):
-    """Call and write everything that there is; count, and name what is answered badly."""
+    """Call every method and write every node; count requests, list those without an answer."""
     methods, variables = await found_in(client)
     bad, huge, count = [], [], 0
 

@@ -77,7 +77,7 @@ class Past:
 
 
 class Running:
-    """A live service of 20 valves, and what came of it."""
+    """A live service of 20 valves with its sink and history."""
 
     def __init__(self, source, store, clock):
         self.sink, self.past, self.clock = Sink(), Past(), clock
@@ -104,7 +104,7 @@ class Running:
         await self.live.tick()
 
     def of(self, valve):
-        """What was published of a valve, in its order; again is not news."""
+        """Published sample counts of a valve in their order, repetitions left out."""
         found = [counts for number, counts in self.sink.published if number == valve]
         return [counts for k, counts in enumerate(found) if counts not in found[:k]]
 

@@ -59,7 +59,7 @@ def uninterrupted():
 
 
 class Source:
-    """Sends again what is not committed, and nothing else."""
+    """Sends uncommitted changes again, and nothing else."""
 
     def __init__(self):
         self.committed = 0
@@ -85,7 +85,7 @@ class Disk:
 
 
 async def learn_and_crash(answers, turns, valves_a_turn):
-    """Learn with one turn of the keeper after every few samples; what is left after the crash."""
+    """Learn with one turn of the keeper after every few samples; return source and disk."""
     source, disk, clock, known = Source(), Disk(answers), ManualClock(), valves()
     keeper = StateKeeper(known, source, disk, clock, interval_s=1.0)
     for turn in range(turns):
@@ -102,7 +102,7 @@ def after_a_restart(source, disk):
     known, kept = valves(), dict(disk.kept)
     position = kept.pop(POSITION, None)
     resumed = 0 if position is None else int(position.state)
-    assert resumed == source.committed, "what was acknowledged is not what was kept"
+    assert resumed == source.committed, "acknowledged and saved positions differ"
     known.restore(list(kept.values()))
     known.take(stream()[resumed:])
     return known.checkpoints()

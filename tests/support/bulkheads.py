@@ -28,7 +28,7 @@ class Recorder:
 
 
 class Sink:
-    """Notes what is published, and of how many samples."""
+    """Notes the sample counts that are published."""
 
     def __init__(self):
         self.published = []
@@ -55,7 +55,7 @@ def plans():
 
 
 def signals(valve, number):
-    """A batch of 20 samples of one valve; the culprit's oil has a temperature of its own."""
+    """A batch of 20 samples of one valve; the culprit's oil temperature marks it."""
     samples = plant(20, seed=100 * valve + number, first=20 * number)
     samples.T[:] = MARK if valve == CULPRIT else 40.0
     return samples

@@ -136,13 +136,13 @@ class Group:
             yield self._block(results)
 
     def alone(self, results: Results) -> Iterator[ResultsBlock]:
-        """Results of some valves again, a block for each; one whose is not to be had is Bad."""
+        """Make the results of each of these valves again, a block for each."""
         for valve in results.valves.tolist():
             for one in self.identification.results([valve]):
                 yield self._block(_without_tables(one))
 
     def stop(self, results: Results, error: Exception) -> ResultsBlock:
-        """Stop the one valve whose results cannot be packed; return what is sent of it."""
+        """Stop the one valve whose results cannot be packed; return Bad results of it."""
         (valve,) = results.valves.tolist()
         self.identification.stop(valve, Step.PUBLICATION, error)
         return self._block(self.identification.unknown(valve))

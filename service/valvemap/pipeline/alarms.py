@@ -275,20 +275,20 @@ class Alarms:
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
     def note_failure(self, m: int, reason: str, *, whole: bool) -> None:
-        """Take up why a lane of one valve stopped, or (``whole``) all of them."""
+        """Note the reason why a lane of one valve stopped, or (``whole``) all of them."""
         detail = self._conditions.detail[m, Alarm.LANE_FAILED]
         detail[:] = whole, detail[1] + 1.0
         self._reasons[m] = reason
         self._conditions.version[m] += 1
 
     def note_stopped(self, m: int, lanes: int, t: int) -> None:
-        """Take up how many lanes of one valve are stopped; ``t``: its last sample's, UTC ns."""
+        """Note the number of stopped lanes of one valve; ``t``: time of its last sample, UTC ns."""
         x, one = np.array([float(lanes)]), np.array([m])
         now = np.maximum(self._senses.times[one, kernel.NEWEST], max(t, 1))
         self._step(one, Alarm.LANE_FAILED, x, now, now)
 
     def stopped_whole(self, m: int) -> bool:
-        """Whether what one valve's lanes stopped at last belongs to the valve."""
+        """Whether the last error of one valve was raised in a step of the whole valve."""
         return bool(self._conditions.detail[m, Alarm.LANE_FAILED, 0])
 
     def failures(self) -> Times:
@@ -296,7 +296,7 @@ class Alarms:
         return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
 
     def saved(self, members: Times) -> Restore:
-        """Keep how some valves' alarms stand; what is returned writes that back."""
+        """Copy the alarms of the given valves; the result writes the copies back."""
         return saved(self.columns().values(), members)
 
     def overdue(self, chosen: Times, now: Times) -> None:

@@ -138,7 +138,7 @@ class AllValves:
         """What raises within stops a lane, or (None) all lanes of the valve, and nothing else."""
         try:
             yield
-        except Exception as error:  # noqa: BLE001 - a bulkhead: whatever it is, the others go on
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the other lanes must not notice
             self.stop(valve, step, estimator, error)
 
     def T_or_last(self, valve: str, T: float) -> float:

@@ -114,7 +114,7 @@ class Stacked:
         self._changed[:] = -1
 
     def saved(self, members: Times) -> Restore:
-        """Keep the states of some valves; what is returned writes them back."""
+        """Copy the states of the given valves; the result writes the copies back."""
         restore = saved(self.columns().values(), members)
 
         def restore_all() -> None:
@@ -206,7 +206,7 @@ class Listed:
         self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
 
     def saved(self, members: Times) -> Restore:
-        """Keep the states of some valves; what is returned writes them back."""
+        """Copy the states of the given valves; the result writes the copies back."""
         states = {m: self._all[m] for m in members.tolist()}
 
         def restore() -> None:

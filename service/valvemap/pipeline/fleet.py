@@ -64,7 +64,7 @@ class Fleet:
     M
         How many.
     names, failures
-        What they are called, and what takes the failures of their lanes.
+        Names of the valves, and the list of failures of their lanes.
     """
 
     def __init__(
@@ -141,19 +141,19 @@ class Fleet:
         self.show_stopped(m)
 
     def start_again(self, m: int) -> None:
-        """Have all lanes go on that an error of the valve itself has stopped."""
+        """Resume all lanes, if a step of the whole valve has stopped them."""
         if self.alarms.stopped_whole(m):
             for lanes in self._lanes.values():
                 lanes.start_again(m)
         self.show_stopped(m)
 
     def show_stopped(self, m: int) -> None:
-        """Have the alarm say how many lanes of a valve are stopped."""
+        """Update the alarm with the number of stopped lanes."""
         count = sum(bool(lanes.failed[m]) for lanes in self._lanes.values())
         self.alarms.note_stopped(m, count, int(self._t[m]))
 
     def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
-        """Judge alarms of some valves (K,); ``do`` takes which of the K."""
+        """Judge alarms of the given valves (K,); ``do`` takes rows of the K."""
         running = np.flatnonzero(~self.stopped()[chosen])
         stop = partial(self._stop_at, None, Step.ALARMS)
         isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)
@@ -244,7 +244,7 @@ class Fleet:
         return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
 
     def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
-        """What is published of one valve where its results cannot be made."""
+        """Bad results of one valve, where the step that makes them raises."""
         return {name: lanes.unknown(m) for name, lanes in self._lanes.items()}
 
     def demands(self, chosen: Times) -> Floats:

@@ -80,15 +80,15 @@ class Identification:
         self.plans = valves.plans
 
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
-        """Stop a lane, or (None) all lanes of a valve: a step that others do for it raised."""
+        """Stop a lane, or (None) all lanes of a valve: a step outside of this object raised."""
         self._valves.stop(valve, step, estimator, error)
 
     def new_failures(self) -> list[LaneFailure]:
-        """Why lanes stopped since the last call."""
+        """Lanes that stopped since the last call."""
         return self._valves.failures.take_new()
 
     def unknown(self, valve: int) -> Results:
-        """What is published of a valve whose results cannot be: all is Bad."""
+        """Bad results of one valve, where the step that makes them raises."""
         return self._results.unknown(valve)
 
     def take(self, changes: DataChanges) -> ByValve:

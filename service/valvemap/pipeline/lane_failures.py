@@ -1,8 +1,8 @@
-"""Bulkheads: what raises at one valve or one estimator stops that lane and nothing else. Pure.
+"""Bulkheads: an exception in one lane (valve and estimator) stops that lane alone. Pure.
 
-A step works on many valves in one call. Where it raises, what it has written is undone, and the
-step is done again valve by valve: the valve at which it raises keeps its state of before and
-stops, all others get the bits that one call gives. A step that belongs to one estimator stops that
+A step works on many valves in one call. If it raises, its writes are undone and it is repeated
+valve by valve. The valve at which it raises keeps its previous state and stops; all others get
+the same bits as from one call. A step that belongs to one estimator stops that
 lane, one that belongs to the valve stops all of its lanes, until an operator resets one of them.
 """
 
@@ -24,7 +24,7 @@ Restore = Callable[[], None]
 
 
 class Step(StrEnum):
-    """What is done at a lane, or at a valve."""
+    """A step of the work on a lane or a valve."""
 
     GATE = "gate"
     LEARNING = "learning"
@@ -59,12 +59,12 @@ class LaneFailure:
 
 
 class LaneFailures:
-    """Failures that nobody has logged yet.
+    """Failures that are not logged yet.
 
     Attributes
     ----------
     count : int
-        All there were.
+        Number of all failures.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class LaneFailures:
             self._waiting.append(failure)
 
     def take_new(self) -> list[LaneFailure]:
-        """Take what was noted since the last call."""
+        """Take the failures noted since the last call."""
         taken, self._waiting = self._waiting, []
         return taken
 
@@ -98,7 +98,7 @@ def isolate(
     do
         Takes which of the K; writes in place.
     save
-        Keeps what `do` may write of some valves; what it returns writes that back.
+        Copies what `do` may write of the given valves; its result writes the copies back.
     stop
         Takes a valve at which `do` raises, with the exception, after it was written back.
 
@@ -120,7 +120,7 @@ def isolate(
     restore = save(members)
     try:
         do(every)
-    except Exception as error:  # noqa: BLE001 - a bulkhead: whatever it is, the others go on
+    except Exception as error:  # noqa: BLE001 - a bulkhead: the other lanes must not notice
         restore()
         if len(members) == 1:
             stop(int(members[0]), error)
@@ -137,7 +137,7 @@ def _at(do: Callable[[NDArray[np.intp]], None], one: NDArray[np.intp], _: Any) -
 
 
 def saved(arrays: Iterable[NDArray[Any]], members: Times) -> Restore:
-    """Copy the rows of some valves; what is returned writes them back."""
+    """Copy the rows of the given valves; the result writes the copies back."""
     copies = [(array, array[members]) for array in arrays]
 
     def restore() -> None:

@@ -109,12 +109,12 @@ class Lanes:
         self._notes.status[m] = Status.FAILED
 
     def start_again(self, m: int) -> None:
-        """Have a lane that stopped go on from its last state."""
+        """Resume a lane that stopped, from its last state."""
         if self.failed[m]:
             self._notes.status[m] = NO_STATUS
 
     def saved(self, members: Times) -> Restore:
-        """Keep what the lanes of some valves remember; what is returned writes that back."""
+        """Copy the memory of the given valves' lanes; the result writes the copies back."""
         spread = self._spread
         arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
         own = saved((*arrays, self.beyond, *self._notes), members)
@@ -268,7 +268,7 @@ class Lanes:
         )
 
     def unknown(self, m: int) -> EstimatorResults:
-        """What is published of valve ``m`` where its results cannot be made."""
+        """Bad results of valve ``m``, where the step that makes them raises."""
         n = len(self._estimator.parameter_names)
         nothing, t = np.full(1, np.nan), np.maximum(self._notes.t[m : m + 1], 1)
         return EstimatorResults(

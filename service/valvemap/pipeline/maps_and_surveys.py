@@ -61,7 +61,7 @@ class MapsAndSurveys:
             self._refresh_survey(valve, name)
 
     def tabulate(self, valve: int) -> None:
-        """Compute the table of one valve anew, unless the lane that it is of has failed."""
+        """Compute the table of one valve, unless its lane has failed."""
         inverse = self._valves.plans[valve].inverse
         if self._valves.runs(valve, inverse):
             with self._valves.bulkhead(valve, Step.MAP, inverse):

@@ -111,14 +111,14 @@ class ResultTables:
         return dict(zip(COUNTERS, counts, strict=True))
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
-        """The results of some valves; each alone that is stopped, and all where one raises."""
+        """Results of the given valves; stopped ones one by one, all one by one if they raise."""
         stopped = fleet.stopped()[self._valves.places[valves]]
         running, found = np.flatnonzero(~stopped), []
         alone = np.flatnonzero(stopped)
         try:
             if len(running):
                 found.append(self._of_fleet(fleet, valves[running], at_best[running]))
-        except Exception:  # noqa: BLE001 - a bulkhead: which valve it is turns out below
+        except Exception:  # noqa: BLE001 - a bulkhead: the valve is found below
             alone = np.arange(len(valves))
         for k in alone:
             valve, one = int(valves[k]), slice(k, k + 1)
@@ -130,7 +130,7 @@ class ResultTables:
         return found
 
     def unknown(self, valve: int) -> Results:
-        """What is published of a valve whose results cannot be made: all is Bad."""
+        """Bad results of one valve, where the step that makes them raises."""
         fleet, m = self._valves.at(valve)
         one, plan = np.array([valve]), self._valves.plans[valve]
         bad, nothing = np.full(1, Quality.BAD, np.uint8), np.full(1, np.nan)

@@ -83,11 +83,11 @@ class SharedSupport:
                 self._kept.learn(samples, status, chosen)
 
     def saved(self, members: Times) -> Restore:
-        """Keep what the maps of some valves rest on; what is returned writes that back."""
+        """Copy the support of the given valves' maps; the result writes the copies back."""
         rows = self._of[:, members]
         copies = [[array[own] for array in self._arrays] for own in rows]
 
-        def restore() -> None:  # `learn` may have given an estimator a row of its own meanwhile
+        def restore() -> None:  # `learn` may have moved an estimator to another row
             for e, copied in enumerate(copies):
                 for array, copy in zip(self._arrays, copied, strict=True):
                     array[self._of[e, members]] = copy

@@ -445,7 +445,7 @@ class LiveService:
                     await self._show(results)
                 except ValvemapError:
                     raise
-                except Exception:  # noqa: BLE001 - a bulkhead: which valve it is turns out next
+                except Exception:  # noqa: BLE001 - a bulkhead: the valve is found next
                     await self._show_alone(results.valves.tolist(), old)
             if self._clock.monotonic() >= end:
                 break

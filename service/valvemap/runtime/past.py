@@ -94,7 +94,7 @@ class PastKeeper:
         self.lost = self.failures = 0
 
     def take_failed(self) -> list[tuple[int, Exception]]:
-        """Valves whose rows could not be made into what is kept since the last call, and why."""
+        """Valves whose rows raised an error while they were saved since the last call."""
         failed, self._failed = self._failed, {}
         return [(self._valves.index(name), error) for name, error in failed.items()]
 
@@ -175,7 +175,7 @@ class PastKeeper:
             self._store.save(pieces())
         except StorageError:
             raise
-        except Exception:  # noqa: BLE001 - a bulkhead: which piece it is turns out next
+        except Exception:  # noqa: BLE001 - a bulkhead: the piece is found next
             for piece in pieces():
                 try:
                     self._store.save([piece])
