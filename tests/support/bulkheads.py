@@ -10,7 +10,15 @@ from support.plant import plant
 from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
-from valvemap.pipeline import alarms, kept_states, past, pipeline, result_tables, shared_support
+from valvemap.pipeline import (
+    alarms,
+    kept_states,
+    lanes,
+    past,
+    pipeline,
+    result_tables,
+    shared_support,
+)
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
@@ -123,6 +131,10 @@ STEPS = (
     ),
     _learning("RML", MaximumLikelihood),
     _learning("RBF", RbfNetwork),
+    Injected(
+        *("outside of any step", Step.LEARNING, LANES, lanes.Lanes, "take"),
+        lambda _lanes, samples, segments, _stop: _among(samples, segments),
+    ),
     Injected(
         *("support", Step.SUPPORT, LANES, shared_support.SharedSupport, "learn"),
         lambda _shared, samples, _said, segments: _among(samples, segments),

@@ -7,8 +7,9 @@ a fleet of one. What is handed out (:class:`~valvemap.pipeline.valve_state.Lane`
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +34,10 @@ from valvemap.pipeline.lane_failures import (
     Step,
     all_of,
     isolate,
+    isolate_last,
     saved,
 )
-from valvemap.pipeline.lanes import Lanes, SharedRests
+from valvemap.pipeline.lanes import Lanes, SharedRests, nothing_of
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.quality_gate import GateState
@@ -96,8 +98,34 @@ class Fleet:
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples in; return them as the gate judged them, and what every estimator said.
 
-        ``segments`` says which are whose, in the fleet's own numbers; none may be empty.
+        ``segments`` says which are whose, in the fleet's own numbers; none may be empty. If a step
+        raises, all are repeated valve by valve; then the lane of the step stops, or, outside of
+        any step, the valve.
         """
+        judged = samples
+        traces: Mapping[str, Trace] = {name: nothing_of(len(samples)) for name in self._lanes}
+
+        def take(rows: NDArray[np.intp]) -> None:
+            nonlocal judged, traces
+            if len(rows) == len(segments.members):
+                judged, traces = self._take(samples, segments)
+                return
+            if judged is samples:
+                judged = replace(samples, quality=np.full_like(samples.quality, Quality.BAD))
+            for k in rows:
+                start, end = segments.starts[k], segments.stops[k]
+                one = Segments.one(end - start)._replace(members=segments.members[k : k + 1])
+                found, said = self._take(samples[start:end], one)
+                judged.quality[start:end] = found.quality
+                for name, trace in traces.items():
+                    for f in fields(Trace):
+                        getattr(trace, f.name)[start:end] = getattr(said[name], f.name)
+
+        stop = partial(self._stop_at, None, Step.LEARNING)
+        isolate(segments.members, take, self._saved, stop)
+        return judged, traces
+
+    def _take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         judged = self._judged(samples, segments)
         traces, rests = {}, []
         for name, lanes in self._lanes.items():
@@ -109,12 +137,12 @@ class Fleet:
         self._t[running.members] = samples.t[running.stops - 1]
         kernel.last_T(judged.T, judged.quality, self._T, running)
 
-        def watch(rows: NDArray[np.intp]) -> None:
-            own = Segments(*(array[rows] for array in running))
-            self.alarms.watch(judged, traces[self.plan.inverse], own)
-            self._note(own.members)
+        def watch(_: NDArray[np.intp]) -> None:
+            self.alarms.watch(judged, traces[self.plan.inverse], running)
+            self._note(running.members)
 
-        self.watch(running.members, watch)
+        stop = partial(self._stop_at, None, Step.ALARMS)
+        isolate_last(running.members, watch, self._alarms_saved, stop)
         return judged, traces
 
     def stopped(self) -> NDArray[np.bool_]:
@@ -161,37 +189,48 @@ class Fleet:
     def _stop_at(self, name: str | None, step: Step, m: int, error: Exception) -> None:
         self.stop(m, step, name, error)
 
+    def _saved(self, members: Times) -> Restore:
+        """Copy the memory of the given valves; the result writes the copies back."""
+        own = saved((*self._gate_arrays, self._t, self._T), members)
+        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
+        return all_of([own, *lanes, self._support.saved(members), self._alarms_saved(members)])
+
+    @property
+    def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
+        return *self._gate.memory, self._gate.bad_status
+
     def _alarms_saved(self, members: Times) -> Restore:
         return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
         """The samples as the gate judges them; all are BAD of a valve that is stopped."""
         quality = np.full(len(samples), Quality.BAD, np.uint8)
-        running = np.flatnonzero(~self.stopped()[segments.members])
-        state = *self._gate.memory, self._gate.bad_status
+        running = segments.of(~self.stopped()[segments.members])
 
-        def judge(rows: NDArray[np.intp]) -> None:
-            own = Segments(*(array[running[rows]] for array in segments))
-            found = self.plan.gate.judge(self._gate, samples, own).quality
-            for _, start, stop in zip(*own, strict=True):
+        def judge(_: NDArray[np.intp]) -> None:
+            nonlocal quality
+            found = self.plan.gate.judge(self._gate, samples, running).quality
+            if len(running.members) == len(segments.members):
+                quality = found
+                return
+            for _, start, stop in zip(*running, strict=True):
                 quality[start:stop] = found[start:stop]
 
-        stop = partial(self._stop_at, None, Step.GATE)
-        isolate(segments.members[running], judge, partial(saved, state), stop)
+        stop_at = partial(self._stop_at, None, Step.GATE)
+        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
         return replace(samples, quality=quality)
 
     def _support_from(
         self, judged: Samples, rests: Sequence[tuple[Codes, Segments]], segments: Segments
     ) -> None:
-        running = np.flatnonzero(~self.stopped()[segments.members])
+        running = ~self.stopped()[segments.members]
 
-        def learn(rows: NDArray[np.intp]) -> None:
-            chosen = running[rows]
-            some = [(status, Segments(*(a[chosen] for a in own))) for status, own in rests]
-            self._support.learn(judged, some, Segments(*(array[chosen] for array in segments)))
+        def learn(_: NDArray[np.intp]) -> None:
+            some = [(status, own.of(running)) for status, own in rests]
+            self._support.learn(judged, some, segments.of(running))
 
         stop = partial(self._stop_at, None, Step.SUPPORT)
-        isolate(segments.members[running], learn, self._support.saved, stop)
+        isolate_last(segments.members[running], learn, self._support.saved, stop)
 
     def _note(self, chosen: Times) -> None:
         """Take up for the alarms what estimators found in the last samples."""

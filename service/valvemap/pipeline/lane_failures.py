@@ -136,6 +136,19 @@ def _at(do: Callable[[NDArray[np.intp]], None], one: NDArray[np.intp], _: Any) -
     do(one)
 
 
+def isolate_last(
+    members: Times,
+    do: Callable[[NDArray[np.intp]], None],
+    save: Callable[[Times], Restore],
+    stop: Callable[[int, Exception], None],
+) -> None:
+    """Do something within `isolate`: one valve as there; of several the outer call finds which."""
+    if len(members) == 1:
+        isolate(members, do, save, stop)
+    elif len(members):
+        do(np.arange(len(members)))
+
+
 def saved(arrays: Iterable[NDArray[Any]], members: Times) -> Restore:
     """Copy the rows of the given valves; the result writes the copies back."""
     copies = [(array, array[members]) for array in arrays]

@@ -31,7 +31,7 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
-from valvemap.pipeline.lane_failures import Restore, all_of, isolate, saved
+from valvemap.pipeline.lane_failures import Restore, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
@@ -78,25 +78,19 @@ class Lanes:
 
         Lanes that failed learn nothing; ``stop`` takes those at which learning raises.
         """
-        running = np.flatnonzero(~self.failed[segments.members])
-        trace, starts = _nothing_of(len(samples)), segments.starts.copy()
+        running = ~self.failed[segments.members]
+        trace, starts = nothing_of(len(samples)), segments.starts.copy()
 
-        def learn(rows: NDArray[np.intp]) -> None:
+        def learn(_: NDArray[np.intp]) -> None:
             nonlocal trace
-            own = Segments(*(array[running[rows]] for array in segments))
-            if len(own.members) == len(segments.members):
-                trace, rests = self._take(samples, own)
-                starts[:] = rests.starts
-                return
-            for k in running[rows]:
-                start, end = segments.starts[k], segments.stops[k]
-                one = Segments.one(end - start)._replace(members=segments.members[k : k + 1])
-                said, rests = self._take(samples[start:end], one)
-                starts[k] = start + rests.starts[0]
-                for f in fields(Trace):
-                    getattr(trace, f.name)[start:end] = getattr(said, f.name)
+            trace, rests = self._take(samples, segments.of(running))
+            starts[running] = rests.starts
 
-        isolate(segments.members[running], learn, self.saved, stop)
+        isolate_last(segments.members[running], learn, self.saved, stop)
+        for _, start, end in zip(*segments.of(~running), strict=True):
+            nothing = nothing_of(end - start)
+            for f in fields(Trace):
+                getattr(trace, f.name)[start:end] = getattr(nothing, f.name)
         return trace, Segments(segments.members, starts, segments.stops)
 
     @property
@@ -358,7 +352,7 @@ for _status, _quality in {
     _QUALITY[_status] = _quality
 
 
-def _nothing_of(N: int) -> Trace:
+def nothing_of(N: int) -> Trace:
     """What lanes that failed say of N samples."""
     predicted, residual, early = np.full((3, N), np.nan)
     return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
