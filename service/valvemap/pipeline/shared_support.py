@@ -84,13 +84,12 @@ class SharedSupport:
 
     def saved(self, members: Times) -> Restore:
         """Copy the support of the given valves' maps; the result writes the copies back."""
-        rows = self._of[:, members]
-        copies = [[array[own] for array in self._arrays] for own in rows]
+        rows, at = np.unique(self._of[:, members], return_inverse=True)
+        copies, at = [array[rows] for array in self._arrays], at.reshape(-1, len(members))
 
         def restore() -> None:  # `learn` may have moved an estimator to another row
-            for e, copied in enumerate(copies):
-                for array, copy in zip(self._arrays, copied, strict=True):
-                    array[self._of[e, members]] = copy
+            for array, copy in zip(self._arrays, copies, strict=True):
+                array[self._of[:, members]] = copy[at]
 
         return restore
 
