@@ -98,6 +98,13 @@ def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
             "valves[0].U_range_percent: [-100, 100] is more than RLS, RML, Auto can describe; with",
         ),
         ("[[valves]]\nU_range_percent = [0, 120]\n", "[0, 120] is more than RLS, RML, Auto can"),
+        *(
+            (
+                f"[[valves]]\n[[valves.estimators]]\nkind = '{kind}'\nlam = 1e-300\n",
+                f"lam = 1e-300: forgetting factor 1e-300: allowed is {least} <= lam <= 1",
+            )
+            for kind, least in (("RLS", 0.8333), ("RML", 0.5), ("Auto", 0.5))
+        ),
         ("[source\n", "not valid TOML"),
         ("[source]\ntimeout_s = nan\n", "source.timeout_s"),
     ],

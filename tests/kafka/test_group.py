@@ -124,7 +124,7 @@ def test_a_command_is_answered_when_it_is_done_or_why_not(plan):
         (Command("e", "north.0", "V1", "demand"), "demand with 0 values"),
         (
             Command("f", "north.0", "V1", "set_forgetting_factor", "RLS", (2.0,)),
-            "forgetting factor 2: allowed is 0 < lam <= 1",
+            "V1.RLS: forgetting factor 2.0: allowed is 0.8333 <= lam <= 1",
         ),
         (Command("g", "north.0", "V1", "roll_back"), "V1 has no baseline"),
         (Command("h", "north.0", "V1", "acknowledge", "Rust", (1,)), "no alarm 'Rust'"),

@@ -9,12 +9,18 @@ pytest.importorskip("pyarrow")
 
 import structlog
 
+from support.bulkheads import CULPRIT, LANES, MARK, STEPS, VALVES, Injected, broken
 from support.fleet import RHYTHM, Dictionary, as_messages, block, catalogue, day, feed, group
 from valvemap.errors import FleetError
+from valvemap.kafka import worker as worker_module
 from valvemap.kafka.blocks import write_samples
+from valvemap.kafka.commands import Command, write_message
 from valvemap.kafka.group import Group
 from valvemap.kafka.memory import read_memory, write_memory
+from valvemap.kafka.result_blocks import read_results
 from valvemap.kafka.worker import MEMORY, Worker
+from valvemap.pipeline.lane_failures import Step
+from valvemap.vocabulary.statuses import Status
 
 GROUPS = ("north.0", "north.1")
 
@@ -157,3 +163,65 @@ def test_a_memory_that_does_not_fit_stops_the_worker_with_one_line(known):
     with pytest.raises(FleetError, match=r"^group north\.0: not a group's memory$"):
         worker.samples(b"north.0", write_samples(sent), store)
     assert store.get_bytes(MEMORY) == b"of another program"
+
+
+PACKED = Injected(
+    *("packing", Step.PUBLICATION, LANES, worker_module, "write_results"),
+    lambda one: np.isfinite(one.results.signals.values[one.results.valves == CULPRIT]).any(),
+)
+ELSEWHERE = {Step.HISTORY, Step.CHECKPOINT, Step.RECORDING, Step.PUBLICATION}  # not of a worker
+OF_A_WORKER = [*(step for step in STEPS if step.step not in ELSEWHERE), PACKED]
+
+
+@pytest.mark.parametrize("step", OF_A_WORKER, ids=lambda step: step.name)
+def test_an_error_in_any_step_of_one_valve_costs_a_worker_nothing_else(step, monkeypatch):
+    known = catalogue(valves=VALVES, per_group=VALVES)
+    plan = known.groups["north.0"]
+    blocks = [marked(plan, number) for number in range(1, 7)]
+    undisturbed = learnt_by(Worker(known, RHYTHM), blocks)
+    worker = Worker(known, RHYTHM)
+    with structlog.testing.capture_logs() as said, monkeypatch.context() as patch:
+        broken(patch, step)
+        out = learnt_by(worker, blocks)
+    others = [f"V{v}" for v in range(VALVES) if v != CULPRIT]
+    assert newest(out, others) == newest(undisturbed, others)
+    errors = [entry for entry in said if entry["event"] == "lane failed"]
+    assert [str(entry["exc_info"]) for entry in errors] == ["injected"]
+    name = f"V{CULPRIT}"
+    shown = newest(out, [name])[name]
+    assert [shown[estimator][0] for estimator in step.stops] == [int(Status.FAILED)] * len(
+        step.stops
+    )
+
+
+def marked(plan, number):
+    lengths = [20] * VALVES
+    found = block(plan, number, lengths, seed=number, first=20 * number)
+    segments = found.samples.segments
+    found.samples.samples.T[segments.starts[CULPRIT] : segments.stops[CULPRIT]] = MARK
+    return write_samples(found)
+
+
+def learnt_by(worker, blocks):
+    store, out = Dictionary(), []
+    demand = Command("1", "north.0", f"V{CULPRIT}", "demand", "", (30.0, 100.0))
+    worker.command(b"north.0", write_message(demand), store)
+    for message in blocks:
+        out += worker.samples(b"north.0", message, store)
+        worker.keep()
+        store.commit()
+    return out
+
+
+def newest(out, valves):
+    """Status, number of samples and theta of each estimator, as they were published last."""
+    found = {}
+    for message in out:
+        shown = read_results(message)
+        for row, valve in enumerate(shown.results.valves.tolist()):
+            if shown.valves[valve] in valves:
+                found[shown.valves[valve]] = {
+                    name: (int(r.status[row]), int(r.sample_count[row]), r.theta[row].tobytes())
+                    for name, r in shown.results.estimators.items()
+                }
+    return found

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+from support.plant import plant
 from valvemap.model import recursive_least_squares
+from valvemap.model.auto import Auto
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -10,10 +12,15 @@ from valvemap.model.forgetting import (
     SlidingWindow,
     Subspace,
     Variable,
+    least_lam,
     with_lam,
 )
 from valvemap.model.least_squares import batch_least_squares
+from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.model_structures import FiveTerms
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.model.residual_spread import ResidualSpread
+from valvemap.model.survey import survey
 from valvemap.vocabulary.statuses import Status
 
 THETA = np.array([1.0, 0.02, 0.3, 0.12, -0.01])
@@ -192,3 +199,45 @@ def test_a_plant_that_stays_gives_it_no_reason_to_hurry(rho):
     calm = recursive_least_squares(X, Q + e, Subspace(0.998)).theta
     adaptive = recursive_least_squares(X, Q + e, Adaptive(0.998)).theta
     assert map_rmse(adaptive) < 1.2 * map_rmse(calm) + 0.05
+
+
+RULES_WITH_LAM = [
+    *(Exponential(), Variable(), Resetting(), Directional()),
+    *(Subspace(), Adaptive()),
+]
+
+
+@pytest.mark.parametrize("rule", RULES_WITH_LAM, ids=repr)
+@pytest.mark.parametrize("lam", [1e-300, 1e-3, -1e308, 0.0, 1.0 + 1e-9, np.nan, np.inf])
+def test_a_memory_of_fewer_samples_than_unknowns_is_refused_in_one_sentence(rule, lam):
+    with pytest.raises(ValueError, match=r"^forgetting factor .* allowed is 0\.\d+ <= lam <= 1"):
+        RecursiveLeastSquares(forgetting=rule).with_forgetting(lam)
+
+
+@pytest.mark.parametrize("rule", RULES_WITH_LAM, ids=repr)
+@pytest.mark.parametrize("rich", [5_000, 500], ids=["rich", "then still"])
+def test_the_smallest_forgetting_factor_of_each_rule_leaves_all_numbers_finite(rule, rich):
+    n = len(RecursiveLeastSquares().parameter_names)
+    rls = RecursiveLeastSquares(forgetting=with_lam(rule, least_lam(rule, n)))
+    samples = plant(5_000)
+    samples.U[rich:], samples.p2[rich:] = 40.0, 100.0
+    state, trace = rls.update(rls.initial_state(), samples)
+    assert np.isfinite(rls.parameters(state)[0]).all()
+    assert np.isfinite(trace.predicted[n:]).all()
+    found = survey(rls, state, ResidualSpread.none().add(samples, trace), int(samples.t[-1]))
+    assert 0.0 <= found.suggested_U <= 100.0
+
+
+@pytest.mark.parametrize("estimator", [MaximumLikelihood(lam=0.5), Auto(lam=0.5)], ids=repr)
+@pytest.mark.parametrize("rich", [5_000, 500], ids=["rich", "then still"])
+def test_the_smallest_forgetting_factor_of_other_estimators_leaves_all_numbers_finite(
+    estimator, rich
+):
+    samples = plant(5_000)
+    samples.U[rich:], samples.p2[rich:] = 40.0, 100.0
+    state, trace = estimator.update(estimator.initial_state(), samples)
+    assert np.isfinite(estimator.parameters(state)[0]).all()
+    found = survey(estimator, state, ResidualSpread.none().add(samples, trace), 0)
+    assert 0.0 <= found.suggested_U <= 100.0
+    with pytest.raises(ValueError, match=r"factor 0\.4: allowed is 0\.5 <= lam <= 1"):
+        estimator.with_forgetting(0.4)

@@ -1,6 +1,9 @@
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
+from support.plant import plant
 from valvemap.model.auto import Auto
 from valvemap.model.forgetting import Adaptive, Exponential
 from valvemap.model.maximum_likelihood import MaximumLikelihood
@@ -122,3 +125,23 @@ def test_a_flow_that_the_pump_cannot_deliver_is_not_suggested():
     bound = survey(rls, state, spread, 0, Q_max=60.0)
     assert 0.14 * free.suggested_U * np.sqrt(free.suggested_dp) > 100.0
     assert 0.14 * bound.suggested_U * np.sqrt(bound.suggested_dp) < 61.0
+
+
+@dataclass(frozen=True)
+class Broken(RecursiveLeastSquares):
+    """One whose information has left the range of numbers."""
+
+    number: float = np.nan
+
+    def information(self, _state):
+        return np.full((5, 5), self.number)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e308, -1e308, 0.0])
+def test_a_survey_without_a_covariance_suggests_a_place_and_says_that_one_is_open(number):
+    rls, samples = Broken(number=number), plant(500)
+    state, trace = rls.update(rls.initial_state(), samples)
+    found = survey(rls, state, ResidualSpread.none().add(samples, trace), 0)
+    assert found.condition == np.inf
+    assert 0.0 <= found.suggested_U <= 100.0
+    assert 0.0 <= found.suggested_dp <= 200.0

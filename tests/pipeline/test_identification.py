@@ -78,9 +78,9 @@ def test_reset_forgets_the_samples_and_keeps_the_settings(identification):
     assert identification.lane("Valvistor", "RLS").estimator.lam == 0.97
 
 
-@pytest.mark.parametrize("lam", [0.0, -1.0, 1.01, np.nan, np.inf])
+@pytest.mark.parametrize("lam", [1e-300, 0.0, 0.8, -1.0, 1.01, np.nan, np.inf, -1e308])
 def test_a_forgetting_factor_out_of_range_is_refused(identification, lam):
-    with pytest.raises(CommandRejected, match="0 < lam <= 1"):
+    with pytest.raises(CommandRejected, match=r"factor .*: allowed is 0\.8333 <= lam <= 1"):
         identification.set_forgetting_factor("Valvistor", "RLS", lam)
 
 

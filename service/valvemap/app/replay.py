@@ -20,10 +20,12 @@ from valvemap.model.samples import Floats, Samples, Segments, Trace
 from valvemap.model.survey import Survey
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import COUNTER_NAMES, Fleet
+from valvemap.pipeline.lane_failures import LaneFailures
 from valvemap.pipeline.plausibility import Kind, Plausibility, refuse
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score
 from valvemap.pipeline.valve_state import Lane, ValvePlan, ValveState
+from valvemap.runtime.failure_log import log_failure
 from valvemap.storage.layout import Layout
 from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.statuses import InverseStatus, Quality
@@ -184,7 +186,8 @@ class _Learnt:
         best = RecursiveLeastSquares(forgetting=Exponential(1.0))
         self.plan = replace(plan, estimators={**plan.estimators, BEST_FIT: best})
         self.last = Samples.empty()
-        self._fleet = Fleet(self.plan, 1)
+        self._failures = LaneFailures()
+        self._fleet = Fleet(self.plan, 1, failures=self._failures)
         self._plausibility = Plausibility(1)
         self.samples = 0
 
@@ -215,7 +218,10 @@ class _Learnt:
         if len(samples) == 0:
             return samples, {}
         self.last = samples
-        return self._fleet.take(samples, Segments.one(len(samples)))
+        found = self._fleet.take(samples, Segments.one(len(samples)))
+        for failure in self._failures.take_new():
+            log_failure(failure)
+        return found
 
     def results(self) -> Mapping[str, EstimatorResults]:
         return self._fleet.results(np.zeros(1, np.int64))

@@ -53,6 +53,9 @@ class AlarmsConfig(Section):
     Extrapolated: AlarmConfig = Field(AlarmConfig(), description="0 or 1; default 0.5")
     SamplesLost: AlarmConfig = Field(AlarmConfig(), description="%; default 1")
     LagFound: AlarmConfig = Field(AlarmConfig(), description="s; default 0.1")
+    LaneFailed: AlarmConfig = Field(
+        AlarmConfig(), description="estimators that stopped; default 0.5"
+    )
 
     def rules(self) -> dict[Alarm, AlarmRule]:
         """When each of them comes and goes."""

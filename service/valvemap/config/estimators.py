@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, assert_never
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from valvemap.config.sections import Section
 from valvemap.model.auto import Auto
@@ -50,6 +50,14 @@ class RlsConfig(Section):
     )
     window_samples: int = Field(500, ge=10, le=100_000, description="length of a window")
 
+    @field_validator("lam")
+    @classmethod
+    def _determines(cls, lam: float | None, info: ValidationInfo) -> float | None:
+        rule = _RULES.get(info.data.get("forgetting", ""))  # none of a window
+        if lam is not None and rule is not None:
+            RecursiveLeastSquares(forgetting=rule(lam))
+        return lam
+
 
 class RmlConfig(Section):
     """Recursive maximum likelihood on eq. (7), noise coloured by a moving average."""
@@ -58,6 +66,11 @@ class RmlConfig(Section):
     name: Name = "RML"
     lam: Lam = 0.999
     nd: int = Field(1, ge=1, le=8, description="order of the moving average of the noise")
+
+    @field_validator("lam")
+    @classmethod
+    def _determines(cls, lam: float) -> float:
+        return MaximumLikelihood(lam=lam).lam
 
 
 class RbfConfig(Section):
@@ -79,6 +92,11 @@ class AutoConfig(Section):
     lam: Lam = 0.998
     lag_U_s: Lag = Field(None, description="lag of the effect of U; none: looked for")
     lag_Q_s: Lag = Field(None, description="lag of the flow meter; none: looked for")
+
+    @field_validator("lam")
+    @classmethod
+    def _determines(cls, lam: float) -> float:
+        return Auto(lam=lam).lam
 
 
 AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig

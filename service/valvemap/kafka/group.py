@@ -30,6 +30,7 @@ from valvemap.kafka.result_blocks import ResultsBlock
 from valvemap.model.estimator import StateMismatchError
 from valvemap.pipeline.alignment import Alignment, AlignmentSettings, ByValve
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Step
 from valvemap.pipeline.ports import Results
 
 REPEATED: Final = "repeated"  # blocks that had come before
@@ -123,6 +124,8 @@ class Group:
                 values = carry_out(command, self.identification)
             except CommandRejected as error:
                 reason = str(error)
+            except Exception as error:  # noqa: BLE001 - a bulkhead: other commands are done
+                reason = f"{type(error).__name__}: {error}"[:MOST_OF_A_REASON]
         reply = Reply(command.id, self.plan.name, self.number, not reason, reason, values)
         if command.action not in QUESTIONS:
             self._note(reply)
@@ -136,6 +139,18 @@ class Group:
         self.identification.refresh_all_maps()
         for results in self.identification.results(range(len(self.plan.plans))):
             yield self._block(results)
+
+    def alone(self, results: Results) -> Iterator[ResultsBlock]:
+        """Make the results of each of these valves again, a block for each."""
+        for valve in results.valves.tolist():
+            for one in self.identification.results([valve]):
+                yield self._block(_without_tables(one))
+
+    def stop(self, results: Results, error: Exception) -> ResultsBlock:
+        """Stop the one valve whose results cannot be packed; return Bad results of it."""
+        (valve,) = results.valves.tolist()
+        self.identification.stop(valve, Step.PUBLICATION, error)
+        return self._block(self.identification.unknown(valve))
 
     def _note(self, reply: Reply) -> None:
         self._replies[reply.id] = reply

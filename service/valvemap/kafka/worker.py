@@ -23,6 +23,7 @@ from valvemap.kafka.decoding import ROW_BYTES, Decoder, Rejected, Tracebacks
 from valvemap.kafka.group import AHEAD, Group, Rhythm
 from valvemap.kafka.result_blocks import ResultsBlock, write_results
 from valvemap.kafka.settings import TopicsConfig
+from valvemap.runtime.failure_log import log_failure
 
 MEMORY: Final = "memory"
 MARK: Final = "mark"
@@ -155,6 +156,8 @@ class Worker:
             held.steps.append(_REFUSED)
         else:
             why, out = self._step(name, store, held, step_of(found))
+        for failure in held.group.identification.new_failures():
+            log_failure(failure)
         if why:
             self._reject(key, message, why)
         self._mark(name, held, store)
@@ -168,7 +171,7 @@ class Worker:
         before, out = held.group.counts[AHEAD], list[bytes]()
         held.steps.append(step)
         try:
-            out = [_packed(one) for one in step.take(held.group)]
+            out = [packed for one in step.take(held.group) for packed in _packed(held.group, one)]
         except BlockError as error:
             held.group.refuse()
             return str(error), []
@@ -235,5 +238,18 @@ def _refuse(group: Group) -> Iterator[ResultsBlock | Reply]:
 _REFUSED: Final = _Step(_refuse)
 
 
-def _packed(one: ResultsBlock | Reply) -> bytes:
-    return write_message(one) if isinstance(one, Reply) else write_results(one)
+def _packed(group: Group, one: ResultsBlock | Reply) -> list[bytes]:
+    """A message, or one for each valve where the results of one of them cannot be packed."""
+    if isinstance(one, Reply):
+        return [write_message(one)]
+    try:
+        return [write_results(one)]
+    except Exception:  # noqa: BLE001 - a bulkhead: which valve it is turns out next
+        return [_packed_alone(group, block) for block in group.alone(one.results)]
+
+
+def _packed_alone(group: Group, one: ResultsBlock) -> bytes:
+    try:
+        return write_results(one)
+    except Exception as error:  # noqa: BLE001 - a bulkhead: the others are sent
+        return write_results(group.stop(one.results, error))

@@ -23,6 +23,7 @@ from valvemap.model.auto_state import (
 )
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, member, update_one
+from valvemap.model.forgetting import check_lam, lam_of_memory
 from valvemap.model.kernels import cells as memory
 from valvemap.model.kernels import ladder, lag
 from valvemap.model.kernels import surface as kernel
@@ -33,6 +34,7 @@ from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trac
 from valvemap.vocabulary.statuses import Adaptation, Quality
 
 UNKNOWN: Final = 1e4  # variance over σ² of a map that says nothing
+LEAST_LAM: Final = lam_of_memory(2)  # of a cell's samples: its mean and the noise come from them
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -72,7 +74,7 @@ class Auto:
     Parameters
     ----------
     lam
-        Forgetting factor of a cell, per sample that falls into it; 0 < lam <= 1.
+        Forgetting factor of a cell, per sample that falls into it; LEAST_LAM <= lam <= 1.
     steps
         Steps of the ladder tried at each fit, at most.
     lag_U, lag_Q
@@ -103,8 +105,7 @@ class Auto:
             tau = getattr(self, name)
             if tau is not None and not 0.0 <= tau < math.inf:
                 raise ValueError(f"{name} = {tau!r} s is not a time")
-        if not 0.0 < self.lam <= 1.0:
-            raise ValueError(f"forgetting factor lam = {self.lam!r} is not in (0, 1]")
+        check_lam(self.lam, LEAST_LAM)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

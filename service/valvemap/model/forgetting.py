@@ -2,6 +2,9 @@
 
 All rules share eq. (23), theta(t) = theta(t-1) + P(t)·X(t)·(Q(t) - Xᵀ(t)·theta(t-1)). They differ
 in what becomes of the information P⁻¹; r means XᵀPX, `lam` the forgetting factor λ, 0 < λ ≤ 1.
+
+A memory of 1/(1 - λ) samples must hold as many samples as there are numbers estimated from it, see
+`least_lam`: below, P is singular and theta follows the noise of single samples.
 """
 
 from dataclasses import dataclass, replace
@@ -159,6 +162,57 @@ def with_lam(forgetting: Forgetting, lam: float) -> Forgetting:
             return replace(forgetting, lam=lam)
         case _:
             assert_never(forgetting)
+
+
+def least_lam(forgetting: Forgetting, n: int) -> float:
+    """Smallest λ for theta (n,), the parameters that one sample bears on.
+
+    `Exponential`, `Variable` and `Adaptive` forget everything at each sample: theta (n,) and σ² are
+    estimated from one memory, 1/(1 - λ) ≥ n + 1. `Directional` and `Subspace` forget along X alone,
+    and `Resetting` keeps information about each parameter: each direction has a memory of its own,
+    from which its parameter and σ² are estimated, 1/(1 - λ) ≥ 2.
+
+    Raises
+    ------
+    ValueError
+        if the rule has none.
+
+    Examples
+    --------
+    >>> least_lam(Exponential(), 4), least_lam(Directional(), 4)
+    (0.8, 0.5)
+    """
+    match forgetting:
+        case Exponential() | Variable() | Adaptive():
+            return lam_of_memory(n + 1)
+        case Directional() | Subspace() | Resetting():
+            return lam_of_memory(2)
+        case SlidingWindow():
+            raise ValueError("a sliding window has a length and no forgetting factor")
+        case _:
+            assert_never(forgetting)
+
+
+def lam_of_memory(samples: int) -> float:
+    """λ whose memory 1/(1 - λ) is that many samples."""
+    return 1.0 - 1.0 / samples
+
+
+def check_lam(lam: float, least: float) -> None:
+    """Refuse a forgetting factor that is out of range.
+
+    Raises
+    ------
+    ValueError
+        if λ is not in [least, 1].
+    """
+    if least <= lam <= 1.0:
+        return
+    samples = round(1.0 / (1.0 - least))
+    raise ValueError(
+        f"forgetting factor {lam!r}: allowed is {least:.4g} <= lam <= 1, a memory "
+        f"1/(1 - lam) of at least {samples} samples, as many as there are unknowns"
+    )
 
 
 def _check_factor(name: str, value: float) -> None:

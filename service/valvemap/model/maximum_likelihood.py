@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from valvemap.model.fleet import alone, member, repeated, update_one
+from valvemap.model.forgetting import Directional, check_lam, least_lam
 from valvemap.model.kernels import maximum_likelihood as kernel
 from valvemap.model.kernels import reaction
 from valvemap.model.kernels.factors import covariance
@@ -86,6 +87,7 @@ class MaximumLikelihood:
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
         _check_settings(self.nd, self.lam, self.p0, self.radius)
+        check_lam(self.lam, least_lam(Directional(), len(self.parameter_names)))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -181,10 +183,16 @@ class MaximumLikelihood:
         return parameter_covariance(state)[:n, :n] * np.outer(wider, wider)
 
     def information(self, state: MaximumLikelihoodState) -> Floats:
-        """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is."""
+        """P⁻¹ (n, n) of the structure's parameters, whatever the noise model is.
+
+        NaN where P has no inverse.
+        """
         n = len(self._scale)
         P = covariance(state.factor)[:n, :n] / np.outer(self._scale, self._scale)
-        return np.asarray(np.linalg.inv(P))
+        try:
+            return np.asarray(np.linalg.inv(P))
+        except np.linalg.LinAlgError:  # how numpy reports that there is none
+            return np.full_like(P, np.nan)
 
     def root_margin(self, state: MaximumLikelihoodState) -> float:
         """1 - max|root of D̂(q)|: 1 for white noise, near 0 on the edge of invertibility."""

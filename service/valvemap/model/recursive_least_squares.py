@@ -1,6 +1,7 @@
 """Recursive least squares with forgetting, eqs. (17)-(28), in exact and bounded arithmetic."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -8,7 +9,15 @@ from numpy.typing import ArrayLike
 
 from valvemap.model.change import Change
 from valvemap.model.fleet import learn_many, member, update_one
-from valvemap.model.forgetting import Adaptive, Exponential, Forgetting, with_lam
+from valvemap.model.forgetting import (
+    Adaptive,
+    Exponential,
+    Forgetting,
+    SlidingWindow,
+    check_lam,
+    least_lam,
+    with_lam,
+)
 from valvemap.model.kernels.change_detection import FEWEST_BETWEEN
 from valvemap.model.kernels.row_layout import CHANGES, SAMPLE, SIZE, TIME
 from valvemap.model.kernels.rules import LARGEST
@@ -85,6 +94,8 @@ class RecursiveLeastSquares:
     def __post_init__(self) -> None:
         if not self.p0 > 0.0:
             raise ValueError(f"p0 = {self.p0!r} is not positive")
+        if not isinstance(self.forgetting, SlidingWindow):
+            check_lam(self.lam, least_lam(self.forgetting, _parameters_of_a_sample(self.structure)))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -102,8 +113,9 @@ class RecursiveLeastSquares:
         Raises
         ------
         ValueError
-            if λ is not in (0, 1].
+            if λ is below `least_lam` or above 1.
         """
+        check_lam(lam, least_lam(self.forgetting, _parameters_of_a_sample(self.structure)))
         return replace(self, forgetting=with_lam(self.forgetting, lam))
 
     def initial_state(self) -> RlsState:
@@ -177,6 +189,22 @@ class RecursiveLeastSquares:
             t=counters[TIME],
             size=float(state.detector[SIZE]),
         )
+
+
+@lru_cache(maxsize=64)
+def _parameters_of_a_sample(structure: Structure) -> int:
+    """How many parameters one sample bears on at most: of a spline, those around its cell.
+
+    The participation ratio (Σ|x|)²/Σx² of a row whose columns are scaled: n where all n regressors
+    weigh the same, 1 where one does alone.
+    """
+    grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
+    rows = np.abs(structure.regressors(*(axis.ravel() for axis in grid)))
+    largest = rows.max(axis=0)
+    rows /= np.where(largest > 0.0, largest, 1.0)
+    squares = (rows**2).sum(axis=1)
+    ratio = rows.sum(axis=1) ** 2 / np.where(squares > 0.0, squares, 1.0)
+    return max(1, round(float(ratio.max())))
 
 
 @dataclass(frozen=True)

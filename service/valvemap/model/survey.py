@@ -44,7 +44,8 @@ class Survey:
         Part of the regions with recent samples.
     condition : float
         How much better the best known combination of parameters is known than the worst, each in
-        units of its effect on the map; inf while one is open, NaN where there is no such thing.
+        units of its effect on the map; inf while one is open or P is beyond the range of numbers,
+        NaN where there is no such thing.
     suggested_U, suggested_dp : float
         The test point (%, bar) that would lower the mean variance of the map most.
     """
@@ -74,7 +75,8 @@ def survey(
     Where P is known, the suggestion is the next sample of an I-optimal design: with A = X·P·Xᵀ
     over the grid, a sample at point k lowers the sum of the variances by Σ_g A_gk²/(1 + A_kk)
     (in units of the noise). Otherwise it is the point of the largest standard deviation, and where
-    no estimate of it differs from point to point (a network), the one that was visited least.
+    no estimate of it differs from point to point (a network), or P is beyond the range of numbers,
+    the one that was visited least.
     Points whose predicted flow lies beyond ``Q_max`` are not suggested.
 
     References
@@ -132,17 +134,28 @@ def _gain(
     estimator: Estimator[S], state: S, spread: ResidualSpread, U: Floats, dp: Floats, T: float
 ) -> tuple[Floats, float]:
     """What a sample at each of N points would tell, in some unit, and the condition of P."""
+    least_visited = 1.0 / (1.0 + spread.density(U, dp))
     if isinstance(estimator, Informed):
         X = estimator.structure.regressors(U, dp, np.full_like(U, T))
-        P = _inverse(estimator.information(state), X)
-        A = X @ P @ X.T
-        gain = (A * A).sum(axis=0) / (1.0 + np.maximum(np.diag(A), 0.0))
-        return gain, _condition(P, X)
+        with np.errstate(all="ignore"):
+            gain, condition = _gain_of_design(estimator.information(state), X)
+        return (gain, condition) if np.isfinite(gain).all() else (least_visited, np.inf)
     _, std = estimator.predict(state, U, dp, np.full_like(U, T))
     known = std[np.isfinite(std)]
     if len(known) < len(std) or np.ptp(known) > 0.0:
         return np.where(np.isfinite(std), std, np.inf), np.nan
-    return 1.0 / (1.0 + spread.density(U, dp)), np.nan
+    return least_visited, np.nan
+
+
+def _gain_of_design(information: Floats, X: Floats) -> tuple[Floats, float]:
+    """Gain at N points (N,) and condition; NaN and inf where P cannot be computed."""
+    try:
+        P = _inverse(information, X)
+        condition = _condition(P, X)
+    except np.linalg.LinAlgError:  # how numpy reports that there is none
+        return np.full(len(X), np.nan), np.inf
+    A = X @ P @ X.T
+    return (A * A).sum(axis=0) / (1.0 + np.maximum(np.diag(A), 0.0)), condition
 
 
 def _condition(P: Floats, X: Floats) -> float:

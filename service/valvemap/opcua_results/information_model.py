@@ -639,4 +639,5 @@ COUNTERS = {
     "spike": "Samples rejected because a signal had a spike.",
     "beyond_range": "Samples that an estimator did not learn from: it cannot describe such a U.",
     "too_fast_for_lag": "Samples that Auto did not learn from: too fast for the signals' lags.",
+    "lane_failures": "How often an estimator stopped at an unexpected error (alarm LaneFailed).",
 }

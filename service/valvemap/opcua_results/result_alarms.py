@@ -53,6 +53,7 @@ _SERVER = ua.NodeId(ua.ObjectIds.Server)
 _KIND = {
     "Changed": ConditionKind.OFF_NORMAL,
     "Extrapolated": ConditionKind.OFF_NORMAL,
+    "LaneFailed": ConditionKind.OFF_NORMAL,
     "Certificate": ConditionKind.BELOW_LIMIT,
 }
 _CATEGORY = {

@@ -285,14 +285,17 @@ def _of_estimator(t: int, quality: Quality, status: Status) -> int:
         return int(_Codes.Good)
     if quality == Quality.UNCERTAIN:
         return int(_UNCERTAIN_BECAUSE.get(status, _Codes.UncertainLastUsableValue))
-    rejected = status == Status.REJECTED
-    return int(_Codes.BadSensorFailure if rejected else _Codes.BadNoCommunication)
+    return int(_BAD_BECAUSE.get(status, _Codes.BadNoCommunication))
 
 
 _UNCERTAIN_BECAUSE: dict[Status, int] = {
     Status.WARMING_UP: _Codes.UncertainInitialValue,
     Status.UNEXCITED: _Codes.UncertainSubNormal,
     Status.EXTRAPOLATING: _Codes.UncertainEngineeringUnitsExceeded,
+}
+_BAD_BECAUSE: dict[Status, int] = {
+    Status.REJECTED: _Codes.BadSensorFailure,
+    Status.FAILED: _Codes.BadInternalError,
 }
 _OF_INVERSE: dict[Quality, int] = {
     Quality.GOOD: _Codes.Good,

@@ -35,6 +35,7 @@ class Reason(Described):
     SENSOR_FAILURE = 10, "sensor failed", "A sensor has failed."
     NO_SAMPLES = 11, "signals lost", "There is no connection to the valve's signals."
     UNREADABLE = 12, "unreadable", "The service does not publish this valve any more."
+    FAILED = 13, "failed", "The estimator stopped at an unexpected error; Reset starts it again."
 
     @property
     def severity(self) -> Severity:
@@ -56,6 +57,7 @@ _SEVERITIES = {
     Reason.SENSOR_FAILURE: Severity.ALARM,
     Reason.NO_SAMPLES: Severity.ALARM,
     Reason.UNREADABLE: Severity.ALARM,
+    Reason.FAILED: Severity.ALARM,
 }
 INVERSE_SEVERITIES = {
     InverseStatus.OK: Severity.GOOD,
@@ -75,6 +77,7 @@ _BY_STATUS: Mapping[int, Reason] = {
     Status.FROZEN: Reason.FROZEN,
     Status.HELD: Reason.HELD,
     Status.EXTRAPOLATING: Reason.EXTRAPOLATING,
+    Status.FAILED: Reason.FAILED,
 }
 _BAD = 0x8000_0000
 _BAD_WAITING_FOR_INITIAL_DATA = 0x8032_0000

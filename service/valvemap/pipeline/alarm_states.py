@@ -82,9 +82,9 @@ class AlarmStates:
             self._remarks[m, a] = Remark(text, by, remark.t)
             self.conditions.version[m] += 1
 
-    def reports(self, m: int) -> tuple[AlarmReport, ...]:
-        """How every alarm of one valve stands, in words."""
-        return tuple(self._report(m, a) for a in range(len(self._names)))
+    def reports(self, m: int, reason: str = "") -> tuple[AlarmReport, ...]:
+        """How every alarm of one valve stands, in words; ``reason`` is why a lane stopped."""
+        return tuple(self._report(m, a, reason) for a in range(len(self._names)))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All but what people said, each (M, …): the arrays themselves."""
@@ -131,7 +131,7 @@ class AlarmStates:
         waits = conditions.acked[m, a] and self.confirmed[m, a] < conditions.came[m, a]
         return not waits
 
-    def _report(self, m: int, a: int) -> AlarmReport:
+    def _report(self, m: int, a: int, reason: str) -> AlarmReport:
         conditions, rule, since = self.conditions, self._rules[a], int(self.conditions.since[m, a])
         said = self._remarks.get((m, a), _NOTHING_SAID)
         measured = Measured(
@@ -140,6 +140,7 @@ class AlarmStates:
             detail=float(conditions.detail[m, a, 0]),
             causes=tuple(conditions.causes[m, a].tolist()),
             since=since,
+            reason=reason,
         )
         return AlarmReport(
             name=self._names[a],

@@ -49,6 +49,8 @@ class Measured:
         Numbers of :class:`Cause`.
     since : int
         UTC ns; 0: it never came.
+    reason : str
+        Why a lane stopped.
     """
 
     value: float
@@ -56,6 +58,7 @@ class Measured:
     detail: float = 0.0
     causes: tuple[int, ...] = ()
     since: int = 0
+    reason: str = ""
 
 
 def text_of(name: str, measured: Measured) -> str:
@@ -128,6 +131,11 @@ def _lag(m: Measured) -> str:
     return f"A signal lags by {m.value:.3g} s (limit {m.limit:g} s)"
 
 
+def _lane_failed(m: Measured) -> str:
+    stopped = f"{m.value:.0f} estimator{'s' * (m.value != 1.0)} stopped"
+    return f"{stopped} at an unexpected error ({m.reason or 'unknown'}); Reset starts again"
+
+
 def _checkpoint(m: Measured) -> str:
     return f"What is learnt was not kept for {_duration(m.value)} (limit {m.limit:g} s)"
 
@@ -150,6 +158,7 @@ ALARM_DESCRIPTIONS = {
     "Extrapolated": "The standing demand is answered where nothing was measured.",
     "SamplesLost": "Samples are lost on their way.",
     "LagFound": "A signal lags behind the others.",
+    "LaneFailed": "An estimator stopped at an unexpected error.",
     "Checkpoint": "What is learnt is not kept.",
     "Certificate": "The service's certificate expires soon.",
     "Load": "The service can hardly keep up.",
@@ -182,6 +191,7 @@ _TEXTS: dict[str, tuple[Callable[[Measured], str], tuple[str, ...]]] = {
         _lag,
         ("a filter of the flow meter", "the valve's own dynamics", "time stamps made too late"),
     ),
+    "LaneFailed": (_lane_failed, ()),
     "Checkpoint": (_checkpoint, ("a full disk", "a disk that is too slow", "missing rights")),
     "Certificate": (_certificate, ()),
     "Load": (_load, ("too many valves or clients", "other work on this machine")),

@@ -13,6 +13,7 @@ Extrapolated   the standing demand is answered where nothing was       yes
                measured
 SamplesLost    share of the samples that were lost lately              1 %
 LagFound       lag of a signal that was found                          0.1 s
+LaneFailed     estimators that stopped at an unexpected error          0.5
 =============  ======================================================  =========================
 
 An alarm comes when its limit was exceeded for ``delay_s`` and goes when what is measured falls
@@ -34,6 +35,7 @@ from valvemap.model.samples import Codes, Flags, Floats, Samples, Segments, Time
 from valvemap.pipeline.alarm_states import AlarmRule, AlarmStates
 from valvemap.pipeline.kernels import alarms as kernel
 from valvemap.pipeline.kernels.alarms import Senses, Watched
+from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.statuses import Adaptation
 
@@ -57,6 +59,7 @@ class Alarm(IntEnum):
     EXTRAPOLATED = 6
     SAMPLES_LOST = 7
     LAG_FOUND = 8
+    LANE_FAILED = 9
 
     @property
     def title(self) -> str:
@@ -91,6 +94,7 @@ RULES: Mapping[Alarm, AlarmRule] = {
     Alarm.EXTRAPOLATED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=5.0, severity=300),
     Alarm.SAMPLES_LOST: AlarmRule(limit=1.0, hysteresis=0.5, delay_s=0.0, severity=400),
     Alarm.LAG_FOUND: AlarmRule(limit=0.1, hysteresis=0.02, delay_s=0.0, severity=300),
+    Alarm.LANE_FAILED: AlarmRule(limit=0.5, hysteresis=0.0, delay_s=0.0, severity=800),
 }
 SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
     ServiceAlarm.CHECKPOINT: AlarmRule(limit=60.0, hysteresis=0.0, delay_s=0.0, severity=700),
@@ -132,6 +136,7 @@ class _Kept(_KeptOfService):
     sums: Any
     memory: Any
     times: Any
+    reason: Any
 
 
 class Alarms:
@@ -162,6 +167,7 @@ class Alarms:
         self._conditions = self._states.conditions
         self._senses = _nothing_seen(M)
         self._patient = np.zeros(M, np.bool_)
+        self._reasons = np.zeros(M, f"<U{MOST_OF_A_REASON}")
 
     @property
     def version(self) -> Times:
@@ -268,6 +274,31 @@ class Alarms:
         """Take up whether K valves' standing demands are answered where nothing was measured."""
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
+    def note_failure(self, m: int, reason: str, *, whole: bool) -> None:
+        """Note the reason why a lane of one valve stopped, or (``whole``) all of them."""
+        detail = self._conditions.detail[m, Alarm.LANE_FAILED]
+        detail[:] = whole, detail[1] + 1.0
+        self._reasons[m] = reason
+        self._conditions.version[m] += 1
+
+    def note_stopped(self, m: int, lanes: int, t: int) -> None:
+        """Note the number of stopped lanes of one valve; ``t``: time of its last sample, UTC ns."""
+        x, one = np.array([float(lanes)]), np.array([m])
+        now = np.maximum(self._senses.times[one, kernel.NEWEST], max(t, 1))
+        self._step(one, Alarm.LANE_FAILED, x, now, now)
+
+    def stopped_whole(self, m: int) -> bool:
+        """Whether the last error of one valve was raised in a step of the whole valve."""
+        return bool(self._conditions.detail[m, Alarm.LANE_FAILED, 0])
+
+    def failures(self) -> Times:
+        """How often lanes stopped (M,)."""
+        return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
+
+    def saved(self, members: Times) -> Restore:
+        """Copy the alarms of the given valves; the result writes the copies back."""
+        return saved(self.columns().values(), members)
+
     def overdue(self, chosen: Times, now: Times) -> None:
         """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
         usable = self._senses.times[chosen, kernel.USABLE]
@@ -314,12 +345,13 @@ class Alarms:
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
         """How every alarm of one valve stands, in words."""
-        return self._states.reports(m)
+        return self._states.reports(m, str(self._reasons[m]))
 
     def to_bytes(self, m: int) -> bytes:
         """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
         kept = {name: array[m].copy() for name, array in self._arrays().items()}
         kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
+        kept["reason"] = np.array(self._reasons[m])
         return _Kept(**kept, remarks=self._states.remarks_to_bytes(m)).to_bytes(_KEY)
 
     def from_bytes(self, m: int, data: bytes) -> None:
@@ -339,10 +371,11 @@ class Alarms:
         self._states.remarks_from_bytes(m, kept.remarks)
         for name, array in arrays.items():
             array[m] = getattr(kept, name)
+        self._reasons[m] = str(kept.reason)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All that the alarms are and rest on, each (M, …): the arrays themselves."""
-        return {**self._arrays(), "patient": self._patient}
+        return {**self._arrays(), "patient": self._patient, "reasons": self._reasons}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {**self._states.arrays(), **self._senses._asdict()}

@@ -2,6 +2,9 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from valvemap.errors import CommandRejected
 from valvemap.model.samples import Times
 from valvemap.pipeline.alarm_states import AlarmRule
@@ -9,6 +12,7 @@ from valvemap.pipeline.alarms import (
     ALARM_NAMES,
     SERVICE_ALARM_NAMES,
     Alarm,
+    Alarms,
     ServiceAlarm,
     ServiceAlarms,
 )
@@ -109,7 +113,16 @@ class AllAlarms:
             own, alarms = valves[chosen], fleet.alarms
             places = self._valves.places[own]
             before = alarms.version[places]
-            alarms.overdue(places, now[chosen])
+
+            def watch(
+                rows: NDArray[np.intp],
+                alarms: Alarms = alarms,
+                places: Times = places,
+                now: Times = now[chosen],
+            ) -> None:
+                alarms.overdue(places[rows], now[rows])
+
+            fleet.watch(places, watch)
             new += own[alarms.version[places] != before].tolist()
         return new
 

@@ -5,6 +5,7 @@ stand on.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeVar
 
@@ -16,6 +17,7 @@ from valvemap.model.samples import Times
 from valvemap.model.sensor_accuracy import SensorAccuracy
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.lane_failures import LaneFailures, Step
 from valvemap.pipeline.quality_gate import SENSORS
 from valvemap.pipeline.timing import Timing
 from valvemap.pipeline.valve_state import AnyEstimator, Lane, ValvePlan, ValveState
@@ -43,12 +45,15 @@ class AllValves:
     fleets : list of Fleet
     places : int64
         Of each valve in its fleet, (V,).
+    failures : LaneFailures
+        Why lanes stopped.
     """
 
     def __init__(self, plans: Sequence[ValvePlan], timing: Timing) -> None:
         self.plans = tuple(plans)
         self.numbers = {plan.name: number for number, plan in enumerate(self.plans)}
-        self.fleets, self._fleet_of, self.places = _fleets(self.plans)
+        self.failures = LaneFailures()
+        self.fleets, self._fleet_of, self.places = _fleets(self.plans, self.failures)
         self._timing = timing
         self._keys = [
             {name: key_of(estimator) for name, estimator in fleet.plan.estimators.items()}
@@ -118,6 +123,24 @@ class AllValves:
             return stated
         return stated.beside(*found.deadband[: len(SENSORS)].tolist())
 
+    def runs(self, valve: int, estimator: str) -> bool:
+        """Whether a lane has not stopped at an error."""
+        fleet, m = self.at(valve)
+        return not fleet.has_failed(m, estimator)
+
+    def stop(self, valve: int, step: Step, estimator: str | None, error: Exception) -> None:
+        """Stop a lane, or (None) all lanes of a valve, because of an error, see `Fleet.stop`."""
+        fleet, m = self.at(valve)
+        fleet.stop(m, step, estimator, error)
+
+    @contextmanager
+    def bulkhead(self, valve: int, step: Step, estimator: str | None = None) -> Iterator[None]:
+        """What raises within stops a lane, or (None) all lanes of the valve, and nothing else."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the other lanes must not notice
+            self.stop(valve, step, estimator, error)
+
     def T_or_last(self, valve: str, T: float) -> float:
         """A temperature, °C, or where that is NaN the last one measured at a valve."""
         fleet, m = self.named(valve)
@@ -136,11 +159,11 @@ def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
     return cached
 
 
-def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
+def _fleets(plans: Sequence[ValvePlan], failures: LaneFailures) -> tuple[list[Fleet], Times, Times]:
     """Fleets of the valves that are treated alike; of each valve its fleet and its place there."""
     numbers: dict[str, int] = {}
     first: list[ValvePlan] = []
-    sizes: list[int] = []
+    names: list[list[str]] = []
     places = np.zeros((2, len(plans)), np.int64)
     keys = once_each(key_of)
     for valve, plan in enumerate(plans):
@@ -151,8 +174,8 @@ def _fleets(plans: Sequence[ValvePlan]) -> tuple[list[Fleet], Times, Times]:
         number = numbers.setdefault(key, len(numbers))
         if number == len(first):
             first.append(plan)
-            sizes.append(0)
-        places[:, valve] = number, sizes[number]
-        sizes[number] += 1
-    fleets = [Fleet(plan, M) for plan, M in zip(first, sizes, strict=True)]
+            names.append([])
+        places[:, valve] = number, len(names[number])
+        names[number].append(plan.name)
+    fleets = [Fleet(plan, len(own), own, failures) for plan, own in zip(first, names, strict=True)]
     return fleets, places[0], places[1]

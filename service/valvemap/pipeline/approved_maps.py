@@ -75,6 +75,8 @@ class ApprovedMaps:
             now = self._valves.lane(valve, name)
             known = then if now.lam is None else valve_state.with_forgetting(then, now.lam)
             self._valves.put(valve, name, replace(known, frozen=now.frozen))
+        fleet, m = self._valves.named(valve)
+        fleet.start_again(m)
 
     def replace_valve(self, valve: str) -> None:
         """Another valve is there: nothing that was learnt holds, there is no baseline any more."""

@@ -3,7 +3,7 @@
 The values are those of Devices' DeviceHealthEnumeration (OPC 10000-100, 4.5.4).
 
 ==========================  ====================================================================
-FAILURE                     what it sends cannot be used: SensorLost, SensorFrozen
+FAILURE                     what it sends cannot be used: SensorLost, SensorFrozen, LaneFailed
 OFF_SPEC                    it does not do what is known of it, or where nothing is known:
                             Residual, Misfit, Extrapolated; of the service: Load
 MAINTENANCE_REQUIRED        it works, somebody should look at it: Changed, LagFound, SamplesLost;
@@ -30,6 +30,7 @@ class DeviceHealth(IntEnum):
 HEALTH_OF = {
     "SensorLost": DeviceHealth.FAILURE,
     "SensorFrozen": DeviceHealth.FAILURE,
+    "LaneFailed": DeviceHealth.FAILURE,
     "Residual": DeviceHealth.OFF_SPEC,
     "Misfit": DeviceHealth.OFF_SPEC,
     "Extrapolated": DeviceHealth.OFF_SPEC,

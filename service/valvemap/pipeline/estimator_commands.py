@@ -8,6 +8,7 @@ from valvemap.errors import CommandRejected
 from valvemap.model.inversion import Inversion
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.valve_state import Forgetful, Required
 from valvemap.vocabulary.statuses import Status
 
@@ -25,11 +26,12 @@ class EstimatorCommands:
         self._valves = valves
 
     def reset(self, valve: str, estimator: str) -> None:
-        """Forget all samples; what the operator set stays set."""
+        """Forget all samples; what the operator set stays set. A lane that failed starts again."""
         lane = self._valves.lane(valve, estimator)
         fresh = valve_state.fresh_lane(lane.estimator, lane.support.forgotten())
         self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
         fleet, m = self._valves.named(valve)
+        fleet.start_again(m)
         if estimator == fleet.plan.inverse:
             fleet.alarms.forget_map(m)
 
@@ -52,8 +54,6 @@ class EstimatorCommands:
             if it is out of range, or the estimator has none.
         """
         lane = self._valves.lane(valve, estimator)
-        if not 0.0 < lam <= 1.0:
-            raise CommandRejected(f"forgetting factor {lam:g}: allowed is 0 < lam <= 1")
         if not isinstance(lane.estimator, Forgetful):
             raise CommandRejected(f"{valve}.{estimator} has no forgetting factor")
         try:
@@ -92,7 +92,11 @@ class EstimatorCommands:
 
     def required(self, valve: int) -> tuple[Required, Status]:
         """The answer to a valve's standing demand, and how its estimator stands."""
-        plan, state = self._valves.inverted(valve)
-        status = state.lanes[plan.inverse].status
-        answer = valve_state.required(plan, state)
-        return answer, Status.WARMING_UP if status is None else status
+        plan = self._valves.plans[valve]
+        if self._valves.runs(valve, plan.inverse):
+            with self._valves.bulkhead(valve, Step.INVERSE, plan.inverse):
+                plan, state = self._valves.inverted(valve)
+                status = state.lanes[plan.inverse].status
+                answer = valve_state.required(plan, state)
+                return answer, Status.WARMING_UP if status is None else status
+        return valve_state.NOTHING_REQUIRED, Status.FAILED

@@ -12,6 +12,7 @@ from valvemap.model.change import Change, FindsChanges
 from valvemap.model.estimator import State
 from valvemap.model.fleet import ManyModels, copied, member, members, repeated, stack
 from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.pipeline.lane_failures import Restore, saved
 from valvemap.pipeline.valve_state import AnyEstimator
 
 CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)])  # see `Change`
@@ -112,6 +113,16 @@ class Stacked:
         """Go on from what was written of `columns`."""
         self._changed[:] = -1
 
+    def saved(self, members: Times) -> Restore:
+        """Copy the states of the given valves; the result writes the copies back."""
+        restore = saved(self.columns().values(), members)
+
+        def restore_all() -> None:
+            restore()
+            self._changed[members] = -1
+
+        return restore_all
+
     def put(self, m: int, state: State) -> None:
         """Give valve ``m`` another state."""
         self._changed[m] = -1
@@ -193,6 +204,16 @@ class Listed:
         """Go on from what was written of `columns`."""
         stacked = type(self._all[0])(**written)
         self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
+
+    def saved(self, members: Times) -> Restore:
+        """Copy the states of the given valves; the result writes the copies back."""
+        states = {m: self._all[m] for m in members.tolist()}
+
+        def restore() -> None:
+            for m, state in states.items():
+                self._all[m] = state
+
+        return restore
 
     def put(self, m: int, state: State) -> None:
         """Give valve ``m`` another state."""

@@ -266,7 +266,11 @@ def _reason(settings: FeedForward, situation: Situation) -> FeedForwardStatus:
     return FeedForwardStatus.WRITING
 
 
-_MAP_NOT_GOOD = {Status.WARMING_UP, Status.HELD}  # UNEXCITED is: a constant flow teaches nothing
+_MAP_NOT_GOOD = {
+    Status.WARMING_UP,
+    Status.HELD,
+    Status.FAILED,
+}  # UNEXCITED is: a constant flow teaches nothing
 _OF_ANSWER = {
     InverseStatus.OK: FeedForwardStatus.WRITING,
     InverseStatus.BELOW_REACH: FeedForwardStatus.WRITING,  # who demands nothing wants it closed

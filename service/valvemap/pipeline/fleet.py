@@ -6,16 +6,30 @@ a fleet of one. What is handed out (:class:`~valvemap.pipeline.valve_state.Lane`
 :class:`~valvemap.pipeline.valve_state.ValveState`) are copies that later samples do not change.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from valvemap.model.auto import Auto
 from valvemap.model.estimator import key_of
-from valvemap.model.samples import Floats, Samples, Segments, Times, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
 from valvemap.pipeline.alarms import Alarms
 from valvemap.pipeline.kernels import lanes as kernel
-from valvemap.pipeline.lanes import Lanes, SharedRests
+from valvemap.pipeline.lane_failures import (
+    LaneFailure,
+    LaneFailures,
+    Restore,
+    Step,
+    all_of,
+    isolate,
+    isolate_last,
+    saved,
+)
+from valvemap.pipeline.lanes import Lanes, SharedRests, nothing_of
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.quality_gate import COUNTER_NAMES as OF_GATE
 from valvemap.pipeline.quality_gate import GateState
@@ -28,10 +42,11 @@ from valvemap.pipeline.valve_state import (
     finds_changes,
     nothing_seen,
 )
+from valvemap.vocabulary.statuses import Quality
 
 MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
 
-COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag")
+COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag", "lane_failures")
 
 
 class Fleet:
@@ -43,10 +58,20 @@ class Fleet:
         Gate and estimators of each.
     M
         How many.
+    names, failures
+        Names of the valves, and the list of failures of their lanes.
     """
 
-    def __init__(self, plan: ValvePlan, M: int) -> None:
+    def __init__(
+        self,
+        plan: ValvePlan,
+        M: int,
+        names: Sequence[str] | None = None,
+        failures: LaneFailures | None = None,
+    ) -> None:
         self.plan = plan
+        self._names = [plan.name] * M if names is None else names
+        self._failures = failures or LaneFailures()
         self._key = f"valve {key_of(plan.gate)}"
         self._gate = plan.gate.initial_state(M)
         self._support = SharedSupport(nothing_seen(plan), len(plan.estimators), M)
@@ -66,19 +91,139 @@ class Fleet:
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
         """Take samples in; return them as the gate judged them, and what every estimator said.
 
-        ``segments`` says which are whose, in the fleet's own numbers; none may be empty.
+        ``segments`` says which are whose, in the fleet's own numbers; none may be empty. If a step
+        raises, all are repeated valve by valve; then the lane of the step stops, or, outside of
+        any step, the valve.
         """
-        judged = self.plan.gate.judge(self._gate, samples, segments)
+        judged = samples
+        traces: Mapping[str, Trace] = {name: nothing_of(len(samples)) for name in self._lanes}
+
+        def take(rows: NDArray[np.intp]) -> None:
+            nonlocal judged, traces
+            if len(rows) == len(segments.members):
+                judged, traces = self._take(samples, segments)
+                return
+            if judged is samples:
+                judged = replace(samples, quality=np.full_like(samples.quality, Quality.BAD))
+            for k in rows:
+                start, end = segments.starts[k], segments.stops[k]
+                one = Segments.one(end - start)._replace(members=segments.members[k : k + 1])
+                found, said = self._take(samples[start:end], one)
+                judged.quality[start:end] = found.quality
+                for name, trace in traces.items():
+                    for f in fields(Trace):
+                        getattr(trace, f.name)[start:end] = getattr(said[name], f.name)
+
+        stop = partial(self._stop_at, None, Step.LEARNING)
+        isolate(segments.members, take, self._saved, stop)
+        return judged, traces
+
+    def _take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
+        judged = self._judged(samples, segments)
         traces, rests = {}, []
         for name, lanes in self._lanes.items():
-            traces[name], own = lanes.take(judged, segments)
+            stop = partial(self._stop_at, name, Step.LEARNING)
+            traces[name], own = lanes.take(judged, segments, stop)
             rests.append((traces[name].status, own))
-        self._support.learn(judged, rests, segments)
-        self._t[segments.members] = samples.t[segments.stops - 1]
-        kernel.last_T(judged.T, judged.quality, self._T, segments)
-        self.alarms.watch(judged, traces[self.plan.inverse], segments)
-        self._note(segments.members)
+        self._support_from(judged, rests, segments)
+        running = segments.of(~self.stopped()[segments.members])
+        self._t[running.members] = samples.t[running.stops - 1]
+        kernel.last_T(judged.T, judged.quality, self._T, running)
+
+        def watch(_: NDArray[np.intp]) -> None:
+            self.alarms.watch(judged, traces[self.plan.inverse], running)
+            self._note(running.members)
+
+        stop = partial(self._stop_at, None, Step.ALARMS)
+        isolate_last(running.members, watch, self._alarms_saved, stop)
         return judged, traces
+
+    def stopped(self) -> NDArray[np.bool_]:
+        """At which valves (M,) all lanes have failed: nothing is done with their samples."""
+        return np.asarray(np.all([lanes.failed for lanes in self._lanes.values()], axis=0))
+
+    def has_failed(self, m: int, name: str) -> bool:
+        """Whether a lane of one valve stopped at an error."""
+        return bool(self._lanes[name].failed[m])
+
+    def stop(self, m: int, step: Step, name: str | None, error: Exception) -> None:
+        """Stop one lane of a valve, or (None) all of them, because of an error in a step.
+
+        Lanes that stopped before stay as they are: an error is noted once.
+        """
+        lanes = self._lanes.values() if name is None else [self._lanes[name]]
+        if all(one.failed[m] for one in lanes):
+            return
+        for one in lanes:
+            one.fail(m)
+        failure = LaneFailure(self._names[m], name, step, error)
+        self._failures.note(failure)
+        self.alarms.note_failure(m, failure.reason, whole=name is None)
+        self.show_stopped(m)
+
+    def start_again(self, m: int) -> None:
+        """Resume all lanes, if a step of the whole valve has stopped them."""
+        if self.alarms.stopped_whole(m):
+            for lanes in self._lanes.values():
+                lanes.start_again(m)
+        self.show_stopped(m)
+
+    def show_stopped(self, m: int) -> None:
+        """Update the alarm with the number of stopped lanes."""
+        count = sum(bool(lanes.failed[m]) for lanes in self._lanes.values())
+        self.alarms.note_stopped(m, count, int(self._t[m]))
+
+    def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
+        """Judge alarms of the given valves (K,); ``do`` takes rows of the K."""
+        running = np.flatnonzero(~self.stopped()[chosen])
+        stop = partial(self._stop_at, None, Step.ALARMS)
+        isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)
+
+    def _stop_at(self, name: str | None, step: Step, m: int, error: Exception) -> None:
+        self.stop(m, step, name, error)
+
+    def _saved(self, members: Times) -> Restore:
+        """Copy the memory of the given valves; the result writes the copies back."""
+        own = saved((*self._gate_arrays, self._t, self._T), members)
+        lanes = [lanes.saved(members) for lanes in self._lanes.values()]
+        return all_of([own, *lanes, self._support.saved(members), self._alarms_saved(members)])
+
+    @property
+    def _gate_arrays(self) -> tuple[NDArray[Any], ...]:
+        return *self._gate.memory, self._gate.bad_status
+
+    def _alarms_saved(self, members: Times) -> Restore:
+        return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
+
+    def _judged(self, samples: Samples, segments: Segments) -> Samples:
+        """The samples as the gate judges them; all are BAD of a valve that is stopped."""
+        quality = np.full(len(samples), Quality.BAD, np.uint8)
+        running = segments.of(~self.stopped()[segments.members])
+
+        def judge(_: NDArray[np.intp]) -> None:
+            nonlocal quality
+            found = self.plan.gate.judge(self._gate, samples, running).quality
+            if len(running.members) == len(segments.members):
+                quality = found
+                return
+            for _, start, stop in zip(*running, strict=True):
+                quality[start:stop] = found[start:stop]
+
+        stop_at = partial(self._stop_at, None, Step.GATE)
+        isolate_last(running.members, judge, partial(saved, self._gate_arrays), stop_at)
+        return replace(samples, quality=quality)
+
+    def _support_from(
+        self, judged: Samples, rests: Sequence[tuple[Codes, Segments]], segments: Segments
+    ) -> None:
+        running = ~self.stopped()[segments.members]
+
+        def learn(_: NDArray[np.intp]) -> None:
+            some = [(status, own.of(running)) for status, own in rests]
+            self._support.learn(judged, some, segments.of(running))
+
+        stop = partial(self._stop_at, None, Step.SUPPORT)
+        isolate_last(segments.members[running], learn, self._support.saved, stop)
 
     def _note(self, chosen: Times) -> None:
         """Take up for the alarms what estimators found in the last samples."""
@@ -130,6 +275,10 @@ class Fleet:
         """What is published of the estimators of some valves; surveys are made elsewhere."""
         return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
 
+    def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
+        """Bad results of one valve, where the step that makes them raises."""
+        return {name: lanes.unknown(m) for name, lanes in self._lanes.items()}
+
     def demands(self, chosen: Times) -> Floats:
         """Flow and pressure drop demanded of some valves (M, 2); NaN where none is."""
         return np.asarray(self._demand[chosen])
@@ -161,9 +310,12 @@ class Fleet:
         _, _, *of_lanes = written
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
+        for m in range(len(self._t)):
+            self.show_stopped(m)
 
     def rejections(self) -> Times:
         """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
-        return np.column_stack((self._gate.counts(), beyond, too_fast))
+        failed = self.alarms.failures()
+        return np.column_stack((self._gate.counts(), beyond, too_fast, failed))

@@ -24,6 +24,7 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.kept_columns import KeptColumns
 from valvemap.pipeline.kept_states import KeptStates
+from valvemap.pipeline.lane_failures import LaneFailure, Step
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.plausibility import Finding
 from valvemap.pipeline.ports import (
@@ -69,14 +70,26 @@ class Identification:
         self._valves = valves = AllValves(plans, arrivals.timing)
         self._intake = intake = SampleIntake(valves, arrivals)
         self._maps = maps = MapsAndSurveys(valves, intake)
-        self._commands = EstimatorCommands(valves)
+        self._commands = commands = EstimatorCommands(valves)
         self._approved = approved = ApprovedMaps(valves, self._commands)
         self._alarms = alarms = AllAlarms(valves, service_alarms)
         self._armed = armed = ArmedValves(valves)
-        self._results = ResultTables(valves, arrivals, intake, maps, approved, armed)
+        self._results = ResultTables(valves, arrivals, intake, maps, approved, armed, commands)
         self._kept = KeptStates(valves, arrivals, approved, alarms, maps)
         self._columns = KeptColumns(valves, intake, approved)
         self.plans = valves.plans
+
+    def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
+        """Stop a lane, or (None) all lanes of a valve: a step outside of this object raised."""
+        self._valves.stop(valve, step, estimator, error)
+
+    def new_failures(self) -> list[LaneFailure]:
+        """Lanes that stopped since the last call."""
+        return self._valves.failures.take_new()
+
+    def unknown(self, valve: int) -> Results:
+        """Bad results of one valve, where the step that makes them raises."""
+        return self._results.unknown(valve)
 
     def take(self, changes: DataChanges) -> ByValve:
         """Take data changes in; return the samples they completed, by valve."""

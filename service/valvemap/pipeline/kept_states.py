@@ -102,6 +102,8 @@ class KeptStates:
                 if kept.valve in self._valves.numbers:
                     known.add(self._valves.numbers[kept.valve])
         for number in known:
+            fleet, m = self._valves.at(number)
+            fleet.show_stopped(m)
             self._maps.tabulate(number)
         if known:
             self._maps.refresh()

@@ -4,7 +4,7 @@ A lane whose estimator an operator froze, or gave another ``lam``, goes its own 
 time; all others learn in one call.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -22,11 +22,12 @@ from valvemap.pipeline.estimator_states import states_of
 from valvemap.pipeline.kernels import lanes as kernel
 from valvemap.pipeline.kernels import score as score_kernel
 from valvemap.pipeline.kernels.lanes import NO_STATUS
+from valvemap.pipeline.lane_failures import Restore, all_of, isolate_last, saved
 from valvemap.pipeline.ports import EstimatorResults
 from valvemap.pipeline.score import Score, recent_rmse
 from valvemap.pipeline.shared_support import SharedSupport
 from valvemap.pipeline.valve_columns import Columns
-from valvemap.pipeline.valve_state import AnyEstimator, Lane, with_forgetting
+from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
 ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
@@ -62,8 +63,50 @@ class Lanes:
         self._lam = np.full(M, np.nan)  # what an operator set
         self._notes = kernel.nothing(M)
 
-    def take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
-        """Learn; what was made of samples, and on which of them the maps rest."""
+    def take(
+        self, samples: Samples, segments: Segments, stop: Callable[[int, Exception], None]
+    ) -> tuple[Trace, Segments]:
+        """Learn; what was made of samples, and on which of them the maps rest.
+
+        Lanes that failed learn nothing; ``stop`` takes those at which learning raises.
+        """
+        running = ~self.failed[segments.members]
+        trace, starts = nothing_of(len(samples)), segments.starts.copy()
+
+        def learn(_: NDArray[np.intp]) -> None:
+            nonlocal trace
+            trace, rests = self._take(samples, segments.of(running))
+            starts[running] = rests.starts
+
+        isolate_last(segments.members[running], learn, self.saved, stop)
+        for _, start, end in zip(*segments.of(~running), strict=True):
+            nothing = nothing_of(end - start)
+            for f in fields(Trace):
+                getattr(trace, f.name)[start:end] = getattr(nothing, f.name)
+        return trace, Segments(segments.members, starts, segments.stops)
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Which lanes (M,) stopped at an error."""
+        return np.asarray(self._notes.status == Status.FAILED)
+
+    def fail(self, m: int) -> None:
+        """Stop the lane of valve ``m``; its state stays."""
+        self._notes.status[m] = Status.FAILED
+
+    def start_again(self, m: int) -> None:
+        """Resume a lane that stopped, from its last state."""
+        if self.failed[m]:
+            self._notes.status[m] = NO_STATUS
+
+    def saved(self, members: Times) -> Restore:
+        """Copy the memory of the given valves' lanes; the result writes the copies back."""
+        spread = self._spread
+        arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
+        own = saved((*arrays, self.beyond, *self._notes), members)
+        return all_of([self._states.saved(members), own])
+
+    def _take(self, samples: Samples, segments: Segments) -> tuple[Trace, Segments]:
         beyond, began = self._beyond_range(samples, segments), self._states.began()
         if beyond is None:
             trace = self._learn(samples, segments)
@@ -101,6 +144,9 @@ class Lanes:
         """Go on from what was written of `columns`."""
         self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
         self._rests.take_up(arrays)
+        for m in np.flatnonzero(np.isfinite(self._lam)).tolist():
+            if not _allows(self._estimator, float(self._lam[m])):
+                self._lam[m] = np.nan  # set when less was allowed: as configured again
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
         """The newest change of some valves that was found."""
@@ -207,6 +253,29 @@ class Lanes:
             systematic_std=np.full(len(chosen), np.nan),
         )
 
+    def unknown(self, m: int) -> EstimatorResults:
+        """Bad results of valve ``m``, where the step that makes them raises."""
+        n = len(self._estimator.parameter_names)
+        nothing, t = np.full(1, np.nan), np.maximum(self._notes.t[m : m + 1], 1)
+        return EstimatorResults(
+            t=t,
+            quality=np.full(1, Quality.BAD, np.uint8),
+            theta=np.full((1, n), np.nan),
+            std=np.full((1, n), np.nan),
+            predicted=nothing,
+            residual=nothing,
+            residual_rmse=nothing,
+            sample_count=self._notes.learnt[m : m + 1],
+            status=np.full(1, Status.FAILED, np.uint8),
+            noise_std=nothing,
+            survey=[None],
+            change=[None],
+            structure=[None],
+            lags=[None],
+            adaptation=np.zeros(1, np.uint8),
+            systematic_std=nothing,
+        )
+
     def put(self, m: int, lane: Lane) -> None:
         """Have valve ``m`` go on from another lane."""
         self._states.put(m, lane.state)
@@ -270,8 +339,26 @@ for _status, _quality in {
     Status.HELD: Quality.UNCERTAIN,
     Status.EXTRAPOLATING: Quality.UNCERTAIN,
     Status.REJECTED: Quality.BAD,
+    Status.FAILED: Quality.BAD,
 }.items():
     _QUALITY[_status] = _quality
+
+
+def nothing_of(N: int) -> Trace:
+    """What lanes that failed say of N samples."""
+    predicted, residual, early = np.full((3, N), np.nan)
+    return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
+
+
+def _allows(estimator: AnyEstimator, lam: float) -> bool:
+    """Whether an operator may set a forgetting factor."""
+    if not isinstance(estimator, Forgetful):
+        return False
+    try:
+        estimator.with_forgetting(lam)
+    except ValueError:
+        return False
+    return True
 
 
 def _prediction_only(lane: Lane, samples: Samples) -> Trace:

@@ -3,10 +3,13 @@
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from valvemap.model.samples import Floats
 from valvemap.model.survey import Survey
 from valvemap.pipeline import valve_state
 from valvemap.pipeline.all_valves import AllValves
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.sample_intake import SampleIntake
 
 MAPS_AT_ONCE = 100  # 2 ms each
@@ -34,7 +37,8 @@ class MapsAndSurveys:
     def __init__(self, valves: AllValves, intake: SampleIntake) -> None:
         self._valves = valves
         self._intake = intake
-        self.tables = self._first_tables()
+        self.tables = [np.full((len(p.map_Q), len(p.map_dp)), np.nan) for p in valves.plans]
+        self._tabulate_first()
         self.surveys: list[Mapping[str, Survey]] = [{} for _ in valves.plans]
         self._next_survey = self._next_map = 0
 
@@ -42,7 +46,7 @@ class MapsAndSurveys:
         """Compute the next tables and surveys anew, or a ``share`` of as many."""
         V = len(self._valves.plans)
         for _ in range(math.ceil(share * min(MAPS_AT_ONCE, V))):
-            self._refresh_table(self._next_map % V)
+            self.tabulate(self._next_map % V)
             self._next_map += 1
         lanes = self._all_lanes()
         for _ in range(math.ceil(share * min(SURVEYS_AT_ONCE, len(lanes)))):
@@ -52,38 +56,35 @@ class MapsAndSurveys:
     def refresh_all(self) -> None:
         """Compute every table and survey anew."""
         for valve in range(len(self._valves.plans)):
-            self._refresh_table(valve)
+            self.tabulate(valve)
         for valve, name in self._all_lanes():
             self._refresh_survey(valve, name)
 
     def tabulate(self, valve: int) -> None:
-        """Compute the table of one valve anew."""
-        self.tables[valve] = self._table(valve)
+        """Compute the table of one valve, unless its lane has failed."""
+        inverse = self._valves.plans[valve].inverse
+        if self._valves.runs(valve, inverse):
+            with self._valves.bulkhead(valve, Step.MAP, inverse):
+                self.tables[valve] = valve_state.inverse_map(*self._valves.inverted(valve))
+                self._intake.judge(valve)
 
-    def _first_tables(self) -> list[Floats]:
+    def _tabulate_first(self) -> None:
         """Tables before the first sample: the same for valves treated alike."""
         found: dict[tuple[object, ...], Floats] = {}
-        tables = []
         for valve, plan in enumerate(self._valves.plans):
             key = (self._valves.kind(valve), plan.inverse, plan.map_Q, plan.map_dp)
             if key not in found:
-                found[key] = self._table(valve)
-            tables.append(found[key])
-        return tables
-
-    def _table(self, valve: int) -> Floats:
-        return valve_state.inverse_map(*self._valves.inverted(valve))
+                self.tabulate(valve)
+            self.tables[valve] = found.setdefault(key, self.tables[valve])
 
     def _all_lanes(self) -> list[tuple[int, str]]:
         return [
             (valve, name) for valve, p in enumerate(self._valves.plans) for name in p.estimators
         ]
 
-    def _refresh_table(self, valve: int) -> None:
-        self.tabulate(valve)
-        self._intake.judge(valve)
-
     def _refresh_survey(self, valve: int, name: str) -> None:
-        plan, state = self._valves.plans[valve], self._valves.state_of(valve, name)
-        found = valve_state.survey_of(plan, state, name)
-        self.surveys[valve] = {**self.surveys[valve], name: found}
+        if self._valves.runs(valve, name):
+            with self._valves.bulkhead(valve, Step.SURVEY, name):
+                plan, state = self._valves.plans[valve], self._valves.state_of(valve, name)
+                found = valve_state.survey_of(plan, state, name)
+                self.surveys[valve] = {**self.surveys[valve], name: found}

@@ -16,8 +16,10 @@ from valvemap.pipeline.all_valves import AllValves, once_each
 from valvemap.pipeline.approved_maps import ApprovedMaps
 from valvemap.pipeline.armed_valves import ArmedValves
 from valvemap.pipeline.arrivals import Arrivals
+from valvemap.pipeline.estimator_commands import EstimatorCommands
 from valvemap.pipeline.fleet import COUNTER_NAMES as NOT_LEARNT
 from valvemap.pipeline.fleet import Fleet
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MapsAndSurveys
 from valvemap.pipeline.ports import (
     SIGNALS,
@@ -26,6 +28,7 @@ from valvemap.pipeline.ports import (
     EstimatorResults,
     InverseResults,
     Results,
+    SignalResults,
     ValveDescription,
     ValveResult,
 )
@@ -53,6 +56,8 @@ class ResultTables:
         What their results build on.
     armed
         How their feed-forward stands.
+    commands
+        Answer their standing demands.
     """
 
     def __init__(
@@ -63,6 +68,7 @@ class ResultTables:
         maps: MapsAndSurveys,
         approved: ApprovedMaps,
         armed: ArmedValves,
+        commands: EstimatorCommands,
     ) -> None:
         self._valves = valves
         self._arrivals = arrivals
@@ -70,6 +76,7 @@ class ResultTables:
         self._maps = maps
         self._approved = approved
         self._armed = armed
+        self._commands = commands
 
     def results(
         self,
@@ -90,7 +97,7 @@ class ResultTables:
                 at_best[old[own]] = Quality.UNCERTAIN
             if lost is not None:
                 at_best[lost[own]] = Quality.BAD
-            yield self._of_fleet(fleet, own, at_best)
+            yield from self._isolated(fleet, own, at_best)
 
     def result(self, valve: int) -> ValveResult:
         """The same of one valve."""
@@ -102,6 +109,54 @@ class ResultTables:
         fleet, _ = self._valves.at(valve)
         (counts,) = self._counts(fleet, np.array([valve])).tolist()
         return dict(zip(COUNTERS, counts, strict=True))
+
+    def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
+        """Results of the given valves; stopped ones one by one, all one by one if they raise."""
+        stopped = fleet.stopped()[self._valves.places[valves]]
+        running, found = np.flatnonzero(~stopped), []
+        alone = np.flatnonzero(stopped)
+        try:
+            if len(running):
+                found.append(self._of_fleet(fleet, valves[running], at_best[running]))
+        except Exception:  # noqa: BLE001 - a bulkhead: the valve is found below
+            alone = np.arange(len(valves))
+        for k in alone:
+            valve, one = int(valves[k]), slice(k, k + 1)
+            try:
+                found.append(self._of_fleet(fleet, valves[one], at_best[one]))
+            except Exception as error:  # noqa: BLE001 - a bulkhead: the others are published
+                self._valves.stop(valve, Step.RESULTS, None, error)
+                found.append(self.unknown(valve))
+        return found
+
+    def unknown(self, valve: int) -> Results:
+        """Bad results of one valve, where the step that makes them raises."""
+        fleet, m = self._valves.at(valve)
+        one, plan = np.array([valve]), self._valves.plans[valve]
+        bad, nothing = np.full(1, Quality.BAD, np.uint8), np.full(1, np.nan)
+        estimators = fleet.unknown(m)
+        return Results(
+            valves=one,
+            estimators=estimators,
+            inverse=InverseResults(
+                t=estimators[plan.inverse].t,
+                quality=bad,
+                required_U=nothing,
+                status=np.full(1, InverseStatus.NOT_FINITE, np.uint8),
+                map_U=[np.full((len(plan.map_Q), len(plan.map_dp)), np.nan)],
+                armed=self._armed.armed[one],
+                feed_forward=self._armed.status[one],
+            ),
+            counters=np.zeros((1, len(COUNTERS)), np.int64),
+            counter_names=COUNTERS,
+            signals=SignalResults(
+                estimators[plan.inverse].t, bad, np.full((1, len(SIGNALS)), np.nan)
+            ),
+            baselines=[None],
+            alarms=AlarmResults(fleet.alarms.version[[m]], lambda _: fleet.alarms.reports(m)),
+            timing=[()],
+            waiting=[()],
+        )
 
     def _of_fleet(self, fleet: Fleet, valves: Times, at_best: Codes) -> Results:
         places, is_old = self._valves.places[valves], at_best == Quality.UNCERTAIN
@@ -177,9 +232,11 @@ class ResultTables:
         U, status = np.full(M, np.nan), np.full(M, np.uint8(InverseStatus.NOT_FINITE))
         demanded = np.isfinite(fleet.demands(places)).all(axis=1)
         for k in np.flatnonzero(demanded):
-            U[k], _, status[k] = valve_state.required(*self._valves.inverted(int(valves[k])))
+            (U[k], _, status[k]), _ = self._commands.required(int(valves[k]))
+            if not self._valves.runs(int(valves[k]), fleet.plan.inverse):
+                quality[k] = Quality.BAD
         guessed = (np.isin(status, _GUESSED) & demanded).astype(np.float64)
-        fleet.alarms.note_answers(places, guessed)
+        fleet.watch(places, lambda rows: fleet.alarms.note_answers(places[rows], guessed[rows]))
         return InverseResults(
             t=t,
             quality=quality,

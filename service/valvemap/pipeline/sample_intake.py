@@ -18,6 +18,7 @@ from valvemap.pipeline.ports import SIGNALS, SignalResults
 _CONTRADICTED = (
     "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
 )
+VALVES_AT_ONCE = 256  # 20 MB of states, which are kept until all have learnt
 _LOST = [COUNTER_NAMES.index(name) for name in ("missing", "gaps", "lost_by_time")]
 _ALIGNED = COUNTER_NAMES.index("aligned")
 
@@ -72,11 +73,13 @@ class SampleIntake:
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
-        for fleet, own in self._valves.by_fleet(valves):
-            rows, first, last = _rows(starts[own], stops[own])
-            segments = Segments(self._valves.places[valves[own]], first, last)
-            fleet.take(arrived.samples[rows], segments)
-            self._note_losses(fleet, valves[own])
+        for fleet, every in self._valves.by_fleet(valves):
+            for first_of in range(0, len(every), VALVES_AT_ONCE):
+                own = every[first_of : first_of + VALVES_AT_ONCE]
+                rows, first, last = _rows(starts[own], stops[own])
+                segments = Segments(self._valves.places[valves[own]], first, last)
+                fleet.take(arrived.samples[rows], segments)
+                self._note_losses(fleet, valves[own])
         return arrived
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
@@ -127,8 +130,14 @@ class SampleIntake:
 
     def _note_losses(self, fleet: Fleet, valves: Times) -> None:
         counts, places = self._arrivals.counts(valves), self._valves.places[valves]
-        fleet.alarms.note_losses(places, counts[:, _LOST].sum(axis=1), counts[:, _ALIGNED])
-        fleet.alarms.be_patient(places, self._arrivals.timing.holds[valves])
+        lost, aligned = counts[:, _LOST].sum(axis=1), counts[:, _ALIGNED]
+        holds = self._arrivals.timing.holds[valves]
+
+        def watch(rows: NDArray[np.intp]) -> None:
+            fleet.alarms.note_losses(places[rows], lost[rows], aligned[rows])
+            fleet.alarms.be_patient(places[rows], holds[rows])
+
+        fleet.watch(places, watch)
 
 
 def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times, Times]:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.samples import Codes, Flags, Samples, Segments
+from valvemap.model.samples import Codes, Flags, Samples, Segments, Times
 from valvemap.model.support import Support, SupportOfMany
+from valvemap.pipeline.lane_failures import Restore
 from valvemap.vocabulary.statuses import Status
 
 SPARE = 8  # one row more for so many, where all are taken
@@ -81,6 +82,21 @@ class SharedSupport:
             if first.any():
                 chosen = own._replace(members=rows).of(first)
                 self._kept.learn(samples, status, chosen)
+
+    def saved(self, members: Times) -> Restore:
+        """Copy the support of the given valves' maps; the result writes the copies back."""
+        rows, at = np.unique(self._of[:, members], return_inverse=True)
+        copies, at = [array[rows] for array in self._arrays], at.reshape(-1, len(members))
+
+        def restore() -> None:  # `learn` may have moved an estimator to another row
+            for array, copy in zip(self._arrays, copies, strict=True):
+                array[self._of[:, members]] = copy[at]
+
+        return restore
+
+    @property
+    def _arrays(self) -> list[NDArray[Any]]:
+        return [getattr(self._kept, field.name) for field in fields(SupportOfMany)]
 
     def one(self, e: int, m: int) -> Support:
         """A copy of what one estimator's map rests on."""

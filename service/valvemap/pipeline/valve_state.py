@@ -175,10 +175,13 @@ class Required(NamedTuple):
     status: InverseStatus
 
 
+NOTHING_REQUIRED = Required(np.nan, np.nan, InverseStatus.NOT_FINITE)
+
+
 def required(plan: ValvePlan, state: ValveState) -> Required:
     """U for the standing demand, hysteresis passed through."""
     if np.isnan(state.demand_Q) or np.isnan(state.demand_dp):
-        return Required(np.nan, np.nan, InverseStatus.NOT_FINITE)
+        return NOTHING_REQUIRED
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
     lane, U = state.lanes[plan.inverse], answer.U
     moving = answer.status[0] == InverseStatus.OK and not lane.frozen
@@ -223,7 +226,7 @@ def _as_measured(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, 
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
     std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
     own = Status.WARMING_UP if lane.status is None else lane.status
-    if own == Status.WARMING_UP:  # less than a guess
+    if own in (Status.WARMING_UP, Status.FAILED):  # less than a guess
         guessed = np.zeros_like(guessed)
     return Q, std, np.where(guessed, np.uint8(Status.EXTRAPOLATING), np.uint8(own))
 
@@ -343,8 +346,8 @@ def lane_from_bytes(
     lane = Lane(configured, state, score, spread, support, frozen, count=int(kept.count), t=t)
     if lam is None:
         return lane
-    if not (isinstance(configured, Forgetful) and 0.0 < lam <= 1.0):
-        raise StateMismatchError(f"forgetting factor {lam!r}: allowed is 0 < lam <= 1")
+    if not isinstance(configured, Forgetful):
+        raise StateMismatchError(f"a forgetting factor {lam!r}, and none is used")
     try:
         return with_forgetting(lane, lam)
     except ValueError as error:

@@ -9,10 +9,11 @@ import structlog
 from numpy.typing import NDArray
 
 from valvemap.clock import Clock
-from valvemap.errors import SourceRejected
+from valvemap.errors import SourceRejected, ValvemapError
 from valvemap.model.samples import Times
 from valvemap.pipeline.feedforward import FeedForwardState, Refusals, Situation, decide, written
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
@@ -65,10 +66,15 @@ class FeedForwardWriter:
     async def write(self, valves: Times) -> None:
         """Lead each of these valves that is configured for it a step on, all at once."""
         self._written_at[valves] = self._clock.monotonic()
-        chosen = set(valves.tolist()) & self._states.keys() if self._states else ()
-        steps = (self._lead(valve) for valve in self._states if valve in chosen)
-        for outcome in await asyncio.gather(*steps, return_exceptions=True):
-            if isinstance(outcome, BaseException):
+        chosen = set(valves.tolist()) & self._states.keys() if self._states else set()
+        led = [valve for valve in self._states if valve in chosen]
+        steps = (self._lead(valve) for valve in led)
+        outcomes = await asyncio.gather(*steps, return_exceptions=True)
+        for valve, outcome in zip(led, outcomes, strict=True):
+            if isinstance(outcome, Exception) and not isinstance(outcome, ValvemapError):
+                inverse = self._identification.plans[valve].inverse
+                self._identification.stop(valve, Step.INVERSE, outcome, inverse)
+            elif outcome is not None:
                 raise outcome
 
     async def _lead(self, valve: int) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +11,13 @@ import structlog
 from numpy.typing import NDArray
 
 from valvemap.clock import Clock
-from valvemap.errors import SourceError
+from valvemap.errors import SourceError, ValvemapError
 from valvemap.model.samples import Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.data_changes import DataChanges
 from valvemap.pipeline.feedforward import Situation
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.maps_and_surveys import MAPS_AT_ONCE
 from valvemap.pipeline.ports import (
     AlarmReport,
@@ -24,8 +26,10 @@ from valvemap.pipeline.ports import (
     CheckpointStore,
     Health,
     PastCounters,
+    Results,
     ResultSink,
 )
+from valvemap.runtime.failure_log import log_failure
 from valvemap.runtime.feed_forward_writer import FeedForwardWriter
 from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.publishing_turns import PublishingTurns
@@ -105,6 +109,7 @@ class LiveService:
         self._settings = settings
         self._on_samples = on_samples
         self._past = past
+        self._numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
         self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
@@ -230,8 +235,9 @@ class LiveService:
             self._past.take(samples)
         if self._on_samples is not None:
             for valve, batch in samples.items():
-                self._on_samples(self.identification.plans[valve].name, batch)
+                self._record(valve, batch)
         self._note_new(samples)
+        self._log_failures()
         self._say_what_is_doubted()
         self._say_what_was_found()
         await self._feed_forward.write(self._own(own))
@@ -240,9 +246,28 @@ class LiveService:
             self._under_way = True
             log.info("first results published")
 
+    def _record(self, valve: int, batch: Samples) -> None:
+        assert self._on_samples is not None  # noqa: S101 - the caller checks
+        try:
+            self._on_samples(self.identification.plans[valve].name, batch)
+        except ValvemapError:
+            raise
+        except Exception as error:  # noqa: BLE001 - a bulkhead: other valves are recorded
+            self.identification.stop(valve, Step.RECORDING, error)
+
+    def _log_failures(self) -> None:
+        """Log why lanes stopped, each once, and publish that they did."""
+        if self._past is not None:
+            for valve, error in self._past.take_failed():
+                self.identification.stop(valve, Step.HISTORY, error)
+        for failure in self.identification.new_failures():
+            log_failure(failure)
+            self._note_new([self._numbers[failure.valve]])
+
     async def tick(self, valves: Times | None = None) -> None:
         """Look after what is due by the clock; only these valves are fed forward."""
         now, own = self._clock.monotonic(), self._own(valves)
+        self._log_failures()
         await self._wait_no_longer(now)
         await self._doubt(now)
         await self._feed_forward.write(own[self._feed_forward.are_due(own, now)])
@@ -416,11 +441,30 @@ class LiveService:
                 log.warning("results are published late", remedy="fewer valves, or more CPU")
             old = self._old | late | self._soon_old()
             for results in self.identification.results(some, self._lost, old):
-                await self._sink.publish(results)
-                if self._past is not None:
-                    self._past.note(results)
+                try:
+                    await self._show(results)
+                except ValvemapError:
+                    raise
+                except Exception:  # noqa: BLE001 - a bulkhead: the valve is found next
+                    await self._show_alone(results.valves.tolist(), old)
             if self._clock.monotonic() >= end:
                 break
+
+    async def _show(self, results: Results) -> None:
+        await self._sink.publish(results)
+        if self._past is not None:
+            self._past.note(results)
+
+    async def _show_alone(self, valves: Sequence[int], old: NDArray[np.bool_]) -> None:
+        """Publish valve by valve; one at which that raises stops, and is shown as Bad."""
+        for valve in valves:
+            try:
+                for results in self.identification.results([valve], self._lost, old):
+                    await self._show(results)
+            except Exception as error:  # noqa: BLE001 - a bulkhead: the others are published
+                self.identification.stop(valve, Step.PUBLICATION, error)
+                with suppress(Exception):  # that it cannot be shown at all is logged
+                    await self._sink.publish(self.identification.unknown(valve))
 
     def _soon_old(self) -> NDArray[np.bool_]:
         """Which valves' newest sample will be too old before its results are replaced (M,)."""

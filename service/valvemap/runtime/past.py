@@ -1,7 +1,7 @@
 """Signals and results on their way into the history: gathered, and kept now and then at once."""
 
 import asyncio
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
@@ -10,7 +10,7 @@ import structlog
 from numpy.typing import NDArray
 
 from valvemap.errors import StorageError
-from valvemap.model.samples import Codes, Floats, Times
+from valvemap.model.samples import Codes, Floats, Samples, Times
 from valvemap.pipeline.alignment import ByValve
 from valvemap.pipeline.ports import (
     SIGNALS,
@@ -84,7 +84,13 @@ class PastKeeper:
         self._rows = 0
         self._due = self._forget_due = 0.0
         self._keeping: asyncio.Task[None] | None = None
+        self._failed: dict[str, Exception] = {}
         self.lost = self.failures = 0
+
+    def take_failed(self) -> list[tuple[int, Exception]]:
+        """Valves whose rows raised an error while they were saved since the last call."""
+        failed, self._failed = self._failed, {}
+        return [(self._valves.index(name), error) for name, error in failed.items()]
 
     def take(self, samples: ByValve) -> None:
         """Gather samples."""
@@ -135,10 +141,15 @@ class PastKeeper:
         changes = self._changes
         self._samples, self._results, self._changes, self._rows = [], [], [], 0
 
+        failed: dict[str, Exception] = {}
+
+        def pieces() -> Iterator[Piece]:
+            of_samples = _of_samples(self._valves, samples, failed)
+            return chain(of_samples, _of_results(self._valves, results, failed))
+
         def keep() -> None:
             if samples or results:  # piece by piece: all at once would be tens of megabytes
-                of_samples = _of_samples(self._valves, samples)
-                self._store.save(chain(of_samples, _of_results(self._valves, results)))
+                self._save(pieces, failed)
             if changes:
                 self._store.note(changes)
             if forget_at is not None:
@@ -152,22 +163,47 @@ class PastKeeper:
             log.warning("history not kept", reason=str(error))
         for note in self._store.take_notes():
             log.warning("history damaged", reason=note, lost=self._store.lost)
+        self._failed = failed | self._failed
+
+    def _save(self, pieces: Callable[[], Iterator[Piece]], failed: dict[str, Exception]) -> None:
+        """Keep all pieces at once, or each alone where one of them raises: the others are kept."""
+        try:
+            self._store.save(pieces())
+        except StorageError:
+            raise
+        except Exception:  # noqa: BLE001 - a bulkhead: the piece is found next
+            for piece in pieces():
+                try:
+                    self._store.save([piece])
+                except StorageError:
+                    raise
+                except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
+                    failed[piece.series.rpartition(".")[0]] = error
+                    self.lost += len(piece.t)
 
 
-def _of_samples(names: Sequence[str], batches: Sequence[ByValve]) -> Iterator[Piece]:
-    """One piece for each valve."""
+def _of_samples(
+    names: Sequence[str], batches: Sequence[ByValve], failed: dict[str, Exception]
+) -> Iterator[Piece]:
+    """One piece for each valve, but for those of which none can be made: they are ``failed``."""
     by_valve: dict[int, list[ByValve]] = {}
     for batch in batches:
         for valve in batch:
             by_valve.setdefault(valve, []).append(batch)
     for valve, own in by_valve.items():
-        samples = [batch[valve] for batch in own]
-        columns = {
-            name: np.concatenate([getattr(part, name) for part in samples]) for name in SIGNALS
-        }
-        t = np.concatenate([part.t for part in samples])
-        quality = np.concatenate([part.quality for part in samples])
-        yield Piece(signals_of(names[valve]), t, _CODES[quality], columns)
+        try:
+            piece = _signals(names[valve], [batch[valve] for batch in own])
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
+            failed[names[valve]] = error
+        else:
+            yield piece
+
+
+def _signals(valve: str, samples: Sequence[Samples]) -> Piece:
+    columns = {name: np.concatenate([getattr(part, name) for part in samples]) for name in SIGNALS}
+    t = np.concatenate([part.t for part in samples])
+    quality = np.concatenate([part.quality for part in samples])
+    return Piece(signals_of(valve), t, _CODES[quality], columns)
 
 
 def _noted(results: Results) -> Iterator[_Noted]:
@@ -183,7 +219,9 @@ def _noted(results: Results) -> Iterator[_Noted]:
         yield _Noted(_SIGNALS, valves[lost], signals.quality[lost], signals.t[lost], columns)
 
 
-def _of_results(names: Sequence[str], noted: Sequence[_Noted]) -> Iterator[Piece]:
+def _of_results(
+    names: Sequence[str], noted: Sequence[_Noted], failed: dict[str, Exception]
+) -> Iterator[Piece]:
     """One piece for each part of each valve.
 
     Results that are Bad have no sample of their own: they are noted right behind the last.
@@ -192,10 +230,12 @@ def _of_results(names: Sequence[str], noted: Sequence[_Noted]) -> Iterator[Piece
     for one in noted:
         by_part.setdefault(one.part, []).append(one)
     for part, rows in by_part.items():
-        yield from _by_valve(names, part, rows)
+        yield from _by_valve(names, part, rows, failed)
 
 
-def _by_valve(names: Sequence[str], part: str, rows: Sequence[_Noted]) -> Iterator[Piece]:
+def _by_valve(
+    names: Sequence[str], part: str, rows: Sequence[_Noted], failed: dict[str, Exception]
+) -> Iterator[Piece]:
     valves = np.concatenate([row.valves for row in rows])
     quality = np.concatenate([row.quality for row in rows])
     t = np.concatenate([row.t for row in rows])
@@ -207,13 +247,14 @@ def _by_valve(names: Sequence[str], part: str, rows: Sequence[_Noted]) -> Iterat
     order = order[t[order] > 1]  # no sample yet
     edges = np.flatnonzero(np.diff(valves[order], prepend=-1, append=-1))
     for first, last in pairwise(edges.tolist()):
-        own = order[first:last]
-        yield Piece(
-            results_of(names[int(valves[own[0]])], part),
-            t[own],
-            _codes(quality[own]),
-            {name: values[own] for name, values in columns.items()},
-        )
+        own, name = order[first:last], names[int(valves[order[first]])]
+        try:
+            of_valve = {column: values[own] for column, values in columns.items()}
+            piece = Piece(results_of(name, part), t[own], _codes(quality[own]), of_valve)
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
+            failed[name] = error
+        else:
+            yield piece
 
 
 def _codes(quality: Codes) -> NDArray[np.uint32]:

@@ -11,6 +11,7 @@ import structlog
 from valvemap.clock import Clock
 from valvemap.errors import StorageError
 from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
 
 POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
@@ -64,8 +65,11 @@ class StateKeeper:
         self._clock = clock
         self._valves = len(identification.plans)
         self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
-        self._began, self._turns = clock.monotonic(), 0  # one valve after the other
-        self._left_in_round: set[int] = set()
+        self._began, self._turns = clock.monotonic(), 0  # turns that are over, saved or refused
+        self._next = (
+            0  # the valve saved longest ago: valves are saved in the order of their numbers
+        )
+        self._left_in_round = 0  # valves that are not saved since this round began
         self._mark_of_round: Any = None  # as this round began
         self._keeping: asyncio.Task[None] | None = None
         self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
@@ -96,7 +100,7 @@ class StateKeeper:
         """
         M = self._valves
         await self.settle()
-        oldest_first = np.roll(np.arange(M), -(self._turns % M)).tolist()
+        oldest_first = np.roll(np.arange(M), -self._next).tolist()
         at_once = M if math.isinf(until) else KEPT_AT_ONCE
         for start in range(0, M, at_once):
             some = oldest_first[start : start + at_once]
@@ -111,20 +115,24 @@ class StateKeeper:
         return True
 
     def keep_in_turn(self, now: float) -> None:
-        """Begin to keep what is due, a few valves at a time: no batch waits for all."""
+        """Begin to keep what is due, a few valves at a time: no batch waits for all.
+
+        A round saves every valve once, and then the mark of its beginning. A valve leaves the
+        round when it is saved: a refused save is repeated, so the mark is never ahead of a state.
+        """
         if self._keeping is not None and not self._keeping.done():
             return
         M = self._valves
         due = int(M * (now - self._began) / self._interval_s)
-        turns = range(self._turns, min(due, self._turns + min(M, KEPT_AT_ONCE)))
-        self._turns = due if M <= KEPT_AT_ONCE else turns.stop
-        some = {turn % M for turn in turns}
-        if some:
-            if not self._left_in_round:
-                self._left_in_round, self._mark_of_round = set(range(M)), self.mark
-            self._left_in_round -= some
-            mark = None if self._left_in_round else self._mark_of_round
-            self._keeping = asyncio.create_task(self._keep(sorted(some), mark))
+        count = min(due - self._turns, M, KEPT_AT_ONCE)
+        if count <= 0:
+            return
+        self._turns = due if M <= KEPT_AT_ONCE else self._turns + count
+        if not self._left_in_round:
+            self._left_in_round, self._mark_of_round = M, self.mark
+        mark = self._mark_of_round if count >= self._left_in_round else None
+        some = ((self._next + np.arange(count)) % M).tolist()
+        self._keeping = asyncio.create_task(self._keep(some, mark))
 
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
         """The disk may be slow, or full: nothing waits for it."""
@@ -132,13 +140,16 @@ class StateKeeper:
             states = [*await self._packed(valves), *self._position(mark)]
             began = self._clock.monotonic()
             await asyncio.to_thread(self._store.save, states)
-            self.kept_at = self._clock.monotonic()
-            self._saving_s = self.kept_at - began
-            if mark is not None:
-                self._source.commit(mark)
         except StorageError as error:
             self.failures += 1
             log.warning("checkpoint not kept", reason=str(error))
+            return
+        self.kept_at = self._clock.monotonic()
+        self._saving_s = self.kept_at - began
+        self._next = (self._next + len(valves)) % self._valves
+        self._left_in_round = max(self._left_in_round - len(valves), 0)
+        if mark is not None:
+            self._source.commit(mark)
 
     async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
         """States as bytes, a few valves at a time: samples come in between."""
@@ -146,10 +157,20 @@ class StateKeeper:
         for start in range(0, len(valves), PACKED_AT_ONCE):
             began = self._clock.monotonic()
             some = valves[start : start + PACKED_AT_ONCE]
-            packed += self.states(some)
+            packed += self._states_of(some)
             self._packing_s = (self._clock.monotonic() - began) / len(some)
             await asyncio.sleep(0)
         return packed
+
+    def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
+        """The same of valves at once, or one by one: a valve whose state cannot be packed stops."""
+        try:
+            return self.states(valves)
+        except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept
+            if len(valves) == 1:
+                self._identification.stop(valves[0], Step.CHECKPOINT, error)
+                return []
+        return [one for valve in valves for one in self._states_of([valve])]
 
     def _position(self, mark: Any) -> list[Checkpoint]:  # noqa: ANN401
         if mark is None:

@@ -67,6 +67,14 @@ class Status(Described):
             "was not touched."
         ),
     )
+    FAILED = (
+        7,
+        "failed",
+        (
+            "The estimator stopped at an unexpected error; its last state is kept. Reset starts it "
+            "again; the alarm LaneFailed names the reason."
+        ),
+    )
 
 
 class Adaptation(Described):

@@ -1,0 +1,136 @@
+"""States on disk, whatever the disk refuses: after a crash no sample is lost and no bit differs."""
+
+import asyncio
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from support.plant import plant
+from valvemap.clock import ManualClock
+from valvemap.errors import StorageError
+from valvemap.model.recursive_least_squares import RecursiveLeastSquares
+from valvemap.pipeline.alignment import Alignment, AlignmentSettings
+from valvemap.pipeline.data_changes import DataChanges
+from valvemap.pipeline.identification import Identification
+from valvemap.pipeline.quality_gate import QualityGate
+from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.runtime.state_keeper import POSITION, StateKeeper
+
+VALVES = 3
+SAMPLES = 40  # of each valve
+A_TURN = 4  # samples that come between two turns
+SIGNALS = 6  # of a valve: U, p1, p2, Q, T and its running number
+
+
+def valves():
+    plans = [
+        ValvePlan(f"V{m}", QualityGate(), {"RLS": RecursiveLeastSquares()}, "RLS")
+        for m in range(VALVES)
+    ]
+    every = (True,) * VALVES
+    return Identification(plans, Alignment(AlignmentSettings(), every, has_sequence=every))
+
+
+@cache
+def stream():
+    """What the source sends: all valves' samples, one after the other."""
+    columns = [plant(SAMPLES, seed=m) for m in range(VALVES)]
+    values = np.stack(
+        [np.stack([s.U, s.p1, s.p2, s.Q, s.T, np.arange(SAMPLES)], axis=1) for s in columns],
+        axis=1,
+    )
+    return DataChanges(
+        item=np.tile(np.arange(SIGNALS * VALVES, dtype=np.int32), SAMPLES),
+        value=values.ravel(),
+        status=np.zeros(values.size, np.uint32),
+        source_time=np.repeat(columns[0].t, SIGNALS * VALVES),
+    )
+
+
+@cache
+def uninterrupted():
+    known = valves()
+    known.take(stream())
+    return known.checkpoints()
+
+
+class Source:
+    """Sends uncommitted changes again, and nothing else."""
+
+    def __init__(self):
+        self.committed = 0
+
+    def commit(self, mark):
+        self.committed = mark
+
+    def position(self, mark):
+        return str(mark).encode()
+
+
+class Disk:
+    """Refuses the saves that it was given as False; takes all others whole."""
+
+    def __init__(self, answers):
+        self._answers = iter(answers)
+        self.kept = {}
+
+    def save(self, checkpoints):
+        if not next(self._answers, True):
+            raise StorageError("state.sqlite: disk full")
+        self.kept.update({(one.valve, one.estimator): one for one in checkpoints})
+
+
+async def learn_and_crash(answers, turns, valves_a_turn):
+    """Learn with one turn of the keeper after every few samples; return source and disk."""
+    source, disk, clock, known = Source(), Disk(answers), ManualClock(), valves()
+    keeper = StateKeeper(known, source, disk, clock, interval_s=1.0)
+    for turn in range(turns):
+        first, stop = (SIGNALS * VALVES * A_TURN * n for n in (turn, turn + 1))
+        known.take(stream()[first:stop])
+        keeper.mark = min(stop, len(stream()))
+        clock.advance(valves_a_turn / VALVES)
+        keeper.keep_in_turn(clock.monotonic())
+        await keeper.settle()
+    return source, disk
+
+
+def after_a_restart(source, disk):
+    known, kept = valves(), dict(disk.kept)
+    position = kept.pop(POSITION, None)
+    resumed = 0 if position is None else int(position.state)
+    assert resumed == source.committed, "acknowledged and saved positions differ"
+    known.restore(list(kept.values()))
+    known.take(stream()[resumed:])
+    return known.checkpoints()
+
+
+@pytest.mark.parametrize("valves_a_turn", [1, 2, VALVES])
+def test_a_refused_save_at_every_position_of_a_round_loses_no_sample_and_no_bit(valves_a_turn):
+    turns = SAMPLES // A_TURN
+    for refused, crash in product(range(turns), range(turns + 1)):
+        answers = [turn != refused for turn in range(turns)]
+        left = asyncio.run(learn_and_crash(answers, crash, valves_a_turn))
+        assert after_a_restart(*left) == uninterrupted(), (refused, crash)
+
+
+@given(
+    answers=st.lists(st.booleans(), max_size=SAMPLES // A_TURN),
+    turns=st.integers(0, SAMPLES // A_TURN),
+    valves_a_turn=st.integers(1, 2 * VALVES),
+)
+@example(answers=[False, True, True], turns=3, valves_a_turn=1)
+def test_whatever_the_disk_refuses_a_crash_loses_no_sample_and_no_bit(
+    answers, turns, valves_a_turn
+):
+    left = asyncio.run(learn_and_crash(answers, turns, valves_a_turn))
+    assert after_a_restart(*left) == uninterrupted()
+
+
+async def test_the_position_is_kept_as_soon_as_every_valve_is():
+    source, disk = await learn_and_crash([True, False, True, True], 4, valves_a_turn=1)
+    assert source.committed == SIGNALS * VALVES * A_TURN
+    assert POSITION in disk.kept
