@@ -9,6 +9,7 @@ from typing import Any, Final
 import typer
 
 from valvemap.errors import ValvemapError
+from valvemap.numba_version import ask_for_shortcuts
 
 COMMANDS: Final[Mapping[str, str]] = {
     "demo": "demo",
@@ -40,6 +41,7 @@ _UsageError: Any = typer.BadParameter.__base__  # typer exports its children onl
 
 def main() -> None:
     """Run the command line; a user's mistake is one line, never a traceback."""
+    ask_for_shortcuts()
     gc.set_threshold(50_000, 20, 20)  # what imports and address spaces make is no garbage
     code = run(sys.argv[1:])
     gc.freeze()  # else all of it is looked through once more at the end

@@ -6,7 +6,8 @@ function has none: without them a first start takes an eighth less. And with a k
 compiled before numba loads what it would need to link it into others, which hardly ever happens:
 without it kernels are loaded in a third of the time.
 
-Private seams of numba: all names of its libraries with an underscore.
+Numba's own classes stay as they are: a kernel names its pipeline when it is compiled, and its cache
+calls `load_library`. Private parts of numba: all names of its libraries with an underscore.
 """
 
 from collections.abc import Iterable
@@ -19,7 +20,6 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.untyped_passes import IRProcessing
 
 _KIND: Final = "object, its names"
-_load_as_usual: Final = JITCodeLibrary._unserialize  # noqa: SLF001
 
 
 class OfKernels(CompilerBase):
@@ -36,6 +36,14 @@ class OfInnerFunctions(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         """Numba's passes, and where their code goes."""
         return _pipelines(self.state, _IntoPart)
+
+
+def load_library(codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
+    """Load a library as it was serialised."""
+    name, kind, data = state
+    if kind == _KIND:
+        return _Kernel.loaded(codegen, name, data)
+    return codegen.unserialize_library(state)
 
 
 class _Kernel(JITCodeLibrary):
@@ -123,13 +131,3 @@ def _defined(module: Any) -> Iterable[str]:  # noqa: ANN401
     for one in (*module.functions, *module.global_variables):
         if not one.is_declaration:
             yield one.name
-
-
-def _load(_: type[JITCodeLibrary], codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
-    name, kind, data = state
-    if kind == _KIND:
-        return _Kernel.loaded(codegen, name, data)
-    return _load_as_usual(codegen, state)
-
-
-JITCodeLibrary._unserialize = classmethod(_load)  # noqa: SLF001
