@@ -1,8 +1,9 @@
 """The cache of compiled kernels: numba's own files, another stamp.
 
 Each kernel has a cache of its own (`keep`); nothing of numba is changed. It lies where numba's
-would: in ``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. An entry is valid
-for as long as the module's stamp (`kernels.stamps`) stays, wherever the package is installed.
+would: in ``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. What is not there
+is looked for among the kernels that came compiled (`kernels.ahead`). An entry is valid for as long
+as the module's stamp (`kernels.stamps`) stays, wherever the package is installed.
 
 Private parts of numba: a dispatcher's ``_cache`` and the classes of ``numba.core.caching``.
 """
@@ -13,9 +14,15 @@ from glob import escape
 from pathlib import Path
 from typing import Any, Final
 
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    _CacheLocator,
+)
 from numba.core.compiler import CompileResult
 
+from valvemap.model.kernels import ahead
 from valvemap.model.kernels.numba_libraries import load_library
 from valvemap.model.kernels.stamps import Trees, stamp_of_module
 
@@ -49,7 +56,8 @@ class _Locator(_CacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> "_Locator | None":  # noqa: ANN401
-        folder = _folder(py_file)
+        into = ahead.into()
+        folder = _folder(py_file) if into is None else str(into / py_func.__module__)
         return None if folder is None else cls(folder, _stamp(py_func.__module__, py_file))
 
     def get_cache_path(self) -> str:
@@ -77,6 +85,24 @@ class _Impl(CompileResultCacheImpl):
 
 class _Cache(FunctionCache):
     _impl_class = _Impl
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401
+        found = super()._load_overload(sig, target_context)
+        if found is not None or ahead.folder() is None:
+            return found
+        data = self._compiled_ahead(self._index_key(sig, target_context.codegen()))
+        return None if data is None else self._impl.rebuild(target_context, data)
+
+    def _compiled_ahead(self, key: Any) -> Any:  # noqa: ANN401
+        """The entry of a machine of this kind: the folder says which, the key another one."""
+        place = str(ahead.folder() / self._py_func.__module__)
+        stamp = self._impl.locator.get_source_stamp()
+        kept = IndexDataCacheFile(place, self._impl.filename_base, stamp)
+        sig, _, code = key
+        for known in kept._load_index():  # noqa: SLF001
+            if (known[0], known[2]) == (sig, code):
+                return kept.load(known)
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
         """Save, and remove what was compiled under an older stamp."""
@@ -106,8 +132,10 @@ class _Loading:
 
 
 def _read_before() -> Trees:
-    folder = _folder(__file__)
-    return Trees(None if folder is None else Path(folder) / f"trees.{sys.implementation.cache_tag}")
+    name, came = f"trees.{sys.implementation.cache_tag}", ahead.folder()
+    into, folder = ahead.into(), _folder(__file__)
+    place = folder if into is None else str(into)
+    return Trees(None if place is None else Path(place) / name, came and came / name)
 
 
 TREES: Final = _read_before()

@@ -11,12 +11,15 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from llvmlite import binding
 from numba.core import config
+from numba.extending import is_jitted
 
+from valvemap.model.kernels import ahead
 from valvemap.numba_version import is_tested
 
 if is_tested():
@@ -82,12 +85,24 @@ def take_shortcuts() -> None:
     numba.take_shortcuts()
 
 
+def kept(dispatcher: F) -> F:
+    """Cache what numba's own decorator makes as kernels are, and as it was decorated."""
+    numba.keep(dispatcher)
+    return dispatcher
+
+
+def keep_kernels(module: ModuleType) -> None:
+    """`kept` for every function of a module that numba compiles."""
+    for value in vars(module).values():
+        if is_jitted(value):
+            kept(value)
+
+
 def was_warmed_up() -> bool:
-    """Whether a warm-up came to its end here before, with the kernels as they are."""
-    try:
-        return _note().read_text(encoding="utf-8") == _stamp_of_all()
-    except OSError:
-        return False
+    """Whether a warm-up came to its end before, here or for the wheel, with kernels as they are."""
+    came = ahead.folder()
+    notes = [_note(), *([came / ahead.COMPLETE] if came is not None else [])]
+    return any(_read(note) == _stamp_of_all() for note in notes)
 
 
 def note_warm_up() -> None:
@@ -98,8 +113,18 @@ def note_warm_up() -> None:
         return
 
 
+def _read(note: Path) -> str:
+    try:
+        return note.read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
 def _note() -> Path:
     """The file that says so, one for each kind of machine that shares the cache."""
+    into = ahead.into()
+    if into is not None:
+        return into / ahead.COMPLETE
     kind = config.CPU_NAME, config.CPU_FEATURES, binding.get_host_cpu_name()
     machine = hashlib.sha256(repr(kind).encode()).hexdigest()[:12]
     folder: Any = _nothing

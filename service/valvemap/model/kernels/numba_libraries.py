@@ -10,7 +10,11 @@ Numba's own classes stay as they are: a kernel names its pipeline when it is com
 calls `load_library`. Private parts of numba: all names of its libraries with an underscore.
 """
 
+import hashlib
+import lzma
+import pickle
 from collections.abc import Iterable
+from functools import cache
 from typing import Any, Final
 
 from llvmlite import binding
@@ -18,6 +22,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.untyped_passes import IRProcessing
+
+from valvemap.model.kernels import ahead
 
 _KIND: Final = "object, its names"
 
@@ -46,6 +52,31 @@ def load_library(codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
     return codegen.unserialize_library(state)
 
 
+def packed(state: Any, bitcodes: dict[bytes, bytes]) -> Any:  # noqa: ANN401
+    """A serialised library for a wheel; None for one that only a compiler needs.
+
+    A kernel's bitcode is the larger part of it and is read only to link the kernel into another
+    one. It goes to ``bitcodes``, all of which are compressed together; its hash takes its place.
+    """
+    name, kind, data = state
+    if kind == _KIND:
+        machine_code, bitcode, names = data
+        digest = hashlib.sha256(bitcode).digest()
+        bitcodes[digest] = bitcode
+        return name, kind, (machine_code, digest, names)
+    return None if kind == "bitcode" else state
+
+
+@cache
+def _shipped_bitcodes() -> dict[bytes, bytes]:
+    folder = ahead.folder()
+    assert folder is not None  # noqa: S101 - a kernel was loaded from it
+    found: dict[bytes, bytes] = pickle.loads(  # noqa: S301 - part of the package
+        lzma.decompress((folder / ahead.BITCODES).read_bytes())
+    )
+    return found
+
+
 class _Kernel(JITCodeLibrary):
     """Is kept with the names that it defines: nothing needs to be parsed to know them."""
 
@@ -67,7 +98,9 @@ class _Kernel(JITCodeLibrary):
 
     def _get_module_for_linking(self) -> Any:  # noqa: ANN401
         if self._unparsed is not None:
-            self._shared_module, self._unparsed = binding.parse_bitcode(self._unparsed), None
+            is_hash = len(self._unparsed) == hashlib.sha256().digest_size
+            bitcode = _shipped_bitcodes()[self._unparsed] if is_hash else self._unparsed
+            self._shared_module, self._unparsed = binding.parse_bitcode(bitcode), None
         return super()._get_module_for_linking()
 
 

@@ -37,5 +37,9 @@ def spliced(function: F, **options: Any) -> F:  # noqa: ANN401 - numba's options
     return compiled
 
 
+def keep(dispatcher: object) -> None:
+    """Leave it numba's own cache."""
+
+
 def take_shortcuts() -> None:
     """Leave numba as it comes."""

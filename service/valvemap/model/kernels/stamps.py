@@ -29,16 +29,22 @@ class Tree:
 
 @dataclass
 class Trees:
-    """Syntax trees by the hash of the file's bytes, kept in a file if one is given."""
+    """Syntax trees by the hash of the file's bytes, kept in a file if one is given.
+
+    ``came`` is another file, which is only read.
+    """
 
     kept: Path | None = None
+    came: Path | None = None
     _by_file: dict[Path, Tree] = field(default_factory=dict)
     _by_bytes: dict[str, Tree] = field(default_factory=dict)
     _used: dict[str, Tree] = field(default_factory=dict)
+    _parsed: int = 0  # since they were kept
 
     def __post_init__(self) -> None:
-        if self.kept is not None:
-            self._by_bytes |= _read(self.kept)
+        for file in (self.came, self.kept):
+            if file is not None:
+                self._by_bytes |= _read(file)
 
     def of(self, file: Path, module: str) -> Tree:
         """The tree of a module, whose name resolves its relative imports; a file is read once."""
@@ -53,13 +59,15 @@ class Trees:
         if tree is None:
             is_package = file.name == "__init__.py"
             tree = self._by_bytes[key] = parse(source, module, is_package=is_package)
+            self._parsed += 1
         self._used[key] = tree
         return tree
 
     def keep(self) -> None:
         """Write those that were used to the file, if it can be written and lacks any."""
-        if self.kept is None or _read(self.kept).keys() >= self._used.keys():
+        if self.kept is None or self._parsed == 0:
             return
+        self._parsed = 0
         written = {key: [tree.content, *tree.imports] for key, tree in self._used.items()}
         beside = self.kept.with_suffix(f".{os.getpid()}")
         try:

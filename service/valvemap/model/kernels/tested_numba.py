@@ -10,7 +10,7 @@ from valvemap.model.kernels.numba_libraries import OfInnerFunctions, OfKernels
 from valvemap.model.kernels.numba_seams import spare as take_shortcuts
 from valvemap.numba_version import are_shortcuts_asked_for
 
-__all__ = ["TREES", "called", "linked", "spliced", "take_shortcuts"]
+__all__ = ["TREES", "called", "keep", "linked", "spliced", "take_shortcuts"]
 
 F = TypeVar("F", bound=Callable[..., object])
 
