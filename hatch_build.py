@@ -29,6 +29,7 @@ PACK = f"""
 import sys
 from pathlib import Path
 from {PACKAGE}.identification.kernels import compiled, packing
+assert compiled.was_warmed_up(), "sources changed while their kernels were compiled"
 assert packing.pack(Path(sys.argv[1])) > 0
 """
 ISOLATING = {"PYTHONPATH", "PYTHONNOUSERSITE"}  # pip's, for the build's own Python

@@ -125,7 +125,7 @@ def _note() -> Path:
     into = ahead.into()
     if into is not None:
         return into / ahead.COMPLETE
-    kind = config.CPU_NAME, config.CPU_FEATURES, binding.get_host_cpu_name()
+    kind = config.CPU_NAME or binding.get_host_cpu_name(), config.CPU_FEATURES
     machine = hashlib.sha256(repr(kind).encode()).hexdigest()[:12]
     folder: Any = _nothing
     return Path(folder.stats.cache_path) / f"warmed-up-{machine}"
