@@ -40,7 +40,7 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
     """Adds compiled kernels to a wheel that is asked for with them."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compile, and name what is to be added; an editable install gets nothing."""
+        """Compile, and list the folders to be added; an editable install gets none."""
         python = os.environ.get("VALVEMAP_KERNELS")
         if not python or version == "editable":
             return
@@ -69,7 +69,7 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
         build_data["tag"] = f"{tag}-none-{TAG}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Remove what was compiled: it is in the wheel."""
+        """Remove the compiled kernels: the wheel holds them."""
         del version, build_data, artifact_path
         if hasattr(self, "_folder"):
             shutil.rmtree(self._folder)

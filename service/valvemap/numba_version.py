@@ -3,7 +3,7 @@
 Importing valvemap changes nothing of numba. A command owns its process and may: it asks for the
 shortcuts of `valvemap.model.kernels.numba_seams` by `ask_for_shortcuts`. They, and the
 classes of numba that the kernels extend, are private parts, tested with the minor versions below.
-With any other version the kernels are compiled as numba does by itself.
+With any other version the kernels are compiled by numba's public options alone.
 """
 
 import logging

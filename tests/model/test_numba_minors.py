@@ -1,6 +1,6 @@
 """The private parts of numba are there in the minor version before the newest, too.
 
-In a folder of its own: numba and llvmlite from PyPI. Every shared check runs with them, and the
+A separate folder holds numba and llvmlite from PyPI. Every shared check runs with them, and the
 same samples lead to the same bits as with the numba that is installed.
 """
 

@@ -106,7 +106,7 @@ def _help(
     taken: "Synchronized[int]",
     done: "Synchronized[int]",
     collecting: tuple[int, int, int],
-    shortcuts: bool,  # noqa: FBT001 - a process is given what it needs in order
+    shortcuts: bool,  # noqa: FBT001 - arguments of a process are positional
 ) -> None:
     """Take parts as well, and look for garbage as seldom; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -32,7 +32,7 @@ COMPLETE: Final = "complete"
 """File beside the caches: the stamp of all kernels when they were compiled."""
 
 BITCODES: Final = "bitcode.xz"
-"""File beside the caches: what is needed to link the kernels into others."""
+"""File beside the caches: the bitcode by which the kernels are linked into others."""
 
 HOME: Final = Path(__file__).parent / "compiled_ahead"
 

@@ -1,9 +1,9 @@
 """The cache of compiled kernels: numba's own files, another stamp.
 
-Each kernel has a cache of its own (`keep`); nothing of numba is changed. It lies where numba's
-would: in ``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. What is not there
-is looked for among the kernels that came compiled (`kernels.ahead`). An entry is valid for as long
-as the module's stamp (`kernels.stamps`) stays, wherever the package is installed.
+Each kernel has a separate cache (`keep`); nothing of numba is changed. It lies where numba's
+would: in ``NUMBA_CACHE_DIR``, else beside the module, else in the user's cache. Kernels that are
+missing there are read from those that came compiled (`kernels.ahead`). An entry is valid for as
+long as the module's stamp (`kernels.stamps`) stays, wherever the package is installed.
 
 Private parts of numba: a dispatcher's ``_cache`` and the classes of ``numba.core.caching``.
 """
@@ -28,7 +28,7 @@ from valvemap.model.kernels.stamps import Trees, stamp_of_module
 
 
 def keep(dispatcher: Any) -> None:  # noqa: ANN401 - numba has no types
-    """Cache what a dispatcher compiles under its module's stamp."""
+    """Cache a dispatcher's code under its module's stamp."""
     dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001
 
 
@@ -94,7 +94,7 @@ class _Cache(FunctionCache):
         return None if data is None else self._impl.rebuild(target_context, data)
 
     def _compiled_ahead(self, key: Any) -> Any:  # noqa: ANN401
-        """The entry of a machine of this kind: the folder says which, the key another one."""
+        """Find the entry for this kind of machine; its key names the one that built the wheel."""
         place = str(ahead.folder() / self._py_func.__module__)
         stamp = self._impl.locator.get_source_stamp()
         kept = IndexDataCacheFile(place, self._impl.filename_base, stamp)
@@ -105,7 +105,7 @@ class _Cache(FunctionCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401
-        """Save, and remove what was compiled under an older stamp."""
+        """Save, and remove entries of older stamps."""
         super().save_overload(sig, data)
         base = self._impl.filename_base
         name, stamp = base.rsplit("-", 1)
@@ -139,4 +139,4 @@ def _read_before() -> Trees:
 
 
 TREES: Final = _read_before()
-"""What was read of kernels' modules, in this process and before."""
+"""Syntax trees of kernels' modules, from this process and earlier ones."""

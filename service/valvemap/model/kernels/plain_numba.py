@@ -16,7 +16,7 @@ from valvemap.model.kernels.stamps import Trees, stamp_of_module
 F = TypeVar("F", bound=Callable[..., object])
 
 TREES: Final = Trees()
-"""What was read of kernels' modules."""
+"""Syntax trees of kernels' modules."""
 
 
 def called(function: F, *, counts: bool) -> F:  # noqa: ARG001 - numba counts them all

@@ -98,7 +98,7 @@ def stamp_of(file: Path, module: str, packages: Mapping[str, Path], trees: Trees
         Packages whose modules are followed, by name, with their folders. All else that is imported
         belongs to other distributions.
     trees
-        Remembers what was parsed.
+        Remembers parsed modules.
     """
     contents: dict[str, str] = {}
     ahead = [(module, file)]

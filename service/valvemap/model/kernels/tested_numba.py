@@ -47,7 +47,7 @@ def spliced(function: F, **options: Any) -> F:  # noqa: ANN401
 def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's dispatcher
     """Compile it once, not once for each constant that a kernel calls it with.
 
-    Constants still reach what is inlined. Private part of numba: ``get_call_template``.
+    Constants still reach inlined functions. Private part of numba: ``get_call_template``.
     """
     find = compiled.get_call_template
     plain: Callable[[Any], Any] = types.unliteral  # type: ignore[attr-defined]
