@@ -25,6 +25,12 @@ kinds = {{kind: ahead.place(kind) for kind in ahead.KINDS}}
 tag = f"cp{{sys.version_info[0]}}{{sys.version_info[1]}}"
 print(json.dumps([is_tested(), ahead.INTO, tag, kinds]))
 """
+TRUTH = f"""
+from {PACKAGE}.cli.rig_kernels import keep_rig_kernels
+from valvemap_rig.scenario import load_scenario, verification_points
+keep_rig_kernels()
+verification_points(load_scenario("demo"), "Valvistor")
+"""
 PACK = f"""
 import sys
 from pathlib import Path
@@ -63,6 +69,7 @@ class KernelsAhead(BuildHookInterface):  # type: ignore[type-arg]
             drawn = str(self._folder / "drawn.csv")
             rig = ["rig", "--offline", "--duration", "1", "--record", drawn]
             self._run([python, "-m", PACKAGE, *rig], environment)
+            self._run([python, "-c", TRUTH], environment)
             self._run([python, "-c", PACK, str(folder)], environment)
             build_data["force_include"][str(folder)] = f"{HOME}/{place}"
         build_data["pure_python"] = False

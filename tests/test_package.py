@@ -147,6 +147,10 @@ def test_nothing_is_compiled_where_a_platform_wheel_is_installed(installed, kind
     for command in (["warm-up"], ["rig", "--offline", "--duration", "1", "--record", "r.csv"]):
         asked = [sys.executable, "-m", "valvemap", *command]
         subprocess.run(asked, check=True, cwd=tmp_path, env=env, capture_output=True)
+    url = {"VALVEMAP_SOURCE__URL": rig_url(free_port())}
+    url["VALVEMAP_SERVER__URL"] = service_url(free_port())
+    asked = [sys.executable, "-m", "valvemap", "demo", "--duration", "10"]
+    subprocess.run(asked, check=True, cwd=tmp_path, env=env | url, capture_output=True)
     assert not list(cache.rglob("*.nbc"))
 
 

@@ -111,20 +111,31 @@ def test_what_was_parsed_is_kept_and_a_damaged_file_is_parsed_once_more(tmp_path
     source.write_text("import a\nX = 1\n")
     parsed = []
     monkeypatch.setattr(stamps, "parse", lambda *a, **k: parsed.append(a) or parse(*a, **k))
-    for damage in (None, None, "", "[1]", '{"a": 1}', '{"a": []}', "null"):
+    for damage in (None, None, "", "[1]", '{"m": 1}', '{"m": []}', '{"m": ["1"]}', "null"):
         if damage is not None:
             kept.write_text(damage)
         trees = Trees(kept)
         assert trees.of(source, "m") == parse(source.read_bytes(), "m")
         trees.keep()
-    assert len(parsed) == 1 + 5
+    assert len(parsed) == 1 + 6
     assert sorted(tmp_path.iterdir()) == [source, kept]
     source.write_text("import a\nX = 2\n")
     trees = Trees(kept)
     trees.of(source, "m")
     trees.keep()
-    assert len(kept.read_text().splitlines()) == 1
-    assert kept.read_text().count("[") == 1, "what no module holds any more is forgotten"
+    assert kept.read_text().count("[") == 1, "of each module the newest alone"
+
+
+def test_two_programs_that_use_other_modules_do_not_forget_each_others(tmp_path, monkeypatch):
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.py").write_text(f"X = '{name}'\n")
+    parsed = []
+    monkeypatch.setattr(stamps, "parse", lambda *a, **k: parsed.append(a[1]) or parse(*a, **k))
+    for name in ("a", "b", "a", "b"):
+        trees = Trees(tmp_path / "trees")
+        trees.of(tmp_path / f"{name}.py", name)
+        trees.keep()
+    assert parsed == ["a", "b"]
 
 
 def test_a_folder_that_cannot_be_written_costs_time_alone(tmp_path):

@@ -29,7 +29,7 @@ class Tree:
 
 @dataclass
 class Trees:
-    """Syntax trees by the hash of the file's bytes, kept in a file if one is given.
+    """Syntax trees of modules, kept in a file if one is given: of each module the newest.
 
     ``came`` is another file, which is only read.
     """
@@ -37,14 +37,13 @@ class Trees:
     kept: Path | None = None
     came: Path | None = None
     _by_file: dict[Path, Tree] = field(default_factory=dict)
-    _by_bytes: dict[str, Tree] = field(default_factory=dict)
-    _used: dict[str, Tree] = field(default_factory=dict)
-    _parsed: int = 0  # since they were kept
+    _known: dict[str, tuple[str, Tree]] = field(default_factory=dict)  # by module, with the hash
+    _parsed: bool = False  # any, since they were kept
 
     def __post_init__(self) -> None:
         for file in (self.came, self.kept):
             if file is not None:
-                self._by_bytes |= _read(file)
+                self._known |= _read(file)
 
     def of(self, file: Path, module: str) -> Tree:
         """The tree of a module, whose name resolves its relative imports; a file is read once."""
@@ -53,22 +52,24 @@ class Trees:
         return self._by_file[file]
 
     def _of_bytes(self, file: Path, module: str) -> Tree:
-        source = file.read_bytes()
-        key = hashlib.sha256(f"{module}\n".encode() + source).hexdigest()
-        tree = self._by_bytes.get(key)
-        if tree is None:
-            is_package = file.name == "__init__.py"
-            tree = self._by_bytes[key] = parse(source, module, is_package=is_package)
-            self._parsed += 1
-        self._used[key] = tree
+        source, is_package = file.read_bytes(), file.name == "__init__.py"
+        digest = hashlib.sha256(repr(is_package).encode() + source).hexdigest()
+        known, tree = self._known.get(module, ("", Tree("", ())))
+        if known != digest:
+            tree = parse(source, module, is_package=is_package)
+            self._known[module] = digest, tree
+            self._parsed = True
         return tree
 
     def keep(self) -> None:
-        """Write those that were used to the file, if it can be written and lacks any."""
-        if self.kept is None or self._parsed == 0:
+        """Write all to the file, if any was parsed and the file can be written."""
+        if self.kept is None or not self._parsed:
             return
-        self._parsed = 0
-        written = {key: [tree.content, *tree.imports] for key, tree in self._used.items()}
+        self._parsed = False
+        written = {
+            module: [digest, tree.content, *tree.imports]
+            for module, (digest, tree) in self._known.items()
+        }
         beside = self.kept.with_suffix(f".{os.getpid()}")
         try:
             beside.write_text(json.dumps(written), encoding="utf-8")
@@ -171,9 +172,12 @@ def _find(imported: str, packages: Mapping[str, Path]) -> tuple[str, Path] | Non
     return None
 
 
-def _read(kept: Path) -> dict[str, Tree]:
+def _read(kept: Path) -> dict[str, tuple[str, Tree]]:
     try:
         found = json.loads(kept.read_text(encoding="utf-8"))
-        return {key: Tree(content, tuple(imports)) for key, (content, *imports) in found.items()}
+        return {
+            module: (digest, Tree(content, tuple(imports)))
+            for module, (digest, content, *imports) in found.items()
+        }
     except (OSError, ValueError, AttributeError, TypeError):  # none yet, or not ours
         return {}
