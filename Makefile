@@ -7,7 +7,7 @@ DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
 
 # Markers of the tests that need foreign programs, or a minute of waiting.
-PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or tutorial
+PEERS := node or compiler or milo or languages or broker or mosquitto or image or chromium or minor or tutorial
 
 # The files that hold a marker: to collect all others, too, takes a process a quarter of a minute.
 marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
@@ -15,7 +15,7 @@ marked = $(shell grep -rl --include='*.py' 'pytest\.mark\.$(1)\b' tests)
 # Many tests start programs; without kept bytecode each of them compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom release verify-release lock clean
+.PHONY: install demo test waits peers hardened lint format soak bench report reference docs sbom wheel release verify-release lock clean
 
 install: $(RUNTIME)
 
@@ -87,6 +87,12 @@ release: $(DEV)
 # make verify-release DIST=FOLDER SIGNERS=FILE
 verify-release:
 	@$(PYTHON) release/verify.py "$(DIST)" "$(SIGNERS)"
+
+# A wheel for this Python and platform that holds its kernels compiled; without VALVEMAP_KERNELS
+# it would be a pure one.
+wheel: $(RUNTIME)
+	VALVEMAP_KERNELS=$$PWD/$(BIN)/python $(BIN)/python -m pip wheel --quiet \
+	    --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The widest first: what it pins fits everybody (Quix Streams wants an older pydantic).
 lock:

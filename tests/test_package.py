@@ -118,6 +118,46 @@ def test_wheel_and_sdist_are_whole(built):
     assert {file for file in tracked if not file.startswith((".ci/", ".git"))} <= names
 
 
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A wheel with compiled kernels; the folder where it is installed, and Python's arguments."""
+    folder = tmp_path_factory.mktemp("platform")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    built = [*pip, "wheel", "--no-deps", "--wheel-dir", folder, ROOT]
+    subprocess.run(built, check=True, env=os.environ | {"VALVEMAP_KERNELS": sys.executable})
+    (wheel,) = folder.glob("*.whl")
+    home = folder / "home"
+    subprocess.run([*pip, "install", "--no-deps", "--target", home, wheel], check=True)
+    return wheel, home
+
+
+@pytest.mark.image
+@pytest.mark.timeout(1800)  # it compiles everything twice
+def test_a_platform_wheel_is_small_and_says_for_whom_it_is(installed):
+    wheel, _ = installed
+    python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    assert wheel.name.endswith(f"-{python}-none-manylinux_2_28_x86_64.whl")
+    assert wheel.stat().st_size < 8_000_000
+
+
+@pytest.mark.image
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("kind", ["x86-64-v3", "generic"])
+def test_nothing_is_compiled_where_a_platform_wheel_is_installed(installed, kind, tmp_path):
+    _, home = installed
+    cache = tmp_path / "cache"
+    env = os.environ | {"PYTHONPATH": str(home), "NUMBA_CACHE_DIR": str(cache)}
+    env |= {"NUMBA_CPU_NAME": kind, "NUMBA_CPU_FEATURES": ""}
+    for command in (["warm-up"], ["rig", "--offline", "--duration", "1", "--record", "r.csv"]):
+        asked = [sys.executable, "-m", "valvemap", *command]
+        subprocess.run(asked, check=True, cwd=tmp_path, env=env, capture_output=True)
+    url = {"VALVEMAP_SOURCE__URL": rig_url(free_port())}
+    url["VALVEMAP_SERVER__URL"] = service_url(free_port())
+    asked = [sys.executable, "-m", "valvemap", "demo", "--duration", "10"]
+    subprocess.run(asked, check=True, cwd=tmp_path, env=env | url, capture_output=True)
+    assert not list(cache.rglob("*.nbc"))
+
+
 @pytest.mark.image
 @pytest.mark.timeout(900)  # nothing is compiled there yet
 def test_the_demo_runs_from_the_wheel_alone(built, tmp_path):

@@ -23,7 +23,7 @@ _SERVERS = {
     "uvicorn",
     "structlog",
 }
-_HEAVY = _SERVERS | {"numpy", "numba", "scipy", "rich", "valvemap.config", "virtual_rig"}
+_HEAVY = _SERVERS | {"numpy", "numba", "scipy", "rich", "valvemap.config", "valvemap_rig"}
 
 
 def loaded_by(*arguments):

@@ -19,12 +19,13 @@ from valvemap.model.auto import Auto
 from valvemap.model.auto_state import CHAMPION, surface_of
 from valvemap.model.estimator import Estimator, key_of
 from valvemap.model.kernels import cells, grid, held, lag, reaction
-from valvemap.model.kernels.compiled import note_warm_up, was_warmed_up
+from valvemap.model.kernels.compiled import note_warm_up, take_shortcuts, was_warmed_up
 from valvemap.model.map_shapes import Shape, Variety
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.residual_spread import ResidualSpread
 from valvemap.model.samples import Samples, Segments, Trace
 from valvemap.model.support import Support
+from valvemap.numba_version import are_shortcuts_asked_for
 from valvemap.opcua_source.decoding import decode_data_changes
 from valvemap.pipeline.alarms import RULES, Alarms
 from valvemap.pipeline.data_changes import DataChanges
@@ -82,7 +83,7 @@ def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], 
     taken, done = context.Value("i", 0), context.Value("i", 0)
     helper = None
     if (os.cpu_count() or 1) > 1:
-        given = config, taken, done, gc.get_threshold()
+        given = config, taken, done, gc.get_threshold(), are_shortcuts_asked_for()
         helper = context.Process(target=_help, args=given, daemon=True)
         helper.start()
     finished, of = threading.Event(), len(_parts(config))
@@ -105,10 +106,13 @@ def _help(
     taken: "Synchronized[int]",
     done: "Synchronized[int]",
     collecting: tuple[int, int, int],
+    shortcuts: bool,  # noqa: FBT001 - arguments of a process are positional
 ) -> None:
     """Take parts as well, and look for garbage as seldom; Ctrl-C is for the service to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.set_threshold(*collecting)
+    if shortcuts:
+        take_shortcuts()
     _take_parts(config, taken, done, lambda: False)
     os._exit(0)  # somebody waits: to take all apart that was compiled takes half a second
 

@@ -10,6 +10,7 @@ from typer.main import get_command
 from valvemap.cli.command_table import COMMANDS, LazyGroup
 from valvemap.errors import ValvemapError
 from valvemap.foreign_text import LINE, printable, printable_lines
+from valvemap.numba_version import ask_for_shortcuts
 
 __all__ = ["COMMANDS", "application", "main", "run"]
 
@@ -18,6 +19,7 @@ _UsageError: Any = typer.BadParameter.__base__  # typer exports its children onl
 
 def main() -> None:
     """Run the command line; a user's mistake is one line, never a traceback."""
+    ask_for_shortcuts()
     gc.set_threshold(50_000, 20, 20)  # what imports and address spaces make is no garbage
     code = run(sys.argv[1:])
     gc.freeze()  # else all of it is looked through once more at the end

@@ -24,6 +24,7 @@ from valvemap.cli.demo_view import Verdict, status_table, verdict_table
 from valvemap.cli.logs import set_up_logs
 from valvemap.cli.output import terminal
 from valvemap.cli.rig_conditions import conditions_in
+from valvemap.cli.rig_kernels import keep_rig_kernels
 from valvemap.cli.under_demo import page_process, rig_process
 from valvemap.clock import SystemClock
 from valvemap.config.loading import load_config
@@ -53,6 +54,7 @@ def demo(
     ] = "demo",
 ) -> None:
     """Run rig and service, until Ctrl-C."""
+    keep_rig_kernels()
     loaded = load_scenario(scenario)
     set_up_logs(LogConfig(level="error"))
     with TemporaryDirectory(prefix="valvemap-demo-") as folder:

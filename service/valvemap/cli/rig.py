@@ -17,6 +17,7 @@ from valvemap.cli.options import FolderOption, ForceOption, RevocationOption, ne
 from valvemap.cli.output import write_line
 from valvemap.cli.progress import bars
 from valvemap.cli.rig_conditions import CONDITION_S, condition_line
+from valvemap.cli.rig_kernels import keep_rig_kernels
 from valvemap.config.logs import LogConfig
 from valvemap_rig.fleet_server import FleetServer
 from valvemap_rig.scenario import Fleet, Scenario, load_scenario
@@ -76,6 +77,7 @@ def rig(
     under_demo: Annotated[bool, typer.Option("--under-demo", hidden=True)] = False,
 ) -> None:
     """Run the virtual test rig as an OPC UA server, until Ctrl-C."""
+    keep_rig_kernels()
     loaded = load_scenario(scenario)
     if duration is not None:
         loaded = loaded.model_copy(update={"duration_s": duration})

@@ -18,6 +18,7 @@ from asyncua import ua
 from numba import njit
 from numpy.typing import NDArray
 
+from valvemap.model.kernels.compiled import kept
 from valvemap.opcua_source.wire import FIXED_SIZES, NUMERIC_FORMATS, DecodeError, Reader
 from valvemap.pipeline.data_changes import DataChanges
 
@@ -380,6 +381,7 @@ def _i8(raw: NDArray[np.uint8], at: int) -> np.int64:
     return np.int64(_u4(raw, at) | _u4(raw, at + 4) << np.uint64(32))
 
 
+@kept
 @njit(cache=True)
 def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
     raw: NDArray[np.uint8],

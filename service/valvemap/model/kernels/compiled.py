@@ -1,65 +1,66 @@
 """How kernels are compiled: IEEE arithmetic in the written order, cached, the lock released.
 
-Numba's cache notices a changed function by its own file alone, not by those of the functions that
-it calls. Here the name under which a kernel is cached holds a hash of all files whose kernels are
-compiled here, so that none is ever run with a callee of yesterday.
+A kernel is cached under the stamp of its module and of all that the module imports, so that none
+is ever run with a callee of yesterday, and another comment compiles nothing. With a version of
+numba that is not tested (`valvemap.numba_version`), only its public options and its own cache are
+used.
 """
 
 import hashlib
+import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numba import njit, types
+from llvmlite import binding
+from numba.core import config
+from numba.extending import is_jitted
 
-from valvemap.model.kernels.numba_libraries import OfInnerFunctions, OfKernels
-from valvemap.model.kernels.numba_seams import spare
+from valvemap.model.kernels import ahead
+from valvemap.numba_version import is_tested
+
+if is_tested():
+    from valvemap.model.kernels import tested_numba as numba
+else:
+    from valvemap.model.kernels import plain_numba as numba  # type: ignore[no-redef]
 
 F = TypeVar("F", bound=Callable[..., object])
 
 Index = np.uint64  # place in an array: a signed one may count from the end, and no loop of such
 # becomes a vector
 
-_CALLED: Final[dict[str, Any]] = {
-    "nogil": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": OfKernels,
-}
-_LINKED: Final[dict[str, Any]] = {
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": OfInnerFunctions,
-}
-_ROOMS = Path(__file__).parents[2].glob("*/kernels/*.py")
-_SOURCES = [path.read_bytes() for path in sorted(_ROOMS)]
-_STAMP = hashlib.sha256(b"".join(s for s in _SOURCES if b"kernels.compiled" in s)).hexdigest()[:12]
+_PACKAGE: Final = Path(__file__).parents[2]
+_ROOMS: Final = "*/kernels/*.py"
 
 
 def kernel(function: F) -> F:
     """Compile a function that Python calls."""
-    return _compile(function, **_CALLED, _nrt=True)
+    return numba.called(function, counts=True)
 
 
 def lean_kernel(function: F) -> F:
     """`kernel`, for what makes no array: references to those that it is handed are not counted.
 
     Each call that hands on a tuple of thirty arrays counts sixty times, which costs a microsecond.
+    Private part of numba: the option ``_nrt``.
     """
-    return _compile(function, **_CALLED, _nrt=False)
+    return numba.called(function, counts=False)
 
 
 def inner(function: F) -> F:
     """Compile a function that only kernels call: no wrappers, and no reference is counted.
 
-    It makes no array and hands none back: see `maker`. Private seam of numba: the option ``_nrt``.
+    It makes no array and hands none back: see `maker`.
     """
-    return _compile(function, **_LINKED, _nrt=False)
+    return numba.linked(function, counts=False)
 
 
 def maker(function: F) -> F:
     """`inner` for what makes arrays or hands them back."""
-    return _compile(function, **_LINKED, _nrt=True)
+    return numba.linked(function, counts=True)
 
 
 def inlined(function: F) -> F:
@@ -67,7 +68,7 @@ def inlined(function: F) -> F:
 
     Only for what few kernels call: each gets a copy.
     """
-    return _compile(function, **_LINKED, forceinline=True, _nrt=False)
+    return numba.linked(function, counts=False, forceinline=True)
 
 
 def spliced(function: F) -> F:
@@ -76,47 +77,72 @@ def spliced(function: F) -> F:
     A callee that is compiled by itself is compiled once more with each of its callers. For what
     has one caller; what has more is written into each.
     """
-    return _compile(function, inline="always")
+    return numba.spliced(function, inline="always")
+
+
+def take_shortcuts() -> None:
+    """Change numba for the rest of this process, in which no command asked before the import."""
+    numba.take_shortcuts()
+
+
+def kept(dispatcher: F) -> F:
+    """Cache what numba's own decorator makes as kernels are, and as it was decorated."""
+    numba.keep(dispatcher)
+    return dispatcher
+
+
+def keep_kernels(module: ModuleType) -> None:
+    """`kept` for every function of a module that numba compiles."""
+    for value in vars(module).values():
+        if is_jitted(value):
+            kept(value)
 
 
 def was_warmed_up() -> bool:
-    """Whether a warm-up came to its end here before, with the kernels as they are.
-
-    Private seam of numba: the dispatcher's ``_cache``, asked without compiling.
-    """
-    found = _end_of_warm_up._cache.load_overload((), _end_of_warm_up.targetctx)  # type: ignore[attr-defined]  # noqa: SLF001
-    return found is not None
+    """Whether a warm-up came to its end before, here or for the wheel, with kernels as they are."""
+    came = ahead.folder()
+    notes = [_note(), *([came / ahead.COMPLETE] if came is not None else [])]
+    return any(_read(note) == _stamp_of_all() for note in notes)
 
 
 def note_warm_up() -> None:
-    """Have `was_warmed_up` say so from now on."""
-    _end_of_warm_up()
+    """Make `was_warmed_up` true from now on; where nothing can be kept it stays false."""
+    try:
+        _note().write_text(_stamp_of_all(), encoding="utf-8")
+    except OSError:
+        return
 
 
-def _compile(function: F, **options: Any) -> F:  # noqa: ANN401 - numba's options
-    function.__qualname__ = f"{function.__name__}_{_STAMP}"
-    compiled: F = njit(cache=True, error_model="numpy", **options)(function)
-    _once_for_all_numbers(compiled)
-    return compiled
+def _read(note: Path) -> str:
+    try:
+        return note.read_text(encoding="utf-8")
+    except OSError:
+        return ""
 
 
-def _once_for_all_numbers(compiled: Any) -> None:  # noqa: ANN401 - numba's dispatcher
-    """Have it compiled once, not once for each constant that a kernel calls it with.
-
-    Constants still reach what is inlined. Private seam of numba: ``get_call_template``.
-    """
-    find = compiled.get_call_template
-    plain: Callable[[Any], Any] = types.unliteral  # type: ignore[attr-defined]
-
-    def find_for_any_number(args: Any, kws: Any) -> Any:  # noqa: ANN401
-        return find(tuple(map(plain, args)), {name: plain(kind) for name, kind in kws.items()})
-
-    compiled.get_call_template = find_for_any_number
+def _note() -> Path:
+    """The file that says so, one for each kind of machine that shares the cache."""
+    into = ahead.into()
+    if into is not None:
+        return into / ahead.COMPLETE
+    kind = config.CPU_NAME or binding.get_host_cpu_name(), config.CPU_FEATURES
+    machine = hashlib.sha256(repr(kind).encode()).hexdigest()[:12]
+    folder: Any = _nothing
+    return Path(folder.stats.cache_path) / f"warmed-up-{machine}"
 
 
-spare()
+def _stamp_of_all() -> str:
+    """A stamp of every kernel, of numba and of Python."""
+    files = sorted(_PACKAGE.glob(_ROOMS))
+    contents = [numba.TREES.of(file, _module_of(file)).content for file in files]
+    whole = version("numba"), sys.implementation.cache_tag, contents
+    return hashlib.sha256(repr(whole).encode()).hexdigest()
+
+
+def _module_of(file: Path) -> str:
+    return ".".join(file.relative_to(_PACKAGE.parent).with_suffix("").parts)
 
 
 @kernel
-def _end_of_warm_up() -> None:
-    """Compiled last of all."""
+def _nothing() -> None:
+    """Knows where kernels are cached."""

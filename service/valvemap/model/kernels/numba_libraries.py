@@ -6,10 +6,15 @@ function has none: without them a first start takes an eighth less. And with a k
 compiled before numba loads what it would need to link it into others, which hardly ever happens:
 without it kernels are loaded in a third of the time.
 
-Private seams of numba: all names of its libraries with an underscore.
+Numba's own classes stay as they are: a kernel names its pipeline when it is compiled, and its cache
+calls `load_library`. Private parts of numba: all names of its libraries with an underscore.
 """
 
+import hashlib
+import lzma
+import pickle
 from collections.abc import Iterable
+from functools import cache
 from typing import Any, Final
 
 from llvmlite import binding
@@ -18,8 +23,9 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.untyped_passes import IRProcessing
 
+from valvemap.model.kernels import ahead
+
 _KIND: Final = "object, its names"
-_load_as_usual: Final = JITCodeLibrary._unserialize  # noqa: SLF001
 
 
 class OfKernels(CompilerBase):
@@ -36,6 +42,39 @@ class OfInnerFunctions(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         """Numba's passes, and where their code goes."""
         return _pipelines(self.state, _IntoPart)
+
+
+def load_library(codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
+    """Load a library as it was serialised."""
+    name, kind, data = state
+    if kind == _KIND:
+        return _Kernel.loaded(codegen, name, data)
+    return codegen.unserialize_library(state)
+
+
+def packed(state: Any, bitcodes: dict[bytes, bytes]) -> Any:  # noqa: ANN401
+    """A serialised library for a wheel; None for one that only a compiler needs.
+
+    A kernel's bitcode is the larger part of it and is read only to link the kernel into another
+    one. It goes to ``bitcodes``, all of which are compressed together; its hash takes its place.
+    """
+    name, kind, data = state
+    if kind == _KIND:
+        machine_code, bitcode, names = data
+        digest = hashlib.sha256(bitcode).digest()
+        bitcodes[digest] = bitcode
+        return name, kind, (machine_code, digest, names)
+    return None if kind == "bitcode" else state
+
+
+@cache
+def _shipped_bitcodes() -> dict[bytes, bytes]:
+    folder = ahead.folder()
+    assert folder is not None  # noqa: S101 - a kernel was loaded from it
+    found: dict[bytes, bytes] = pickle.loads(  # noqa: S301 - part of the package
+        lzma.decompress((folder / ahead.BITCODES).read_bytes())
+    )
+    return found
 
 
 class _Kernel(JITCodeLibrary):
@@ -59,7 +98,9 @@ class _Kernel(JITCodeLibrary):
 
     def _get_module_for_linking(self) -> Any:  # noqa: ANN401
         if self._unparsed is not None:
-            self._shared_module, self._unparsed = binding.parse_bitcode(self._unparsed), None
+            is_hash = len(self._unparsed) == hashlib.sha256().digest_size
+            bitcode = _shipped_bitcodes()[self._unparsed] if is_hash else self._unparsed
+            self._shared_module, self._unparsed = binding.parse_bitcode(bitcode), None
         return super()._get_module_for_linking()
 
 
@@ -123,13 +164,3 @@ def _defined(module: Any) -> Iterable[str]:  # noqa: ANN401
     for one in (*module.functions, *module.global_variables):
         if not one.is_declaration:
             yield one.name
-
-
-def _load(_: type[JITCodeLibrary], codegen: Any, state: Any) -> JITCodeLibrary:  # noqa: ANN401
-    name, kind, data = state
-    if kind == _KIND:
-        return _Kernel.loaded(codegen, name, data)
-    return _load_as_usual(codegen, state)
-
-
-JITCodeLibrary._unserialize = classmethod(_load)  # noqa: SLF001

@@ -1,7 +1,8 @@
 """What numba does at length and can be spared, by private seams of numba and llvmlite.
 
 Nothing here changes what is compiled. Together they take a seventh off a first start and a tenth
-off every later one (`python -m benchmarks.start_up first`).
+off every later one (`python -m benchmarks.start_up first`). They change numba for the whole
+process, so only a command asks for them (`valvemap.numba_version`); importing this changes nothing.
 """
 
 import importlib
@@ -18,7 +19,7 @@ _found: Final[dict[Hashable, Any]] = {}  # bounded by the kinds of numbers and n
 
 
 def spare() -> None:
-    """Have numba leave out what nobody here needs, from now on."""
+    """Make numba leave out what no kernel needs, in this process and from now on."""
     _load_numba_without_scipy()
     _note_no_calls_of_llvm()
     _compare_flags_by_what_differs()

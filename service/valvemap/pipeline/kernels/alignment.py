@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from valvemap.model.kernels import compiled as counted
+from valvemap.model.kernels.compiled import kernel as counting_kernel
 from valvemap.pipeline.kernels.by_number import judge, place_by_number, resume, settle
 from valvemap.pipeline.kernels.by_time import leave_by_time, place_by_time
 from valvemap.pipeline.kernels.compiled import kernel
@@ -91,7 +91,7 @@ def find_waiting(rules: Rules, w: Waiting, waits: NDArray[np.bool_]) -> None:
                 break
 
 
-@counted.kernel
+@counting_kernel
 def sort_by_valve(
     out: Aligned,
     t: NDArray[np.int64],

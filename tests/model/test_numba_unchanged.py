@@ -1,0 +1,113 @@
+"""Importing valvemap changes nothing of numba; a command may, and results stay as they are."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+# Every function, method and class attribute of numba and of llvmlite's binding, by identity.
+PARTS = """
+import importlib, inspect, pkgutil, sys
+
+def parts():
+    found = {}
+    for name, module in list(sys.modules.items()):
+        if name.split(".")[0] not in ("numba", "llvmlite") or module is None:
+            continue
+        for key, value in list(vars(module).items()):
+            if key.startswith("__"):
+                continue
+            if inspect.isfunction(value) or inspect.isclass(value):
+                found[name, key] = id(value)
+            if inspect.isclass(value) and value.__module__.split(".")[0] in ("numba", "llvmlite"):
+                for inner, member in list(vars(value).items()):
+                    if inner in ("__doc__", "__abstractmethods__", "_abc_impl", "__weakref__"):
+                        continue
+                    member = getattr(member, "__func__", member)
+                    if callable(member) or inner in ("__eq__", "__hash__"):
+                        found[f"{value.__module__}.{value.__qualname__}", inner] = id(member)
+    return found
+
+import numba, numpy as np
+import numba.core.codegen, numba.core.targetconfig, numba.np.linalg, numba.np.arraymath
+from llvmlite.binding import ffi
+
+@numba.njit
+def of_a_notebook(x):
+    return x.sum() + x[0] * 2
+
+of_a_notebook(np.ones(3))  # numba loads the rest of itself
+before, listening = parts(), list(ffi.lib._lock._cblist)
+"""
+FIT = """
+import valvemap
+X = np.random.default_rng(3).normal(size=(200, 4))
+fit = valvemap.recursive_least_squares(X, X @ np.arange(4.0) + 0.1)
+after = parts()
+changed = sorted(str(key) for key in before if after.get(key) != before[key])
+assert not changed, changed
+assert list(ffi.lib._lock._cblist) == listening
+"""
+BITS = """
+import sys
+import numpy as np
+if "ask" in sys.argv:
+    from valvemap.numba_version import ask_for_shortcuts
+    ask_for_shortcuts()
+import valvemap
+from numba.core.targetconfig import TargetConfig
+X = np.random.default_rng(3).normal(size=(500, 4))
+y = X @ np.arange(4.0) + 0.1 * np.sin(np.arange(500))
+fit = valvemap.recursive_least_squares(X, y, forgetting=0.99)
+print(TargetConfig.__eq__.__module__)
+print(fit.theta_history.tobytes().hex(), fit.covariance.tobytes().hex())
+"""
+
+
+def run(source, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", source, *arguments],
+        capture_output=True,
+        text=True,
+        env=os.environ | environment,
+        check=False,
+        timeout=280,
+    )
+
+
+def test_numba_is_unchanged_after_an_import_and_a_fit():
+    done = run(PARTS + FIT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_check_sees_what_a_command_changes():
+    """Otherwise it would not see what an import changes either."""
+    asked = "from valvemap.numba_version import ask_for_shortcuts\nask_for_shortcuts()\n"
+    done = run(PARTS + asked + FIT)
+    assert done.returncode == 1
+    for part in ("TargetConfig', '__eq__", "BaseFunction', 'get_call_type"):
+        assert part in done.stderr
+
+
+@pytest.mark.parametrize("cached", [True, False])
+def test_results_have_the_same_bits_with_and_without_shortcuts(cached, tmp_path):
+    apart = [{} if cached else {"NUMBA_CACHE_DIR": str(tmp_path / name)} for name in ("a", "b")]
+    plain, quick = run(BITS, **apart[0]), run(BITS, "ask", **apart[1])
+    assert plain.returncode == quick.returncode == 0, plain.stderr + quick.stderr
+    (theirs, bits), (ours, same) = plain.stdout.split("\n", 1), quick.stdout.split("\n", 1)
+    assert theirs.startswith("numba.")
+    assert ours.startswith("service.")
+    assert bits == same
+
+
+def test_an_unknown_numba_is_left_to_itself_and_one_line_says_so():
+    unknown = "import valvemap.numba_version as v; v.TESTED = ('0.1', '0.2')\n"
+    kernels = "from valvemap.model.kernels import plain_numba, rules\n"
+    private = "import sys; assert not any(m.endswith('.tested_numba') for m in sys.modules)\n"
+    plain, other = run(BITS, "ask"), run(unknown + BITS + kernels + private, "ask")
+    assert other.returncode == 0, other.stderr
+    assert other.stdout.split("\n", 1)[1] == plain.stdout.split("\n", 1)[1]
+    assert other.stdout.startswith("numba.")
+    assert len(other.stderr.splitlines()) == 1, other.stderr
+    assert "is none of the tested 0.1, 0.2" in other.stderr
