@@ -53,4 +53,5 @@ async def main(*files):
         await serve_page(page, stop, say)
 
 
-asyncio.run(main(*sys.argv[1:]))
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
