@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from service import owned_files
+from valvemap import owned_files
 from valvemap.errors import StorageError
 from valvemap.owned_files import write_whole, written_aside
 

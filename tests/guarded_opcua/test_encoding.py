@@ -150,7 +150,7 @@ WRONG = (
 )
 
 
-@pytest.mark.parametrize("wrong", WRONG, ids=str)
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: wrong.VariantType.name)
 def test_a_value_that_cannot_be_encoded_becomes_a_status(wrong):
     now = dt.datetime.now(dt.UTC)
     value = ua.DataValue(wrong, SourceTimestamp=now, ServerTimestamp=now)
@@ -159,7 +159,7 @@ def test_a_value_that_cannot_be_encoded_becomes_a_status(wrong):
     assert decoded.Value is None or decoded.Value.Value is None
 
 
-@pytest.mark.parametrize("wrong", WRONG, ids=str)
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: wrong.VariantType.name)
 def test_a_field_that_cannot_be_encoded_leaves_the_others_of_an_event(wrong):
     data = encode_events([(5, [wrong, ua.Variant(3)])])
     found = ua_binary.extensionobject_from_binary(Buffer(data)).Events[0].EventFields

@@ -14,14 +14,14 @@ from valvemap.pipeline import (
     alarms,
     kept_states,
     lanes,
-    past,
-    pipeline,
     result_tables,
     shared_support,
+    valve_state,
 )
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.quality_gate import QualityGate
 from valvemap.pipeline.valve_state import ValvePlan
+from valvemap.runtime import past
 
 VALVES, CULPRIT = 20, 7
 LANES = ("RLS", "RML", "RBF")
@@ -148,11 +148,11 @@ STEPS = (
         lambda _alarms, chosen, *_: CULPRIT in chosen,
     ),
     Injected(
-        *("survey", Step.SURVEY, ("RML",), pipeline, "survey_of"),
+        *("survey", Step.SURVEY, ("RML",), valve_state, "survey_of"),
         lambda plan, _state, name: _of(plan) and name == "RML",
     ),
-    Injected("map", Step.MAP, ("RLS",), pipeline, "inverse_map", _of),
-    Injected("inverse", Step.INVERSE, ("RLS",), pipeline, "required", _of),
+    Injected("map", Step.MAP, ("RLS",), valve_state, "inverse_map", _of),
+    Injected("inverse", Step.INVERSE, ("RLS",), valve_state, "required", _of),
     Injected(
         *("results", Step.RESULTS, LANES, result_tables.ResultTables, "_of_fleet"),
         lambda _tables, _fleet, valves, *_: CULPRIT in valves,

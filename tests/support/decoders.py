@@ -44,7 +44,8 @@ from valvemap.model.maximum_likelihood import MaximumLikelihood
 from valvemap.model.rbf_network import RbfNetwork
 from valvemap.model.recursive_least_squares import RecursiveLeastSquares
 from valvemap.model.samples import Segments
-from valvemap.opcua_results import decoding, responses
+from valvemap.opcua_client import responses
+from valvemap.opcua_source import decoding
 from valvemap.opcua_source.position import position_from_bytes
 from valvemap.opcua_source.source_nodes import parse_node_id
 from valvemap.page.viewers import Senseless as SenselessRequest

@@ -124,7 +124,7 @@ def estimator_variables(
 
 
 def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """The newest sample of one valve, in the order of ``streaming.ports.SIGNALS``."""
+    """The newest sample of one valve, in the order of ``pipeline.ports.SIGNALS``."""
     p_range = 0.0, max(valve.dp_range)
     meant = (
         ("U", "Control voltage", Unit.PERCENT, U_RANGE),

@@ -12,7 +12,7 @@ from valvemap.model.kernels.compiled import inlined, lean_kernel
 from valvemap.model.kernels.prefetch import fetch
 from valvemap.model.samples import Flags, Floats, Segments, Times
 
-# Alarms of a valve, in the order of `streaming.alarms.Alarm`; those that are judged here.
+# Alarms of a valve, in the order of `pipeline.alarms.Alarm`; those that are judged here.
 RESIDUAL, SENSOR_LOST, SENSOR_FROZEN, UNEXCITED = 1, 3, 4, 5
 
 SIGNALS = 5  # U, p1, p2, Q, T
@@ -42,7 +42,7 @@ LEAST_DP = 1.0  # bar
 # Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
 CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, DIRECTIONS = range(6)
 
-# What can be the cause, in the order of `streaming.alarm_words.Cause`.
+# What can be the cause, in the order of `pipeline.alarm_words.Cause`.
 NO_CAUSE, EDGE, METER, SIGNAL, LAG, HOT_OIL, CAUSES = range(7)
 TELLING = 0.15  # share of the squares: two that differ by less explain the same
 RULED_OUT = 4.0  # times what the best leaves unexplained: who leaves more is not the cause
