@@ -95,7 +95,8 @@ def component(
 
 def licence_of(metadata_of_package: PackageMetadata | Message) -> str | None:
     """What a package's metadata give as its licence, if it is short enough to be a name."""
-    text = metadata_of_package["License-Expression"] or metadata_of_package["License"] or ""
+    fields = (name for name in ("License-Expression", "License") if name in metadata_of_package)
+    text = next((metadata_of_package[name] for name in fields), "")
     return text if 0 < len(text) < 60 and "\n" not in text else None
 
 

@@ -26,7 +26,7 @@ def used():
     return {
         f"{kernel.__module__}.{kernel.__name__}{signature}"
         for kernel in everything
-        if issubclass(type(kernel), CPUDispatcher) and kernel.__module__.startswith("service.")
+        if issubclass(type(kernel), CPUDispatcher) and kernel.__module__.startswith("valvemap.")
         for signature in kernel.signatures
     }
 

@@ -29,8 +29,12 @@ _HEAVY = _SERVERS | {"numpy", "numba", "scipy", "rich", "valvemap.config", "valv
 def loaded_by(*arguments):
     """Which modules one command has imported at its end."""
     code = (
-        "import json, sys; from valvemap.cli import run; code = run(sys.argv[1:]);"
-        "print('\\n' + json.dumps([code, sorted(sys.modules)]))"
+        "import json, sys\n"
+        "from valvemap.cli import main\n"
+        "try:\n"
+        "    main()\n"
+        "except SystemExit as end:\n"
+        "    print('\\n' + json.dumps([end.code or 0, sorted(sys.modules)]))\n"
     )
     asked = [sys.executable, "-c", code, *map(str, arguments)]
     done = subprocess.run(asked, capture_output=True, text=True, check=True)

@@ -3,12 +3,15 @@
 A new option has to be put into one of the two tables, or the first test fails.
 """
 
+from importlib import import_module
 from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+import typer
 
-from valvemap.cli import application, run
+from valvemap.cli import run
+from valvemap.cli.command_table import COMMANDS
 
 READ = {  # what a command reads, or its own folder of certificates, users and states
     "config",
@@ -41,19 +44,32 @@ WRITTEN = {  # (command, parameter): the command line, {} is the path; and the f
 }
 
 
-def paths(app, name=""):
+def paths():
     """Every parameter that takes a path, with its command."""
+    for name, entry in COMMANDS.items():
+        command = getattr(import_module(f"valvemap.cli.{entry.module}"), name.replace("-", "_"))
+        if isinstance(command, typer.Typer):
+            yield from paths_of_group(command, name)
+        else:
+            yield from paths_of_command(command, name)
+
+
+def paths_of_group(app, name):
     for group in app.registered_groups:
-        yield from paths(group.typer_instance, f"{name} {group.name}".strip())
+        yield from paths_of_group(group.typer_instance, f"{name} {group.name}")
     for command in app.registered_commands:
         word = command.name or command.callback.__name__.replace("_", "-")
-        for parameter, kind in get_type_hints(command.callback).items():
-            if "Path" in str(kind):
-                yield f"{name} {word}".strip(), parameter
+        yield from paths_of_command(command.callback, f"{name} {word}")
+
+
+def paths_of_command(function, name):
+    for parameter, kind in get_type_hints(function).items():
+        if "Path" in str(kind):
+            yield name, parameter
 
 
 def test_every_option_that_takes_a_path_is_known_as_read_or_written():
-    found = list(paths(application()))
+    found = list(paths())
     assert len(found) > 20
     written = {key[:2] for key in WRITTEN}
     unknown = [

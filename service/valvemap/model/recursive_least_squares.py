@@ -200,6 +200,7 @@ def _parameters_of_a_sample(structure: Structure) -> int:
     """
     grid = np.meshgrid(np.linspace(0, 100, 9), np.linspace(0, 200, 9), np.linspace(20, 60, 3))
     rows = np.abs(structure.regressors(*(axis.ravel() for axis in grid)))
+    rows = rows[np.isfinite(rows).all(axis=1)]
     largest = rows.max(axis=0)
     rows /= np.where(largest > 0.0, largest, 1.0)
     squares = (rows**2).sum(axis=1)

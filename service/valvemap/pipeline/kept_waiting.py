@@ -18,9 +18,9 @@ def contents_of_waiting(like: Waiting) -> dict[str, Contents]:
         found[name].any_time()
     for valve, size in enumerate(like.order[:, slots.SIZE].tolist()):
         found["order"].within(size, size, (valve, slots.SIZE))
+        in_use = valve, slice(size), slots.FILLED  # a slot that is free holds remains
+        found["slots"].within(0, 2**slots.STRIDE - 1, in_use)
     found["order"].within(0, np.inf, (slice(None), _COUNTED))
     found["order"].within(0, slots.ENOUGH, (slice(None), slots.REGULAR))
     found["order"].within(0, slots.NEW_PACE, (slice(None), slots.LONG_STEPS))
-    every = slice(None), slice(None), slots.FILLED
-    found["slots"].within(0, 2**slots.STRIDE - 1, every)
     return found
