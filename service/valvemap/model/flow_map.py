@@ -1,0 +1,136 @@
+"""`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.fleet import alone, member, update_one
+from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
+from valvemap.model.kernels import flow_fit, flow_run
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_basis import Axis
+from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Trace
+
+SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
+
+
+@dataclass(frozen=True)
+class FlowMap:
+    """The flow map as a Gaussian field over (U, s), s = sign(Δp)·√|Δp|.
+
+        Q = g(U, s) + b_cell + ε,   g = Σ c_ij·B_i(U)·B_j(s)
+
+    with quadratic B-splines B, second differences of c as a prior, a deviation b ~ N(0, δ²) of each
+    cell from the smooth map, and noise ε ~ AR(1) of variance σ². The precisions of the prior, δ²,
+    σ² and ρ are estimated by marginal likelihood (:mod:`kernels.flow_fit`); bends along U have a
+    Student-t prior, so a dead band or a knee needs no shape of its own.
+
+    Parameters
+    ----------
+    U_range, dp_range
+        Of the valve, % and bar.
+
+    Examples
+    --------
+    >>> U, dp = np.meshgrid(np.linspace(0, 100, 40), np.linspace(1, 200, 40))
+    >>> Q = 0.14 * U.ravel() * np.sqrt(dp.ravel())
+    >>> flow_map = FlowMap()
+    >>> state, _ = flow_map.update(
+    ...     flow_map.initial_state(), Samples.of(np.arange(1600), U.ravel(), dp.ravel(), 0 * Q, Q)
+    ... )
+    >>> flow_map.predict(state, np.array([50.0]), np.array([100.0]), np.array([40.0]))[0].round(2)
+    array([70.])
+    """
+
+    U_range: Range = (0.0, 100.0)
+    dp_range: Range = (0.0, 200.0)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the points at which the map is published."""
+        return tuple(f"Q({U}%,{dp}bar)" for U, dp in SITES)
+
+    def initial_state(self) -> FlowMapState:
+        """State before the first sample."""
+        return empty(*axes(self.U_range, self.dp_range))
+
+    def update(self, state: FlowMapState, samples: Samples) -> tuple[FlowMapState, Trace]:
+        """Learn from N samples, one after another."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: FlowMapState, samples: Samples, segments: Segments) -> Trace:
+        """Learn from the samples of many valves; their states are written in place."""
+        N = len(samples)
+        predicted, residual = np.full((2, N), np.nan)
+        trace = Trace(predicted, residual, residual, np.zeros(N, np.uint8))
+        batch = flow_run.Batch(
+            t=samples.t,
+            U=samples.U,
+            dp=samples.dp,
+            T=samples.T,
+            Q=samples.Q,
+            usable=samples.quality != Quality.BAD,
+            predicted=predicted,
+            residual=residual,
+            status=trace.status,
+        )
+        both, work = axes(self.U_range, self.dp_range), np.empty((4, 3))
+        with np.errstate(all="ignore"):
+            for m, start, stop in zip(*segments, strict=True):
+                state, row = member(states, int(m)), int(start)
+                memory = _memory(state)
+                while row < stop:
+                    row = flow_run.run(row, int(stop), batch, *both, memory, work)
+                    if state.counters[flow_run.USED] >= state.counters[flow_run.NEXT_FIT]:
+                        _refit(state, *both)
+        return trace
+
+    def predict(
+        self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
+        del T
+        Q, std = np.empty((2, len(U)))
+        both, work = axes(self.U_range, self.dp_range), np.empty((4, 3))
+        flow_run.evaluate(*both, _memory(state), U, dp, Q, std, work)
+        return Q, std
+
+    def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
+        """Q at the 55 points and its standard deviation."""
+        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
+        return self.predict(state, U, dp, np.full_like(U, np.nan))
+
+    def parameters_many(self, states: FlowMapState) -> tuple[Floats, Floats]:
+        """What ``parameters`` gives valve by valve, both (M, 55)."""
+        found = [self.parameters(member(states, m)) for m in range(len(states.counters))]
+        Q, std = (np.array(x).reshape(len(found), len(SITES)) for x in zip(*found, strict=True))
+        return Q, std
+
+    def adaptation(self, state: FlowMapState) -> Adaptation:
+        """What the estimator makes of its residuals by now."""
+        return Adaptation(int(self.adaptation_many(alone(state))[0]))
+
+    def adaptation_many(self, states: FlowMapState) -> Codes:
+        """`adaptation` of M models (M,)."""
+        return np.full(len(states.counters), Adaptation.UNDECIDED, np.uint8)
+
+
+def _memory(state: FlowMapState) -> flow_run.Memory:
+    return flow_run.Memory(state.cells, state.theta, state.std, state.scalars, state.counters)
+
+
+def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
+    """Fit the map, written in place, and set when the next fit is due."""
+    counters = state.counters
+    used = int(counters[flow_run.USED])
+    rounds = rules.FIRST_ROUNDS if used < rules.YOUNG else rules.LATER_ROUNDS
+    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
+    fresh = not counters[flow_run.FITTED]
+    done = flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh)
+    counters[flow_run.FITTED] = int(done)
+    counters[flow_run.FITS] += 1
+    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
+    counters[flow_run.NEXT_FIT] = used + ahead

@@ -1,0 +1,55 @@
+"""Every number of `FlowMap` that is chosen rather than estimated: unit; meaning; reason."""
+
+from typing import Final
+
+# The grid.
+STEP_U: Final = 1.25  # %; distance of knots along U; a dead band's edge is a bend between two
+SHARES_S: Final = (0.0, 0.05, 0.1, 0.18, 0.28, 0.4, 0.55, 0.7, 0.85, 1.0)  # of the largest √|Δp|;
+# knots along s: laminar flow bends near 0
+MEMORY: Final = 500.0  # samples; what a cell remembers: .05 σ, less than a map needs
+
+# Fits.
+FIRST_FIT: Final = 24  # samples; before the first fit: a few more than eq. (7) has parameters
+GROWTH: Final = 5  # a fit is due when the samples grew by 1 / GROWTH: bounds the cost of all fits
+MOST_BETWEEN: Final = 2048  # samples; between two fits: 20 s at 100 Hz
+FIRST_ROUNDS: Final = 8  # rounds of hyper-parameters at the first fits; later ones start from these
+LATER_ROUNDS: Final = 3
+YOUNG: Final = 60  # samples; up to which FIRST_ROUNDS hold
+SETTLED: Final = 0.2  # of its logarithm; a precision that moves less in a round needs no other
+
+# Priors: scales by the flow's root mean square, degrees of freedom of what is estimated.
+BEND: Final = 0.01  # of the flow; a bend of U's curve at one knot, before anything is known
+CURVE: Final = 0.3  # of the flow; a bend along s from 0 to the largest s
+TWIST: Final = 0.01  # of the flow; how a bend of U's curve is bent along s
+ZERO_FLOW: Final = 0.02  # of the flow; flow at Δp = 0: an offset of the meter
+CLOSED_FLOW: Final = 0.05  # of the flow; flow at U = 0: leakage, an underlap
+ANYTHING: Final = 10.0  # of the flow; coefficients, whatever the valve: makes the prior proper
+FREEDOM_U: Final = 1.0  # degrees of freedom of bends along U: Cauchy, so that kinks need no shapes
+FREEDOM_S: Final = 8.0  # degrees of freedom along s: nearly Gaussian
+FREEDOM_LEVEL: Final = 1.0  # degrees of freedom of an axis's level; little, so samples decide
+FLAT: Final = 1e3  # times the first guess; precision from which on no bends are left to matter
+MISFIT: Final = 0.002  # of the flow; deviation of a cell from the smooth map, before it is known
+FREEDOM_MISFIT: Final = 2.0  # degrees of freedom of its prior, which is for none
+LEAST_MISFIT: Final = 1e-2  # of the noise; below it a misfit is none
+BELOW_KNOTS: Final = 0.08  # of a third difference; standard deviation of what a knee between two
+# knots leaves: the best quadratic spline is off by 1/8 of it at the knee itself
+NOISE: Final = 0.01  # of the flow; standard deviation of the noise, before it is known
+FREEDOM_NOISE: Final = 1.0  # degrees of freedom of that
+HASTE: Final = 1.5  # power of a Fellner-Schall step: plain steps fall short of the maximum
+MOST_STEP: Final = 30.0  # factor; by which a precision changes in one round at most
+
+# Noise and outliers.
+NOISE_MEMORY: Final = 4000.0  # samples; over which variance and correlation are averaged
+WAY_U: Final = 15.0  # %; way of U over which a map says the same again
+WAY_S: Final = 0.2  # of the largest √|Δp|; the same along s
+COLOUR_FROM: Final = 4.0  # samples in a cell from which its error tells of the noise's correlation
+MOST_COLOUR: Final = 0.98  # largest correlation of successive errors that is believed
+SURE_COLOUR: Final = 3.0  # standard errors from which on a correlation is believed
+OUTLIERS: Final = 0.005  # prior share of samples that the meter invents
+OUTLIER_WIDTH: Final = 4.0  # root mean squares of the flow; width of their even density
+
+FEW: Final = 4.0  # samples in a cell up to which an outlier may have been among them
+DOUBTED: Final = 0.01  # probability below which a cell of few samples began with an outlier
+HUGE: Final = 1e9  # of any signal; beyond it squares leave the range of numbers
+UNKNOWN: Final = 0.5  # of the flow; standard deviation beyond which the map is not known
+BEYOND: Final = 0.05  # of the range; how far samples may lie outside and still count at its border
