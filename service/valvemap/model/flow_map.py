@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.adaptation import Adaptation
-from valvemap.model.fleet import alone, member, update_one
+from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import flow_fit, flow_run
 from valvemap.model.kernels import flow_rules as rules
@@ -126,11 +126,23 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     """Fit the map, written in place, and set when the next fit is due."""
     counters = state.counters
     used = int(counters[flow_run.USED])
+    fitted = bool(counters[flow_run.FITTED])
     rounds = rules.FIRST_ROUNDS if used < rules.YOUNG else rules.LATER_ROUNDS
-    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
-    fresh = not counters[flow_run.FITTED]
-    done = flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh)
-    counters[flow_run.FITTED] = int(done)
+    counters[flow_run.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    if used >= counters[flow_run.NEXT_START]:
+        counters[flow_run.NEXT_START] = 2 * used
+        other = copied(state)
+        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
+        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
+        if better and not gained <= 0.0:
+            counters[flow_run.FITTED] = 1
+            for name in ("theta", "std", "w", "v", "scalars"):
+                getattr(state, name)[:] = getattr(other, name)
     counters[flow_run.FITS] += 1
     ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
     counters[flow_run.NEXT_FIT] = used + ahead
+
+
+def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
+    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

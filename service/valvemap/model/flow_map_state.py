@@ -85,6 +85,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     cells = np.zeros(((n_U - 2) * (n_s - 2), flow_cells.COLUMNS), np.float32)
     counters = np.zeros(flow_run.COUNTERS, np.int64)
     counters[flow_run.NEXT_FIT] = rules.FIRST_FIT
+    counters[flow_run.NEXT_START] = rules.SECOND_START
     return FlowMapState(
         cells=cells,
         theta=np.zeros(n_U * n_s),

@@ -14,10 +14,13 @@ import numpy as np
 from valvemap.model.kernels import flow_plain as plain
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.banded import factorise, invert_band, substitute
-from valvemap.model.kernels.compiled import inner, kernel
-from valvemap.model.kernels.flow_basis import Axis, interval, values
-from valvemap.model.kernels.flow_cells import COUNT, MEAN_Q, WORTH, Cells, design
+from valvemap.model.kernels import flow_solve as solved
+from valvemap.model.kernels.banded import factorise, invert_band
+from valvemap.model.kernels.compiled import inner, kernel, maker
+from valvemap.model.kernels.flow_basis import Axis
+from valvemap.model.kernels.flow_cells import COUNT, Cells
+from valvemap.model.kernels.flow_solve import Design, Solution
+from valvemap.model.kernels.flow_spread import spread
 from valvemap.model.samples import Floats, Singles
 
 # Places in `scalars`.
@@ -26,11 +29,12 @@ VARIANCE, MISFIT, SCALE = 5, 6, 7  # σ², δ², mean square of the flow
 WITHIN, WITHIN_WEIGHT = 8, 9  # squares of samples against their own cells, and their number
 NEXT, NEXT_WEIGHT = 10, 11  # products of successive ones, and their number
 LAST_ERROR, COLOUR = 12, 13  # error of the last sample against its cell; ρ
-MEAN_SQUARE_WEIGHT = 14
+SCALE_WEIGHT = 14  # samples that SCALE is the mean of
 FREE = 15  # parameters that the samples determine
 LAST_U, LAST_S = 16, 17  # of the last sample
 PLAIN = 18  # probability of eq. (7)
 SCALE_BEFORE = 19  # mean square of the flow at the last fit
+EVIDENCE = 20  # log marginal likelihood, but for a constant
 SCALARS = 24
 
 
@@ -42,8 +46,65 @@ def outlier_weight(square: float, variance: float, width: float) -> float:
     return regular / (regular + rules.OUTLIERS / width)
 
 
+@kernel
+def fit(
+    axis_U: Axis, axis_s: Axis, cells: Cells, scalars: Floats, w: Floats, v: Floats,
+    theta: Floats, std: Singles, rounds: int, fresh: bool,  # noqa: FBT001 - numba knows no keyword
+) -> bool:  # fmt: skip
+    """Fit the map; everything but the cells is written in place. False: it could not be done.
+
+    ``fresh``: hyper-parameters start from the first guess. There are ``rounds`` at most.
+    """
+    n_s, known, scale = len(axis_s.sites), 0, scalars[SCALE]
+    for c in range(len(cells)):
+        if cells[c, COUNT] > 0.0:
+            known += 1
+    if known == 0 or not scale > 0.0:
+        return False
+    guess, lam = np.empty(prior.FAMILIES), scalars[LAM : LAM + prior.FAMILIES]
+    _first_guess(axis_s, scale, guess)
+    if fresh:
+        lam[:] = guess
+        w[:], v[:] = 1.0, 1.0
+        scalars[MISFIT], scalars[VARIANCE] = rules.MISFIT**2 * scale, rules.NOISE**2 * scale
+    elif scale > scalars[SCALE_BEFORE]:  # flows as large as these were not known to be there
+        for f in range(prior.FAMILIES):
+            lam[f] *= scalars[SCALE_BEFORE] / scale
+    scalars[SCALE_BEFORE] = scale
+    lam[prior.ZERO], lam[prior.CLOSED] = guess[prior.ZERO], guess[prior.CLOSED]
+    of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, known)
+    work = np.empty((4, 3))
+    solved.gather(axis_U, axis_s, cells, work, of)
+    ridge, done = 1.0 / (rules.ANYTHING**2 * scale), False
+    for k_round in range(rounds + 1):
+        done = done or k_round == rounds
+        sigma2, delta2 = scalars[VARIANCE], scalars[MISFIT]
+        _start(axis_U, axis_s, lam, w, v, ridge, work, to)
+        solved.assemble(n_s, of, sigma2, delta2, to)
+        if not solved.solve(n_s, of, ridge * axis_s.breaks[-1] ** 4, to):
+            return False
+        solved.explain(n_s, of, sigma2, delta2, to)
+        if not factorise(to.A_prior, len(theta), 2 * n_s + 3):
+            return False
+        if done:
+            break
+        _weigh(n_s, of, sigma2, delta2, scale, to)
+        _update_noise(scalars, to)
+        done = _update_prior(axis_U, axis_s, scalars, guess, w, v, work, to)
+    zeta, root = to.scalars[solved.ZETA], to.scalars[solved.ROOT]
+    for p in range(len(theta)):
+        theta[p] = to.beta[p] + zeta * axis_s.squares[p % n_s]
+    scalars[FREE] = to.scalars[solved.FREE]
+    scalars[EVIDENCE] = _evidence(2 * n_s + 3, scalars, to)
+    spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
+    scalars[PLAIN] = plain.mix(
+        axis_U, axis_s, of, to.scalars[solved.LEFT], to.scalars[solved.FREE], theta, std
+    )
+    return True
+
+
 @inner
-def first_guess(axis_s: Axis, scale: float, lam: Floats) -> None:
+def _first_guess(axis_s: Axis, scale: float, lam: Floats) -> None:
     """Precisions of the prior before anything is known but the flow's mean square."""
     top = axis_s.breaks[-1]
     lam[prior.BEND] = (0.5 * top / rules.BEND) ** 2 / scale
@@ -53,229 +114,98 @@ def first_guess(axis_s: Axis, scale: float, lam: Floats) -> None:
     lam[prior.CLOSED] = 1.0 / (rules.CLOSED_FLOW**2 * scale)
 
 
-@kernel
-def fit(
-    axis_U: Axis, axis_s: Axis, cells: Cells, scalars: Floats, w: Floats, v: Floats,
-    theta: Floats, std: Singles, rounds: int, fresh: bool,  # noqa: FBT001 - numba knows no keyword
-) -> bool:  # fmt: skip
-    """Fit the map; everything but the cells is written in place. False: it could not be done.
+@maker
+def _room(n: int, band: int, known: int) -> tuple[Design, Solution]:
+    """Arrays for n parameters and ``known`` cells."""
+    of = Design(
+        np.empty(known, np.int64), np.empty((known, 9)), np.empty(known), np.empty(known),
+        np.empty(known), np.empty(known), np.empty(known),
+    )  # fmt: skip
+    to = Solution(
+        np.empty(n * band), np.empty(n * band), np.empty(n * (2 * band - 1)),
+        np.empty(n * (2 * band - 1)), np.empty((2, n)), np.empty(n), np.empty((1, n)),
+        np.zeros(solved.SOLVED),
+    )  # fmt: skip
+    return of, to
 
-    ``fresh``: hyper-parameters start from the first guess.
-    """
-    n_U, n_s = len(axis_U.sites), len(axis_s.sites)
-    n, band = n_U * n_s, 2 * n_s + 3
-    known = 0
-    for c in range(len(cells)):
-        if cells[c, COUNT] > 0.0:
-            known += 1
-    scale = scalars[SCALE]
-    if known == 0 or not scale > 0.0:
-        return False
-    guess = np.empty(prior.FAMILIES)
-    first_guess(axis_s, scale, guess)
-    lam = scalars[LAM : LAM + prior.FAMILIES]
-    if fresh:
-        lam[:] = guess
-        w[:], v[:] = 1.0, 1.0
-        scalars[MISFIT] = rules.MISFIT**2 * scale
-        scalars[VARIANCE] = rules.NOISE**2 * scale
-    elif scale > scalars[SCALE_BEFORE]:  # flows as large as these were not known to be there
-        for f in range(prior.FAMILIES):
-            lam[f] *= scalars[SCALE_BEFORE] / scale
-    scalars[SCALE_BEFORE] = scale
-    lam[prior.ZERO], lam[prior.CLOSED] = guess[prior.ZERO], guess[prior.CLOSED]
-    rows, firsts = np.empty((known, 9)), np.empty(known, np.int64)
-    y, worth, border_row = np.empty(known), np.empty(known), np.empty(known)
-    regular, precisions = np.ones(known), np.empty(known)
-    work = np.empty((4, 3))
-    k = 0
-    for c in range(len(cells)):
-        if cells[c, COUNT] > 0.0:
-            firsts[k] = design(axis_U, axis_s, cells[c], c, work, rows[k])
-            y[k], worth[k] = cells[c, MEAN_Q], cells[c, WORTH]
-            border_row[k] = 0.0
-            for a in range(3):
-                for b in range(3):
-                    square = axis_s.squares[firsts[k] % n_s + b]
-                    border_row[k] += rows[k, 3 * a + b] * square
-            k += 1
-    A, A_prior = np.empty(n * band), np.empty(n * band)
-    Z, Z_prior = np.empty(n * (2 * band - 1)), np.empty(n * (2 * band - 1))
-    Y = np.empty((2, n))
-    beta, lifted = np.empty(n), np.empty((1, n))
-    found_U, found_s = np.empty((2, n_U - 2, 2)), np.empty((n_s - 2, 2))
-    totals = np.empty((prior.FAMILIES, 2))
-    top = axis_s.breaks[-1] ** 2
-    free_border = top * top / (rules.ANYTHING**2 * scale)  # precision of ζ
-    ridge = 1.0 / (rules.ANYTHING**2 * scale)
-    zeta = 0.0
-    last = rounds
-    for k_round in range(rounds + 1):
-        sigma2, delta2 = scalars[VARIANCE], scalars[MISFIT]
-        A_prior[:] = 0.0
-        prior.add(axis_U, axis_s, lam, w, v, work[:2], A_prior)
-        for p in range(n):
-            A_prior[p * band] += ridge
-        A[:] = A_prior
-        Y[:] = 0.0
-        corner, of_border = free_border, 0.0
-        for k in range(known):
-            precision = regular[k] / (delta2 + sigma2 / worth[k])
-            first = firsts[k]
-            for a in range(3):
-                for b in range(3):
-                    p, x = a * n_s + b, precision * rows[k, 3 * a + b]
-                    Y[0, first + p] += x * y[k]
-                    Y[1, first + p] += x * border_row[k]
-                    at = (first + p) * band
-                    for d in range(b, 3):
-                        A[at + d - b] += x * rows[k, 3 * a + d]
-                    for c in range(a + 1, 3):
-                        for d in range(3):
-                            A[at + (c - a) * n_s + d - b] += x * rows[k, 3 * c + d]
-            corner += precision * border_row[k] ** 2
-            of_border += precision * border_row[k] * y[k]
-        lifted[0] = Y[1]
-        if not factorise(A, n, band):
-            return False
-        substitute(A, band, Y)
-        for p in range(n):
-            corner -= lifted[0, p] * Y[1, p]
-            of_border -= lifted[0, p] * Y[0, p]
-        corner = max(corner, free_border * 1e-9)
-        zeta = of_border / corner
-        root = 1.0 / math.sqrt(corner)
-        for p in range(n):
-            beta[p] = Y[0, p] - zeta * Y[1, p]
-            lifted[0, p] = root * Y[1, p]
-        invert_band(A, n, band, Z)
-        # σ², δ², and which cells are outliers.
-        explained_noise, noise, explained_misfit, misfit = 0.0, 0.0, 0.0, 0.0
-        free, least = 0.0, 0.0
-        for k in range(known):
-            first, fitted, own, along = firsts[k], 0.0, 0.0, 0.0
-            for a in range(3):
-                for b in range(3):
-                    p = a * n_s + b
-                    x = rows[k, 3 * a + b]
-                    fitted += x * beta[first + p]
-                    along += x * lifted[0, first + p]
-                    here = (first + p) * (2 * band - 1) + band - 1
-                    for c in range(3):
-                        for d in range(3):
-                            own += x * rows[k, 3 * c + d] * Z[here + (c - a) * n_s + d - b]
-            fitted += zeta * border_row[k]
-            own += (root * border_row[k] - along) ** 2
-            residual, of_noise = y[k] - fitted, sigma2 / worth[k]
-            variance = delta2 + of_noise
-            precision = regular[k] / variance
-            left = precision * max(1.0 - precision * own, 0.0)
-            free += precision * own
-            least += precision * residual * residual
-            precisions[k] = precision
-            noise += regular[k] * worth[k] * (of_noise / variance * residual) ** 2
-            explained_noise += of_noise * left
-            misfit += regular[k] * (delta2 / variance * residual) ** 2
-            explained_misfit += delta2 * left
-            if k_round < last:
-                if worth[k] < rules.FEW:  # it may have begun with an outlier
-                    width = rules.OUTLIER_WIDTH * math.sqrt(scale) / max(worth[k], 1.0)
-                    regular[k] = outlier_weight(residual * residual, variance + own, width)
-        scalars[FREE] = free
-        if k_round >= last:
-            break
-        noise += scalars[WITHIN] + rules.FREEDOM_NOISE * sigma2
-        explained_noise += scalars[WITHIN_WEIGHT] + rules.FREEDOM_NOISE
-        scalars[VARIANCE] = _within(noise / explained_noise, sigma2)
-        misfit += rules.FREEDOM_MISFIT * rules.LEAST_MISFIT**2 * sigma2
-        explained_misfit += rules.FREEDOM_MISFIT
-        scalars[MISFIT] = _within(misfit / explained_misfit, delta2)
-        # The prior's precisions.
-        if not factorise(A_prior, n, band):
-            return False
-        invert_band(A_prior, n, band, Z_prior)
-        prior.forms(
-            axis_U, axis_s, beta, lifted, Z, Z_prior, work[:2], found_U, found_s, totals, w, v
-        )
-        for i in range(n_U - 2):
-            square = lam[prior.BEND] * found_U[0, i, 0] + lam[prior.TWIST] * found_U[1, i, 0]
-            used = lam[prior.BEND] * found_U[0, i, 1] + lam[prior.TWIST] * found_U[1, i, 1]
-            w[i] = (rules.FREEDOM_U + w[i] * used) / (rules.FREEDOM_U + square)
-        for j in range(n_s - 2):
-            square, used = lam[prior.CURVE] * found_s[j, 0], lam[prior.CURVE] * found_s[j, 1]
-            v[j] = (rules.FREEDOM_S + v[j] * used) / (rules.FREEDOM_S + square)
-        moved = 0.0
-        for f in (prior.BEND, prior.CURVE, prior.TWIST):
-            used = rules.FREEDOM_LEVEL + lam[f] * totals[f, 1]
-            least = rules.FREEDOM_LEVEL / (rules.FLAT * guess[f])
-            wanted = used / (least + totals[f, 0])
-            moved = max(moved, abs(math.log(wanted / lam[f])))
-            lam[f] = _within(wanted, lam[f])
-        if moved < rules.SETTLED:
-            last = k_round + 1
-    for p in range(n):
-        theta[p] = beta[p] + zeta * axis_s.squares[p % n_s]
-    _spread(axis_U, axis_s, Z, lifted[0], root, theta, work, std)
-    scalars[PLAIN] = plain.mix(
-        axis_U, axis_s, firsts, rows, y, precisions, least, scalars[FREE], theta, std
-    )
-    return True
+
+@maker
+def _start(
+    axis_U: Axis, axis_s: Axis, lam: Floats, w: Floats, v: Floats, ridge: float, work: Floats,
+    to: Solution,
+) -> None:  # fmt: skip
+    """Begin a round: the prior alone."""
+    to.A_prior[:], to.Y[:] = 0.0, 0.0
+    prior.add(axis_U, axis_s, lam, w, v, work[:2], to.A_prior)
+    for p in range(len(to.beta)):
+        to.A_prior[p * (2 * len(axis_s.sites) + 3)] += ridge
+    to.A[:] = to.A_prior
 
 
 @inner
-def _within(wanted: float, before: float) -> float:
+def _weigh(n_s: int, of: Design, sigma2: float, delta2: float, scale: float, to: Solution) -> None:
+    """How likely cells of few samples are to have begun with an outlier."""
+    for k in range(len(of.y)):
+        if of.worth[k] < rules.FEW:
+            residual, own = solved.residual_of(n_s, of, k, to)
+            doubt = delta2 + sigma2 / of.worth[k] + own
+            width = rules.OUTLIER_WIDTH * math.sqrt(scale) / max(of.worth[k], 1.0)
+            of.regular[k] = outlier_weight(residual * residual, doubt, width)
+
+
+@inner
+def _update_noise(scalars: Floats, to: Solution) -> None:
+    sigma2, delta2, said = scalars[VARIANCE], scalars[MISFIT], to.scalars
+    squares = said[solved.NOISE] + scalars[WITHIN] + rules.FREEDOM_NOISE * sigma2
+    used = said[solved.NOISE_USED] + scalars[WITHIN_WEIGHT] + rules.FREEDOM_NOISE
+    scalars[VARIANCE] = _towards(squares / used, sigma2)
+    squares = said[solved.MISFIT] + rules.FREEDOM_MISFIT * rules.LEAST_MISFIT**2 * sigma2
+    scalars[MISFIT] = _towards(squares / (said[solved.MISFIT_USED] + rules.FREEDOM_MISFIT), delta2)
+
+
+@maker
+def _update_prior(
+    axis_U: Axis, axis_s: Axis, scalars: Floats, guess: Floats, w: Floats, v: Floats, work: Floats,
+    to: Solution,
+) -> bool:  # fmt: skip
+    """Move the prior's precisions; True where they have settled."""
+    n_U, n_s, lam = len(axis_U.sites), len(axis_s.sites), scalars[LAM : LAM + prior.FAMILIES]
+    found_U, found_s = np.empty((2, n_U - 2, 2)), np.empty((n_s - 2, 2))
+    totals = np.empty((prior.FAMILIES, 2))
+    invert_band(to.A_prior, len(to.beta), 2 * n_s + 3, to.Z_prior)
+    prior.forms(
+        axis_U, axis_s, to.beta, to.lifted, to.Z, to.Z_prior, work[:2], found_U, found_s, totals,
+        w, v,
+    )  # fmt: skip
+    for i in range(n_U - 2):
+        square = lam[prior.BEND] * found_U[0, i, 0] + lam[prior.TWIST] * found_U[1, i, 0]
+        used = lam[prior.BEND] * found_U[0, i, 1] + lam[prior.TWIST] * found_U[1, i, 1]
+        w[i] = (rules.FREEDOM_U + w[i] * used) / (rules.FREEDOM_U + square)
+    for j in range(n_s - 2):
+        square, used = lam[prior.CURVE] * found_s[j, 0], lam[prior.CURVE] * found_s[j, 1]
+        v[j] = (rules.FREEDOM_S + v[j] * used) / (rules.FREEDOM_S + square)
+    moved = 0.0
+    for f in (prior.BEND, prior.CURVE, prior.TWIST):
+        used = rules.FREEDOM_LEVEL + lam[f] * totals[f, 1]
+        wanted = used / (rules.FREEDOM_LEVEL / (rules.FLAT * guess[f]) + totals[f, 0])
+        moved = max(moved, abs(math.log(wanted / lam[f])))
+        lam[f] = _towards(wanted, lam[f])
+    return moved < rules.SETTLED
+
+
+@inner
+def _towards(wanted: float, before: float) -> float:
     """A step towards what is wanted: farther, as such steps fall short, but bounded."""
     step = (wanted / before) ** rules.HASTE
     return float(before * min(max(step, 1.0 / rules.MOST_STEP), rules.MOST_STEP))
 
 
 @inner
-def _spread(
-    axis_U: Axis, axis_s: Axis, Z: Floats, lifted: Floats, root: float, theta: Floats,
-    work: Floats, std: Singles,
-) -> None:  # fmt: skip
-    """Standard deviation of the map at the sites: of its coefficients, and below its knots."""
-    n_U, n_s = len(axis_U.sites), len(axis_s.sites)
-    band = 2 * n_s + 3
-    for i in range(n_U):
-        u = min(max(axis_U.sites[i], axis_U.breaks[0]), axis_U.breaks[-1])
-        at_U = interval(axis_U, u)
-        values(axis_U, at_U, u, 0.0, work[0])
-        for j in range(n_s):
-            s = min(max(axis_s.sites[j], axis_s.breaks[0]), axis_s.breaks[-1])
-            at_s = interval(axis_s, s)
-            values(axis_s, at_s, s, 0.0, work[1])
-            first, total, along = at_U * n_s + at_s, 0.0, 0.0
-            for a in range(3):
-                for b in range(3):
-                    p, x = first + a * n_s + b, work[0, a] * work[1, b]
-                    along += x * (root * axis_s.squares[at_s + b] - lifted[p])
-                    here = p * (2 * band - 1) + band - 1
-                    for c in range(3):
-                        for d in range(3):
-                            y = x * work[0, c] * work[1, d]
-                            total += y * Z[here + (c - a) * n_s + d - b]
-            total += along * along
-            knee_U, knee_s = 0.0, 0.0
-            for k in range(max(i - 2, 0), min(i + 2, n_U - 3)):
-                at = k * n_s + j
-                third = (
-                    theta[at + 3 * n_s] - theta[at] + 3.0 * (theta[at + n_s] - theta[at + 2 * n_s])
-                )
-                knee_U = max(knee_U, abs(third))
-            for k in range(max(j - 2, 0), min(j + 2, n_s - 3)):
-                jump = _curvature(axis_s, theta, i * n_s, k + 1) - _curvature(
-                    axis_s, theta, i * n_s, k
-                )
-                knee_s = max(knee_s, abs(jump) * (axis_s.sites[k + 2] - axis_s.sites[k + 1]) ** 2)
-            total += rules.BELOW_KNOTS**2 * (knee_U * knee_U + knee_s * knee_s)
-            std[i * n_s + j] = math.sqrt(max(total, 0.0))
-
-
-@inner
-def _curvature(axis_s: Axis, theta: Floats, row: int, k: int) -> float:
-    """Second derivative along s, about."""
-    bend = 0.0
-    for b in range(3):
-        bend += axis_s.bends[k, b] * theta[row + k + b]
-    return bend / math.sqrt(0.5 * (axis_s.sites[k + 2] - axis_s.sites[k]))
+def _evidence(band: int, scalars: Floats, to: Solution) -> float:
+    """Log marginal likelihood of the cells and of the samples within them."""
+    total = to.scalars[solved.EVIDENCE]
+    for p in range(len(to.beta)):
+        total += math.log(to.A_prior[p * band])
+    sigma2 = scalars[VARIANCE]
+    within = scalars[WITHIN] / sigma2 + scalars[WITHIN_WEIGHT] * math.log(sigma2)
+    return float(total - 0.5 * within)

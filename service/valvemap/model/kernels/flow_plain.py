@@ -12,7 +12,8 @@ import numpy as np
 from valvemap.model.kernels.banded import invert
 from valvemap.model.kernels.compiled import inner, maker
 from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.samples import Floats, Singles, Times
+from valvemap.model.kernels.flow_solve import Design
+from valvemap.model.samples import Floats, Singles
 
 TERMS = 5
 
@@ -36,14 +37,13 @@ def coefficient(axis_U: Axis, axis_s: Axis, term: int, i: int, j: int) -> float:
 
 @maker
 def mix(
-    axis_U: Axis, axis_s: Axis, firsts: Times, rows: Floats, y: Floats, precision: Floats,
-    least: float, free: float, theta: Floats, std: Singles,
+    axis_U: Axis, axis_s: Axis, of: Design, least: float, free: float, theta: Floats, std: Singles,
 ) -> float:  # fmt: skip
     """Replace the map by its mean with eq. (7); give the probability of the latter.
 
     ``least`` is what the smooth map leaves, Σ precision·residual², by ``free`` parameters.
     """
-    n_s = len(axis_s.sites)
+    n_s, firsts, rows, y, precision = len(axis_s.sites), of.firsts, of.rows, of.y, of.precision
     A, b, x = np.zeros((TERMS, TERMS)), np.zeros(TERMS), np.empty(TERMS)
     square = 0.0
     for k in range(len(y)):

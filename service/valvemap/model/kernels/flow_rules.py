@@ -15,6 +15,10 @@ MOST_BETWEEN: Final = 2048  # samples; between two fits: 20 s at 100 Hz
 FIRST_ROUNDS: Final = 8  # rounds of hyper-parameters at the first fits; later ones start from these
 LATER_ROUNDS: Final = 3
 YOUNG: Final = 60  # samples; up to which FIRST_ROUNDS hold
+SECOND_START: Final = (
+    300  # samples; from which on, at each doubling, hyper-parameters are estimated
+)
+# from the first guess as well: what was likeliest of few samples may be no more
 SETTLED: Final = 0.2  # of its logarithm; a precision that moves less in a round needs no other
 
 # Priors: scales by the flow's root mean square, degrees of freedom of what is estimated.

@@ -21,7 +21,7 @@ from valvemap.model.kernels.flow_cells import (
 from valvemap.model.samples import Floats, Singles, Status, Times
 
 # Places in `counters`.
-USED, NEXT_FIT, FITTED, FITS, CLOCK = 0, 1, 2, 3, 4
+USED, NEXT_FIT, FITTED, FITS, CLOCK, NEXT_START = 0, 1, 2, 3, 4, 5
 COUNTERS = 8
 
 _OK, _WARMING_UP, _EXTRAPOLATING = (
@@ -121,8 +121,8 @@ def _learn(
             _note_error(error, weight, cell[COUNT], counters[USED], scalars)
         else:
             scalars[fits.LAST_ERROR] = 0.0
-    share = 1.0 / min(scalars[fits.MEAN_SQUARE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
-    scalars[fits.MEAN_SQUARE_WEIGHT] += 1.0
+    share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
+    scalars[fits.SCALE_WEIGHT] += 1.0
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
     way = abs(u - scalars[fits.LAST_U]) / rules.WAY_U
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
