@@ -25,16 +25,16 @@ from valvemap.model.samples import Floats, Singles
 
 # Places in `scalars`.
 LAM = 0  # prior.FAMILIES precisions
-VARIANCE, MISFIT, SCALE = 5, 6, 7  # σ², δ², mean square of the flow
-WITHIN, WITHIN_WEIGHT = 8, 9  # squares of samples against their own cells, and their number
-NEXT, NEXT_WEIGHT = 10, 11  # products of successive ones, and their number
-LAST_ERROR, COLOUR = 12, 13  # error of the last sample against its cell; ρ
-SCALE_WEIGHT = 14  # samples that SCALE is the mean of
-FREE = 15  # parameters that the samples determine
-LAST_U, LAST_S = 16, 17  # of the last sample
-PLAIN = 18  # probability of eq. (7)
-SCALE_BEFORE = 19  # mean square of the flow at the last fit
-EVIDENCE = 20  # log marginal likelihood, but for a constant
+VARIANCE, MISFIT, SCALE = 4, 5, 6  # σ², δ², mean square of the flow
+WITHIN, WITHIN_WEIGHT = 7, 8  # squares of samples against their own cells, and their number
+NEXT, NEXT_WEIGHT = 9, 10  # products of successive ones, and their number
+LAST_ERROR, COLOUR = 11, 12  # error of the last sample against its cell; ρ
+SCALE_WEIGHT = 13  # samples that SCALE is the mean of
+FREE = 14  # parameters that the samples determine
+LAST_U, LAST_S = 15, 16  # of the last sample
+PLAIN = 17  # probability of eq. (7)
+SCALE_BEFORE = 18  # mean square of the flow at the last fit
+EVIDENCE = 19  # log marginal likelihood, but for a constant
 SCALARS = 24
 
 
@@ -71,7 +71,7 @@ def fit(
         for f in range(prior.FAMILIES):
             lam[f] *= scalars[SCALE_BEFORE] / scale
     scalars[SCALE_BEFORE] = scale
-    lam[prior.ZERO], lam[prior.CLOSED] = guess[prior.ZERO], guess[prior.CLOSED]
+    lam[prior.ZERO] = guess[prior.ZERO]
     of, to = _room(len(axis_U.sites) * n_s, 2 * n_s + 3, known)
     work = np.empty((4, 3))
     solved.gather(axis_U, axis_s, cells, work, of)
@@ -111,7 +111,6 @@ def _first_guess(axis_s: Axis, scale: float, lam: Floats) -> None:
     lam[prior.CURVE] = top**3 / (rules.CURVE**2 * scale)
     lam[prior.TWIST] = top**3 / (rules.TWIST**2 * scale)
     lam[prior.ZERO] = 1.0 / (rules.ZERO_FLOW**2 * scale)
-    lam[prior.CLOSED] = 1.0 / (rules.CLOSED_FLOW**2 * scale)
 
 
 @maker

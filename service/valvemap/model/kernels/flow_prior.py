@@ -1,4 +1,4 @@
-"""The prior of the map: second differences, and weak observations of no flow.
+"""The prior of the map: second differences, and weak observations of no flow at s = 0.
 
 Rows of the prior are stencils, products of three weights along U and three along s:
 
@@ -6,7 +6,6 @@ Rows of the prior are stencils, products of three weights along U and three alon
     CURVE  (i, k): Δ²_s c                        precision lam[CURVE]·v[k]
     TWIST  (i, k): Δ²_U Δ²_s c                   precision lam[TWIST]·w[i]
     ZERO   (i): flow at s = 0                    precision lam[ZERO]
-    CLOSED (j): flow at U = 0                    precision lam[CLOSED]
 
 A bend of U's curve that holds at every Δp (a dead band, a saturation) grows with s; hence the
 root. w are the local precisions along U (Student-t), v along s.
@@ -18,7 +17,7 @@ from valvemap.model.kernels.compiled import inner
 from valvemap.model.kernels.flow_basis import Axis, interval, values
 from valvemap.model.samples import Floats
 
-BEND, CURVE, TWIST, ZERO, CLOSED, FAMILIES = 0, 1, 2, 3, 4, 5
+BEND, CURVE, TWIST, ZERO, FAMILIES = 0, 1, 2, 3, 4
 
 
 @inner
@@ -30,9 +29,7 @@ def rows_of(family: int, n_U: int, n_s: int) -> tuple[int, int]:
         return n_U, n_s - 2
     if family == TWIST:
         return n_U - 2, n_s - 2
-    if family == ZERO:
-        return n_U, 1
-    return 1, n_s
+    return n_U, 1
 
 
 @inner
@@ -42,7 +39,7 @@ def stencil(
     """Fill the weights of a row; give where it begins and how many weights it has each way."""
     along_U[:] = 1.0
     along_s[:] = 1.0
-    at_U, at_s, many_U, many_s = i, j, 1, 1
+    at_s, many_U, many_s = j, 1, 1
     if family in (BEND, TWIST):
         along_U[1] = -2.0
         many_U = 3
@@ -56,10 +53,7 @@ def stencil(
     if family == ZERO:
         at_s, many_s = interval(axis_s, 0.0), 3
         values(axis_s, at_s, 0.0, 0.0, along_s)
-    if family == CLOSED:
-        at_U, many_U = interval(axis_U, 0.0), 3
-        values(axis_U, at_U, 0.0, 0.0, along_U)
-    return at_U, at_s, many_U, many_s
+    return i, at_s, many_U, many_s
 
 
 @inner

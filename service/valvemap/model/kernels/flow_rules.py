@@ -26,7 +26,6 @@ BEND: Final = 0.01  # of the flow; a bend of U's curve at one knot, before anyth
 CURVE: Final = 0.3  # of the flow; a bend along s from 0 to the largest s
 TWIST: Final = 0.01  # of the flow; how a bend of U's curve is bent along s
 ZERO_FLOW: Final = 0.02  # of the flow; flow at Δp = 0: an offset of the meter
-CLOSED_FLOW: Final = 0.05  # of the flow; flow at U = 0: leakage, an underlap
 ANYTHING: Final = 10.0  # of the flow; coefficients, whatever the valve: makes the prior proper
 FREEDOM_U: Final = 1.0  # degrees of freedom of bends along U: Cauchy, so that kinks need no shapes
 FREEDOM_S: Final = 8.0  # degrees of freedom along s: nearly Gaussian
