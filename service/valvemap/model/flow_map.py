@@ -9,7 +9,7 @@ import numpy as np
 from valvemap.model.adaptation import Adaptation
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
-from valvemap.model.kernels import flow_fit, flow_run
+from valvemap.model.kernels import flow_drift, flow_fit, flow_run
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Trace
@@ -77,13 +77,13 @@ class FlowMap:
             residual=residual,
             status=trace.status,
         )
-        both, work = axes(self.U_range, self.dp_range), np.empty((4, 3))
+        both, room = axes(self.U_range, self.dp_range), _room()
         with np.errstate(all="ignore"):
             for m, start, stop in zip(*segments, strict=True):
                 state, row = member(states, int(m)), int(start)
                 memory = _memory(state)
                 while row < stop:
-                    row = flow_run.run(row, int(stop), batch, *both, memory, work)
+                    row = flow_run.run(row, int(stop), batch, *both, memory, room)
                     if state.counters[flow_run.USED] >= state.counters[flow_run.NEXT_FIT]:
                         _refit(state, *both)
         return trace
@@ -94,8 +94,8 @@ class FlowMap:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
         del T
         Q, std = np.empty((2, len(U)))
-        both, work = axes(self.U_range, self.dp_range), np.empty((4, 3))
-        flow_run.evaluate(*both, _memory(state), U, dp, Q, std, work)
+        both, room = axes(self.U_range, self.dp_range), _room()
+        flow_run.evaluate(*both, _memory(state), U, dp, Q, std, room)
         return Q, std
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
@@ -119,7 +119,12 @@ class FlowMap:
 
 
 def _memory(state: FlowMapState) -> flow_run.Memory:
-    return flow_run.Memory(state.cells, state.theta, state.std, state.scalars, state.counters)
+    return flow_run.Memory(*(getattr(state, name) for name in flow_run.Memory._fields))
+
+
+def _room() -> flow_run.Room:
+    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
+    return flow_run.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_run.AT))
 
 
 def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
-from valvemap.model.kernels import flow_cells, flow_fit, flow_run
+from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_run
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
@@ -34,6 +34,10 @@ class FlowMapState(State):
         Standard deviation of the smooth map at the sites, l/min.
     w, v : (n_U - 2,), (n_s - 2,) float64
         Local precisions of the prior along U and s.
+    x, P, chance, now : (2, …)
+        What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
+    stay : (6,)
+        The stay in a cell that lasts, see :mod:`kernels.flow_run`.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_run`.
     """
@@ -45,6 +49,11 @@ class FlowMapState(State):
     std: NDArray[np.float32]
     w: Floats
     v: Floats
+    x: Floats
+    P: Floats
+    chance: Floats
+    now: Floats
+    stay: Floats
     scalars: Floats
     counters: Counts
 
@@ -52,14 +61,18 @@ class FlowMapState(State):
         """What may stand in them."""
         every = slice(None)
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
+        positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
-        counters = Contents(self.counters).any_time(flow_run.CLOCK)
-        counters.within(0, 1, flow_run.FITTED)
+        counters = Contents(self.counters)
+        times = [flow_run.CLOCK, flow_run.CLOCK + 1, flow_run.STAY_TIME, flow_run.CHANGE_TIME]
+        counters.any_time(times)
+        counters.within(0, 1, [flow_run.FITTED, flow_run.STAY_SIDE, flow_run.SKIPPED])
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "std": Contents(self.std).within(0.0),
             "w": Contents(self.w).within(0.0),
             "v": Contents(self.v).within(0.0),
+            "chance": Contents(self.chance).within(0.0, 1.0),
             "scalars": scalars,
             "counters": counters,
         }
@@ -92,6 +105,11 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         std=np.zeros(n_U * n_s, np.float32),
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
+        x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
+        P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
+        chance=np.tile(np.eye(flow_drift.MODELS)[flow_drift.STILL], (2, 1)),
+        now=np.zeros((2, flow_drift.NOW)),
+        stay=np.zeros(flow_run.STAY),
         scalars=np.zeros(flow_fit.SCALARS),
         counters=counters,
     )

@@ -13,7 +13,8 @@ from valvemap.model.samples import Floats
 
 # Columns: samples; what they are worth in white noise; means; second central moments.
 COUNT, WORTH, MEAN_U, MEAN_S, MEAN_Q, VAR_U, VAR_S, COV_US = 0, 1, 2, 3, 4, 5, 6, 7
-COLUMNS = 8
+REFUSALS = 8  # samples in a row that were refused as outliers
+COLUMNS = 9
 
 Cells = NDArray[np.float32]
 

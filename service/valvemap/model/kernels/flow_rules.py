@@ -56,3 +56,18 @@ DOUBTED: Final = 0.01  # probability below which a cell of few samples began wit
 HUGE: Final = 1e9  # of any signal; beyond it squares leave the range of numbers
 UNKNOWN: Final = 0.5  # of the flow; standard deviation beyond which the map is not known
 BEYOND: Final = 0.05  # of the range; how far samples may lie outside and still count at its border
+
+# What moves in time.
+MOST_STAY: Final = 4.0  # standard deviations; what a stay in a cell may say against a model at most
+LONGEST_STAY: Final = 32  # samples; after which a stay counts, though it goes on
+OLDEST: Final = 600.0  # s; time that is counted between two stays at most: a machine stood still
+RATE_GAIN: Final = 0.15  # 1/h; standard deviation of the gain's rate where it drifts
+RATE_EDGE: Final = 4.0  # %/h; standard deviation of the edge's rate
+WANDER_GAIN: Final = 0.005  # 1/√h; random walk of the gain beside that
+WANDER_EDGE: Final = 0.1  # %/√h; random walk of the edge beside that
+PERSISTENCE: Final = 3600.0  # s; how long a rate lasts, about
+BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
+JUMP_GAIN: Final = 0.1  # standard deviation of a sudden change of the gain
+JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
+BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
+REFUSED: Final = 3.0  # samples in a row; refused as outliers, they are what the cell is now

@@ -1,34 +1,44 @@
-"""One pass over the samples: against the map, against the own cell, into the cell."""
+"""One pass over the samples: against the map and what moves, against the own cell, into the cell.
+
+Cells hold samples as they would have been with gain and edge as they were at first, see
+`flow_drift`: the map stays, only few numbers move.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
-from valvemap.model.kernels.flow_basis import Axis, between_sites, surface
+from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
 from valvemap.model.kernels.flow_cells import (
     COUNT,
     MEAN_Q,
     MEAN_S,
     MEAN_U,
+    REFUSALS,
     Cells,
     cell_of,
     deposit,
 )
+from valvemap.model.kernels.flow_drift import Drift
 from valvemap.model.samples import Floats, Singles, Status, Times
 
 # Places in `counters`.
-USED, NEXT_FIT, FITTED, FITS, CLOCK, NEXT_START = 0, 1, 2, 3, 4, 5
-COUNTERS = 8
+USED, NEXT_FIT, FITTED, FITS, NEXT_START = 0, 1, 2, 3, 4
+CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
+STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
+CHANGES, CHANGE_SAMPLE, CHANGE_TIME = 11, 12, 13
+COUNTERS = 16
 
-_OK, _WARMING_UP, _EXTRAPOLATING = (
-    int(Status.OK),
-    int(Status.WARMING_UP),
-    int(Status.EXTRAPOLATING),
-)
+# Places in `stay`: samples, sums of residuals and derivatives, variance of the map.
+SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP, CHANGE_SIZE, STAY = 0, 1, 2, 3, 4, 5, 6
+
+_OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
+_EXTRAPOLATING = int(Status.EXTRAPOLATING)
 _REJECTED, _HELD = int(Status.REJECTED), int(Status.HELD)
 
 
@@ -40,6 +50,11 @@ class Memory(NamedTuple):
     std: Singles
     scalars: Floats
     counters: np.ndarray
+    x: Floats
+    P: Floats
+    chance: Floats
+    now: Floats
+    stay: Floats
 
 
 class Batch(NamedTuple):
@@ -56,9 +71,21 @@ class Batch(NamedTuple):
     status: np.ndarray
 
 
+class Room(NamedTuple):
+    """Room to work in: (4, 3); see `Drift`; (AT,)."""
+
+    work: Floats
+    drift: Floats
+    at: Floats
+
+
+# Places in `Room.at`: what the map says at one point.
+FLOW, OF_GAIN, OF_EDGE, SURE, TOTAL, PLACE_U, PLACE_S, AT = 0, 1, 2, 3, 4, 5, 6, 7
+
+
 @lean_kernel
 def run(
-    start: int, stop: int, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory, work: Floats
+    start: int, stop: int, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
 ) -> int:
     """Learn from samples ``start`` … ``stop`` - 1 until a fit is due; give the next one."""
     counters = memory.counters
@@ -72,62 +99,47 @@ def run(
             batch.status[i] = _HELD
             continue
         s = math.copysign(math.sqrt(abs(dp)), dp)
-        batch.status[i] = _learn(i, batch, U, s, Q, axis_U, axis_s, memory, work)
+        batch.status[i] = _learn(i, batch, U, s, Q, axis_U, axis_s, memory, room)
         if counters[USED] >= counters[NEXT_FIT]:
+            _end_stay(memory, room)
             return i + 1
     return stop
 
 
 @inner
-def is_due(counters: np.ndarray) -> bool:
-    """Whether a fit is due."""
-    return bool(counters[USED] >= counters[NEXT_FIT])
-
-
-@inner
 def _learn(
     i: int, batch: Batch, U: float, s: float, Q: float, axis_U: Axis, axis_s: Axis, memory: Memory,
-    work: Floats,
+    room: Room,
 ) -> int:  # fmt: skip
     """Predict one sample, then learn from it; give its status."""
-    cells, theta, std, scalars, counters = memory
+    scalars, counters, at = memory.scalars, memory.counters, room.at
     u, is_beyond = clipped(axis_U, U)
     r, is_beyond_s = clipped(axis_s, s)
-    known, variance = False, math.nan
+    known, side = False, 0 if U >= 0.0 else 1
+    place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
-        flow = surface(axis_U, axis_s, theta, u, r, work)
-        spread = between_sites(axis_U, axis_s, std, u, r)
-        variance = spread * spread + scalars[fits.MISFIT]
-        batch.predicted[i], batch.residual[i] = flow, Q - flow
-        known = variance < rules.UNKNOWN**2 * scalars[fits.SCALE]
+        look(axis_U, axis_s, memory, side, u, room)
+        batch.predicted[i], batch.residual[i] = at[FLOW], Q - at[FLOW]
+        known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
     if is_beyond or is_beyond_s:
         return _EXTRAPOLATING
-    number = cell_of(axis_U, axis_s, u, r)
-    cell = cells[number]
+    gain = 1.0 + memory.now[side, drifts.GAIN]
+    number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     weight = 1.0
-    if counters[FITTED] and cell[COUNT] > 0.0:
-        width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
-        noise, residual = scalars[fits.VARIANCE], batch.residual[i]
-        off = cell[MEAN_Q] - surface(axis_U, axis_s, theta, cell[MEAN_U], cell[MEAN_S], work)
-        error = residual - off
-        by_map = fits.outlier_weight(residual * residual, noise + variance, width)
-        doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]
-        weight = max(by_map, fits.outlier_weight(error * error, doubt, width))
-        if cell[COUNT] < rules.FEW and by_map > 0.5:
-            doubt = noise / cell[COUNT] + variance
-            if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
-                cell[:] = 0.0
-        if cell[COUNT] > 0.0 and variance < noise:
-            _note_error(error, weight, cell[COUNT], counters[USED], scalars)
-        else:
-            scalars[fits.LAST_ERROR] = 0.0
+    if counters[FITTED]:
+        residual = batch.residual[i]
+        weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], room)
+        if counters[STAY_CELL] != number or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
+            _end_stay(memory, room)
+        _note_stay(number, side, batch.t[i], residual, weight, memory, at)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
     scalars[fits.SCALE_WEIGHT] += 1.0
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
     way = abs(u - scalars[fits.LAST_U]) / rules.WAY_U
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
     alike = scalars[fits.COLOUR] * math.exp(-way)
-    deposit(cell, u, r, Q, weight, (1.0 - alike) / (1.0 + alike), rules.MEMORY)
+    worth = (1.0 - alike) / (1.0 + alike)
+    deposit(memory.cells[number], at[PLACE_U], r, Q / gain, weight, worth, rules.MEMORY)
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
     return _OK if known else _WARMING_UP
@@ -139,6 +151,66 @@ def clipped(axis: Axis, x: float) -> tuple[float, bool]:
     low, high = axis.breaks[0], axis.breaks[-1]
     slack = rules.BEYOND * (high - low)
     return min(max(x, low), high), x < low - slack or x > high + slack
+
+
+@inner
+def place(axis_U: Axis, memory: Memory, side: int, u: float, r: float, at: Floats) -> None:
+    """Where a point lies on the map as it was at first."""
+    end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
+    shifted = u - memory.now[side, drifts.EDGE] * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    at[PLACE_U] = min(max(shifted, axis_U.breaks[0]), axis_U.breaks[-1])
+    at[PLACE_S] = r
+
+
+@inner
+def look(
+    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, room: Room
+) -> None:  # fmt: skip
+    """Fill what the map says at a place: flow, derivatives, variances without and with drift."""
+    at, now = room.at, memory.now[side]
+    gain = 1.0 + now[drifts.GAIN]
+    end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
+    flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
+    at[FLOW], at[OF_GAIN] = gain * flow, flow
+    at[OF_EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    at[SURE] = gain * gain * (spread * spread + memory.scalars[fits.MISFIT])
+    moved = flow * flow * now[drifts.VAR_GAIN] + at[OF_EDGE] ** 2 * now[drifts.VAR_EDGE]
+    at[TOTAL] = at[SURE] + max(moved + 2.0 * flow * at[OF_EDGE] * now[drifts.COV], 0.0)
+
+
+@inner
+def _trust(
+    residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles,
+    room: Room,
+) -> float:  # fmt: skip
+    """Probability that a sample is none that the meter invented, by the map or by its cell."""
+    scalars, counters = memory.scalars, memory.counters
+    if not cell[COUNT] > 0.0:  # a fit weighs a cell of one sample against all others
+        scalars[fits.LAST_ERROR] = 0.0
+        return 1.0
+    width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
+    noise, variance = scalars[fits.VARIANCE], room.at[TOTAL]
+    own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
+    off = gain * (cell[MEAN_Q] - own)
+    error = residual - off
+    by_map = fits.outlier_weight(residual * residual, noise + variance, width)
+    doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]
+    weight = max(by_map, fits.outlier_weight(error * error, doubt, width))
+    cell[REFUSALS] = cell[REFUSALS] + 1.0 if weight < 0.5 else 0.0
+    if cell[REFUSALS] >= rules.REFUSED:
+        cell[:] = 0.0
+        weight = 1.0
+    elif cell[COUNT] < rules.FEW and by_map > 0.5:
+        doubt = noise / cell[COUNT] + variance
+        if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
+            cell[:] = 0.0
+    if cell[COUNT] > 0.0 and variance < noise:
+        _note_error(error, weight, cell[COUNT], counters[USED], scalars)
+    else:
+        scalars[fits.LAST_ERROR] = 0.0
+    return weight
 
 
 @inner
@@ -159,13 +231,58 @@ def _note_error(error: float, weight: float, count: float, age: int, scalars: Fl
         scalars[fits.COLOUR] = min(max(rho, 0.0), rules.MOST_COLOUR) if sure else 0.0
 
 
+@inner
+def _note_stay(
+    number: int, side: int, t: int, residual: float, weight: float, memory: Memory, at: Floats
+) -> None:
+    """Add a sample to the stay in its cell; a single one that is refused is left out."""
+    counters, stay = memory.counters, memory.stay
+    counters[STAY_CELL], counters[STAY_SIDE], counters[STAY_TIME] = number, side, t
+    if weight < 0.5 and counters[SKIPPED] == 0:
+        counters[SKIPPED] = 1
+        return
+    counters[SKIPPED] = 0 if weight >= 0.5 else 1
+    stay[SAMPLES] += 1.0
+    stay[RESIDUAL] += residual
+    stay[BY_GAIN] += at[OF_GAIN]
+    stay[BY_EDGE] += at[OF_EDGE]
+    stay[OF_MAP] += at[SURE]
+
+
+@inner
+def _end_stay(memory: Memory, room: Room) -> None:
+    """Let the drift learn from the stay that ends."""
+    counters, scalars, stay = memory.counters, memory.scalars, memory.stay
+    many = stay[SAMPLES]
+    if many > 0.0:
+        side, now = counters[STAY_SIDE], counters[STAY_TIME]
+        last = counters[CLOCK + side]
+        dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
+        counters[CLOCK + side] = now
+        rho = scalars[fits.COLOUR]
+        noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / many, 1.0)
+        drift = Drift(
+            memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
+        )
+        before = drift.chance[drifts.JUMPED]
+        drifts.step(
+            drift, dt, stay[RESIDUAL] / many, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
+            stay[OF_MAP] / many + noise,
+        )  # fmt: skip
+        if drift.chance[drifts.JUMPED] > 0.5 >= before:
+            counters[CHANGES] += 1
+            counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
+            stay[CHANGE_SIZE] = stay[RESIDUAL] / many
+    stay[:CHANGE_SIZE] = 0.0
+
+
 @lean_kernel
 def evaluate(
     axis_U: Axis, axis_s: Axis, memory: Memory, U: Floats, dp: Floats, Q: Floats, spread: Floats,
-    work: Floats,
+    room: Room,
 ) -> None:  # fmt: skip
     """Flow and its standard deviation at N points; NaN where a point or the map is not known."""
-    scalars = memory.scalars
+    at = room.at
     for i in range(len(U)):
         Q[i] = spread[i] = math.nan
         if not (memory.counters[FITTED] and math.isfinite(U[i] + dp[i])):
@@ -173,8 +290,8 @@ def evaluate(
         s = math.copysign(math.sqrt(abs(dp[i])), dp[i])
         u, _ = clipped(axis_U, U[i])
         r, _ = clipped(axis_s, s)
-        own = between_sites(axis_U, axis_s, memory.std, u, r)
-        variance = own * own + scalars[fits.MISFIT]
-        if variance < rules.UNKNOWN**2 * scalars[fits.SCALE]:
-            Q[i] = surface(axis_U, axis_s, memory.theta, u, r, work)
-            spread[i] = math.sqrt(variance)
+        side = 0 if U[i] >= 0.0 else 1
+        place(axis_U, memory, side, u, r, at)
+        look(axis_U, axis_s, memory, side, u, room)
+        if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
+            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL])

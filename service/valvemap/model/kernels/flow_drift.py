@@ -1,0 +1,177 @@
+"""What moves while the map stays: gain and edge, as three competing models of a process in time.
+
+    Q = (1 + a(t))·g(U - e(t)·W(U), s),   W(U) = 1 - |U|/U_end: an edge shifts, full opening stays
+
+    STILL   a, e are what they are
+    MOVING  their rates are processes of standard deviation RATE and time constant PERSISTENCE
+    JUMPED  they have just changed by anything
+
+An interacting multiple model filter (Blom & Bar-Shalom 1988) over stays: successive samples in one
+cell count as one observation, whose variance holds that of the map there. Each side of U = 0 has
+filters of its own. States are a, e, da/dt, de/dt (1, %, 1/s, %/s).
+"""
+
+import math
+from typing import NamedTuple
+
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import inner
+from valvemap.model.samples import Floats
+
+STILL, MOVING, JUMPED, MODELS = 0, 1, 2, 3
+STATES = 4
+
+# Places in `now`: gain and edge; their covariance; rates and their variances.
+GAIN, EDGE, VAR_GAIN, COV, VAR_EDGE, RATE_GAIN, RATE_EDGE, VAR_RATE_GAIN, VAR_RATE_EDGE = range(9)
+NOW = 9
+
+
+class Drift(NamedTuple):
+    """Filters of one side.
+
+    Attributes
+    ----------
+    x : (MODELS, STATES)
+    P : (MODELS, STATES, STATES)
+    chance : (MODELS,)
+        Probabilities of the models.
+    now : (NOW,)
+        The mean over the models.
+    room : (2, MODELS, STATES + 1, STATES)
+    """
+
+    x: Floats
+    P: Floats
+    chance: Floats
+    now: Floats
+    room: Floats
+
+
+@inner
+def step(
+    drift: Drift, dt: float, residual: float, flow: float, slope: float, variance: float
+) -> None:
+    """Advance by ``dt`` s, then learn from a stay.
+
+    ``residual`` is measured against `now`; ``flow`` and ``slope`` are its derivatives by a and e.
+    """
+    before = drift.now[GAIN], drift.now[EDGE]
+    if dt > 0.0:
+        _mix(drift, dt)
+        _advance(drift, dt)
+    total = 0.0
+    largest = -math.inf
+    for m in range(MODELS):
+        x, P, said = drift.x[m], drift.P[m], drift.room[0, m]
+        off = residual - flow * (x[0] - before[0]) - slope * (x[1] - before[1])
+        for k in range(STATES):
+            said[0, k] = P[k, 0] * flow + P[k, 1] * slope
+        S = flow * said[0, 0] + slope * said[0, 1] + variance
+        square = off * off / S
+        heavy = min(1.0, rules.MOST_STAY / math.sqrt(max(square, 1e-300)))
+        for k in range(STATES):
+            x[k] += heavy * said[0, k] * off / S
+            for j in range(STATES):
+                P[k, j] -= heavy * said[0, k] * said[0, j] / S
+        log = -0.5 * (math.log(S) + min(square, rules.MOST_STAY**2))
+        drift.room[1, m, 0, 0] = log
+        largest = max(largest, log)
+    for m in range(MODELS):
+        drift.chance[m] *= math.exp(drift.room[1, m, 0, 0] - largest)
+        total += drift.chance[m]
+    for m in range(MODELS):
+        drift.chance[m] /= total
+    _combine(drift)
+
+
+@inner
+def _transition(m: int, k: int, dt: float) -> float:
+    """Probability of going from model m to model k within ``dt``."""
+    jump = min(dt / rules.BETWEEN_JUMPS, 0.1)
+    if k == JUMPED:
+        return 0.0 if m == JUMPED else jump
+    if m == JUMPED:
+        return 0.9 if k == STILL else 0.1
+    change = min(dt / (rules.BETWEEN_DRIFTS if m == STILL else rules.PERSISTENCE), 0.1)
+    return (change if m != k else 1.0 - change) * (1.0 - jump)
+
+
+@inner
+def _mix(drift: Drift, dt: float) -> None:
+    """Give each model what the others know, as far as they may turn into it."""
+    x, P, chance, room = drift.x, drift.P, drift.chance, drift.room
+    for k in range(MODELS):
+        room[0, k] = 0.0
+        total = 0.0
+        for m in range(MODELS):
+            part = _transition(m, k, dt) * chance[m]
+            room[1, m, 0, k] = part
+            total += part
+            for i in range(STATES):
+                room[0, k, 0, i] += part * x[m, i]
+        room[1, k, 1, 0] = total
+        for i in range(STATES):
+            room[0, k, 0, i] /= total
+        for m in range(MODELS):
+            part = room[1, m, 0, k] / total
+            for i in range(STATES):
+                for j in range(STATES):
+                    off = (x[m, i] - room[0, k, 0, i]) * (x[m, j] - room[0, k, 0, j])
+                    room[0, k, 1 + i, j] += part * (P[m, i, j] + off)
+    for k in range(MODELS):
+        chance[k] = room[1, k, 1, 0]
+        for i in range(STATES):
+            x[k, i] = room[0, k, 0, i]
+            for j in range(STATES):
+                P[k, i, j] = room[0, k, 1 + i, j]
+
+
+@inner
+def _advance(drift: Drift, dt: float) -> None:
+    """Prediction of each model."""
+    for m in range(MODELS):
+        x, P = drift.x[m], drift.P[m]
+        if m != MOVING:
+            for k in range(2, STATES):
+                x[k] = 0.0
+                for j in range(STATES):
+                    P[k, j] = P[j, k] = 0.0
+        if m == MOVING:
+            keep = math.exp(-dt / rules.PERSISTENCE)
+            for k in range(2):
+                x[k] += dt * x[k + 2]
+                for j in range(STATES):
+                    P[k, j] += dt * P[k + 2, j]
+                for j in range(STATES):
+                    P[j, k] += dt * P[j, k + 2]
+            for k in range(2, STATES):
+                x[k] *= keep
+                for j in range(STATES):
+                    P[k, j] *= keep
+                    P[j, k] *= keep
+            P[0, 0] += dt * rules.WANDER_GAIN**2 / 3600.0
+            P[1, 1] += dt * rules.WANDER_EDGE**2 / 3600.0
+            P[2, 2] += (1.0 - keep * keep) * (rules.RATE_GAIN / 3600.0) ** 2
+            P[3, 3] += (1.0 - keep * keep) * (rules.RATE_EDGE / 3600.0) ** 2
+        if m == JUMPED:
+            P[0, 0] += rules.JUMP_GAIN**2
+            P[1, 1] += rules.JUMP_EDGE**2
+
+
+@inner
+def _combine(drift: Drift) -> None:
+    """Mean and covariance over the models."""
+    x, P, chance, now = drift.x, drift.P, drift.chance, drift.now
+    now[:] = 0.0
+    for m in range(MODELS):
+        now[GAIN] += chance[m] * x[m, 0]
+        now[EDGE] += chance[m] * x[m, 1]
+        now[RATE_GAIN] += chance[m] * x[m, 2]
+        now[RATE_EDGE] += chance[m] * x[m, 3]
+    for m in range(MODELS):
+        a, e = x[m, 0] - now[GAIN], x[m, 1] - now[EDGE]
+        now[VAR_GAIN] += chance[m] * (P[m, 0, 0] + a * a)
+        now[COV] += chance[m] * (P[m, 0, 1] + a * e)
+        now[VAR_EDGE] += chance[m] * (P[m, 1, 1] + e * e)
+        now[VAR_RATE_GAIN] += chance[m] * (P[m, 2, 2] + (x[m, 2] - now[RATE_GAIN]) ** 2)
+        now[VAR_RATE_EDGE] += chance[m] * (P[m, 3, 3] + (x[m, 3] - now[RATE_EDGE]) ** 2)
