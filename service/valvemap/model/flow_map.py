@@ -7,12 +7,13 @@ from typing import Final
 import numpy as np
 
 from valvemap.model.adaptation import Adaptation
+from valvemap.model.change import Change
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import flow_drift, flow_fit, flow_run
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Trace
+from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
@@ -114,8 +115,27 @@ class FlowMap:
         return Adaptation(int(self.adaptation_many(alone(state))[0]))
 
     def adaptation_many(self, states: FlowMapState) -> Codes:
-        """`adaptation` of M models (M,)."""
-        return np.full(len(states.counters), Adaptation.UNDECIDED, np.uint8)
+        """`adaptation` of M models (M,): drift where it is likelier than not on either side."""
+        moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
+        young = states.counters[..., flow_run.USED] < rules.MATURE
+        steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
+        return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
+
+    def change_counts(self, states: FlowMapState) -> Times:
+        """How many sudden changes were found of each of M valves."""
+        return np.asarray(states.counters[..., flow_run.CHANGES])
+
+    def last_change(self, state: FlowMapState) -> Change | None:
+        """Return the last sudden change of gain or edge, None if there was none."""
+        counters = state.counters
+        if not counters[flow_run.CHANGES]:
+            return None
+        return Change(
+            count=int(counters[flow_run.CHANGES]),
+            sample=int(counters[flow_run.CHANGE_SAMPLE]),
+            t=int(counters[flow_run.CHANGE_TIME]),
+            size=float(state.stay[flow_run.CHANGE_SIZE]),
+        )
 
 
 def _memory(state: FlowMapState) -> flow_run.Memory:

@@ -36,7 +36,7 @@ class FlowMapState(State):
         Local precisions of the prior along U and s.
     x, P, chance, now : (2, …)
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
-    stay : (6,)
+    stay : (8,)
         The stay in a cell that lasts, see :mod:`kernels.flow_run`.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_run`.
@@ -66,7 +66,9 @@ class FlowMapState(State):
         counters = Contents(self.counters)
         times = [flow_run.CLOCK, flow_run.CLOCK + 1, flow_run.STAY_TIME, flow_run.CHANGE_TIME]
         counters.any_time(times)
-        counters.within(0, 1, [flow_run.FITTED, flow_run.STAY_SIDE, flow_run.SKIPPED])
+        counters.within(
+            0, 1, [flow_run.FITTED, flow_run.STAY_SIDE, flow_run.SKIPPED, flow_run.ALARMED]
+        )
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
             "std": Contents(self.std).within(0.0),
@@ -106,8 +108,8 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
-        P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
-        chance=np.tile(np.eye(flow_drift.MODELS)[flow_drift.STILL], (2, 1)),
+        P=np.tile(flow_drift.first_covariance(), (2, 1, 1, 1)),
+        chance=np.tile(flow_drift.first_chance(), (2, 1)),
         now=np.zeros((2, flow_drift.NOW)),
         stay=np.zeros(flow_run.STAY),
         scalars=np.zeros(flow_fit.SCALARS),

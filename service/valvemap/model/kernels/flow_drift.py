@@ -1,10 +1,11 @@
-"""What moves while the map stays: gain and edge, as three competing models of a process in time.
+"""What moves while the map stays: gain and edge, as competing models of a process in time.
 
     Q = (1 + a(t))·g(U - e(t)·W(U), s),   W(U) = 1 - |U|/U_end: an edge shifts, full opening stays
 
-    STILL   a, e are what they are
-    MOVING  their rates are processes of standard deviation RATE and time constant PERSISTENCE
-    JUMPED  they have just changed by anything
+    STILL            a, e are what they are
+    MOVING           their rates are processes of standard deviation RATE, time constant PERSISTENCE
+    OTHER_GAIN       a has changed by anything, not long ago
+    OTHER_EDGE       e has
 
 An interacting multiple model filter (Blom & Bar-Shalom 1988) over stays: successive samples in one
 cell count as one observation, whose variance holds that of the map there. Each side of U = 0 has
@@ -14,11 +15,13 @@ filters of its own. States are a, e, da/dt, de/dt (1, %, 1/s, %/s).
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner
 from valvemap.model.samples import Floats
 
-STILL, MOVING, JUMPED, MODELS = 0, 1, 2, 3
+STILL, MOVING, OTHER_GAIN, OTHER_EDGE, MODELS = 0, 1, 2, 3, 4
 STATES = 4
 
 # Places in `now`: gain and edge; their covariance; rates and their variances.
@@ -47,17 +50,31 @@ class Drift(NamedTuple):
     room: Floats
 
 
+def first_chance() -> Floats:
+    """Probabilities of the models before the first sample, (MODELS,)."""
+    moving = rules.PERSISTENCE / (rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
+    return np.array([1.0 - moving, moving, 0.0, 0.0])
+
+
+def first_covariance() -> Floats:
+    """Covariances before the first sample, (MODELS, STATES, STATES): gain and edge are 0 then."""
+    P = np.zeros((MODELS, STATES, STATES))
+    P[MOVING, 2, 2], P[MOVING, 3, 3] = (rules.RATE_GAIN / 3600) ** 2, (rules.RATE_EDGE / 3600) ** 2
+    return P
+
+
 @inner
 def step(
-    drift: Drift, dt: float, residual: float, flow: float, slope: float, variance: float
-) -> None:
-    """Advance by ``dt`` s, then learn from a stay.
+    drift: Drift, dt: float, jumps: float, residual: float, flow: float, slope: float,
+    variance: float,
+) -> None:  # fmt: skip
+    """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
     ``residual`` is measured against `now`; ``flow`` and ``slope`` are its derivatives by a and e.
     """
     before = drift.now[GAIN], drift.now[EDGE]
     if dt > 0.0:
-        _mix(drift, dt)
+        _mix(drift, dt, jumps)
         _advance(drift, dt)
     total = 0.0
     largest = -math.inf
@@ -85,31 +102,34 @@ def step(
 
 
 @inner
-def _transition(m: int, k: int, dt: float) -> float:
+def _transition(m: int, k: int, dt: float, jump: float) -> float:
     """Probability of going from model m to model k within ``dt``."""
-    jump = min(dt / rules.BETWEEN_JUMPS, 0.1)
-    if k == JUMPED:
-        return 0.0 if m == JUMPED else jump
-    if m == JUMPED:
-        return 0.9 if k == STILL else 0.1
+    over = min(dt / rules.AFTER_JUMP, 0.5)
+    if k >= OTHER_GAIN:
+        if m >= OTHER_GAIN:
+            return 1.0 - over if m == k else 0.0
+        return 0.5 * jump
+    if m >= OTHER_GAIN:
+        return 0.9 * over if k == STILL else 0.1 * over
     change = min(dt / (rules.BETWEEN_DRIFTS if m == STILL else rules.PERSISTENCE), 0.1)
     return (change if m != k else 1.0 - change) * (1.0 - jump)
 
 
 @inner
-def _mix(drift: Drift, dt: float) -> None:
+def _mix(drift: Drift, dt: float, jumps: float) -> None:
     """Give each model what the others know, as far as they may turn into it."""
     x, P, chance, room = drift.x, drift.P, drift.chance, drift.room
     for k in range(MODELS):
         room[0, k] = 0.0
         total = 0.0
         for m in range(MODELS):
-            part = _transition(m, k, dt) * chance[m]
+            part = _transition(m, k, dt, jumps) * chance[m]
             room[1, m, 0, k] = part
             total += part
             for i in range(STATES):
                 room[0, k, 0, i] += part * x[m, i]
         room[1, k, 1, 0] = total
+        total = max(total, 1e-300)
         for i in range(STATES):
             room[0, k, 0, i] /= total
         for m in range(MODELS):
@@ -118,6 +138,10 @@ def _mix(drift: Drift, dt: float) -> None:
                 for j in range(STATES):
                     off = (x[m, i] - room[0, k, 0, i]) * (x[m, j] - room[0, k, 0, j])
                     room[0, k, 1 + i, j] += part * (P[m, i, j] + off)
+            if k == OTHER_GAIN and m < OTHER_GAIN:
+                room[0, k, 1, 0] += part * rules.JUMP_GAIN**2
+            if k == OTHER_EDGE and m < OTHER_GAIN:
+                room[0, k, 2, 1] += part * rules.JUMP_EDGE**2
     for k in range(MODELS):
         chance[k] = room[1, k, 1, 0]
         for i in range(STATES):
@@ -153,9 +177,6 @@ def _advance(drift: Drift, dt: float) -> None:
             P[1, 1] += dt * rules.WANDER_EDGE**2 / 3600.0
             P[2, 2] += (1.0 - keep * keep) * (rules.RATE_GAIN / 3600.0) ** 2
             P[3, 3] += (1.0 - keep * keep) * (rules.RATE_EDGE / 3600.0) ** 2
-        if m == JUMPED:
-            P[0, 0] += rules.JUMP_GAIN**2
-            P[1, 1] += rules.JUMP_EDGE**2
 
 
 @inner

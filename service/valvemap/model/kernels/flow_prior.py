@@ -34,7 +34,7 @@ def rows_of(family: int, n_U: int, n_s: int) -> tuple[int, int]:
 
 @inner
 def stencil(
-    family: int, i: int, j: int, axis_U: Axis, axis_s: Axis, along_U: Floats, along_s: Floats
+    family: int, i: int, j: int, axis_s: Axis, along_U: Floats, along_s: Floats
 ) -> tuple[int, int, int, int]:
     """Fill the weights of a row; give where it begins and how many weights it has each way."""
     along_U[:] = 1.0
@@ -77,7 +77,7 @@ def add(
         many_i, many_j = rows_of(family, n_U, n_s)
         for i in range(many_i):
             for j in range(many_j):
-                at_U, at_s, many_U, many_s = stencil(family, i, j, axis_U, axis_s, work[0], work[1])
+                at_U, at_s, many_U, many_s = stencil(family, i, j, axis_s, work[0], work[1])
                 precision = lam[family] * local(family, i, j, w, v)
                 first = at_U * n_s + at_s
                 for a in range(many_U):
@@ -109,7 +109,7 @@ def forms(
         many_i, many_j = rows_of(family, n_U, n_s)
         for i in range(many_i):
             for j in range(many_j):
-                at_U, at_s, many_U, many_s = stencil(family, i, j, axis_U, axis_s, work[0], work[1])
+                at_U, at_s, many_U, many_s = stencil(family, i, j, axis_s, work[0], work[1])
                 first, row, narrower = at_U * n_s + at_s, 0.0, 0.0
                 for a in range(many_U):
                     for b in range(many_s):

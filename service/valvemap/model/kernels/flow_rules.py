@@ -59,7 +59,7 @@ BEYOND: Final = 0.05  # of the range; how far samples may lie outside and still 
 
 # What moves in time.
 MOST_STAY: Final = 4.0  # standard deviations; what a stay in a cell may say against a model at most
-LONGEST_STAY: Final = 32  # samples; after which a stay counts, though it goes on
+LONGEST_STAY: Final = 32  # samples; of which a stay consists at most
 OLDEST: Final = 600.0  # s; time that is counted between two stays at most: a machine stood still
 RATE_GAIN: Final = 0.15  # 1/h; standard deviation of the gain's rate where it drifts
 RATE_EDGE: Final = 4.0  # %/h; standard deviation of the edge's rate
@@ -69,5 +69,13 @@ PERSISTENCE: Final = 3600.0  # s; how long a rate lasts, about
 BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
 JUMP_GAIN: Final = 0.1  # standard deviation of a sudden change of the gain
 JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
+AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
+MATURE: Final = 1000  # samples; before them no sudden change is looked for: the map is not sure
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
-REFUSED: Final = 3.0  # samples in a row; refused as outliers, they are what the cell is now
+VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
+SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common, when they are
+# added to their cells
+REFUSED: Final = 3.0  # stays in a row; refused as outliers, they are what the cell is now
+SHORTEST_STAY: Final = 4  # samples; of which a stay consists that is refused
+CERTAIN: Final = 0.95  # probability of a sudden change from which on it is published
+OVER: Final = 0.05  # probability of a sudden change below which the last one is over

@@ -31,11 +31,12 @@ from valvemap.model.samples import Floats, Singles, Status, Times
 USED, NEXT_FIT, FITTED, FITS, NEXT_START = 0, 1, 2, 3, 4
 CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
 STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
-CHANGES, CHANGE_SAMPLE, CHANGE_TIME = 11, 12, 13
+CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED = 11, 12, 13, 14
 COUNTERS = 16
 
-# Places in `stay`: samples, sums of residuals and derivatives, variance of the map.
-SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP, CHANGE_SIZE, STAY = 0, 1, 2, 3, 4, 5, 6
+# Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
+SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP = 0, 1, 2, 3, 4
+KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 5, 6, 7, 8  # what the cell knew when the stay began
 
 _OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
 _EXTRAPOLATING = int(Status.EXTRAPOLATING)
@@ -129,9 +130,14 @@ def _learn(
     if counters[FITTED]:
         residual = batch.residual[i]
         weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], room)
-        if counters[STAY_CELL] != number or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
+        is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
+        if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
             _end_stay(memory, room)
+        if memory.stay[SAMPLES] == 0.0:
+            _begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
         _note_stay(number, side, batch.t[i], residual, weight, memory, at)
+        if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
+            _end_stay(memory, room)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
     scalars[fits.SCALE_WEIGHT] += 1.0
     scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
@@ -139,6 +145,9 @@ def _learn(
     way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
     alike = scalars[fits.COLOUR] * math.exp(-way)
     worth = (1.0 - alike) / (1.0 + alike)
+    if counters[FITTED]:  # what a stay has in common: where gain and edge are
+        shared = rules.SHARED * (at[TOTAL] - at[SURE])
+        weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
     deposit(memory.cells[number], at[PLACE_U], r, Q / gain, weight, worth, rules.MEMORY)
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
@@ -198,7 +207,6 @@ def _trust(
     by_map = fits.outlier_weight(residual * residual, noise + variance, width)
     doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]
     weight = max(by_map, fits.outlier_weight(error * error, doubt, width))
-    cell[REFUSALS] = cell[REFUSALS] + 1.0 if weight < 0.5 else 0.0
     if cell[REFUSALS] >= rules.REFUSED:
         cell[:] = 0.0
         weight = 1.0
@@ -232,6 +240,17 @@ def _note_error(error: float, weight: float, count: float, age: int, scalars: Fl
 
 
 @inner
+def _begin_stay(
+    axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles, room: Room
+) -> None:
+    """Note what the cell knows: later it knows the stay's own samples."""
+    memory.stay[KNOWN_COUNT], memory.stay[KNOWN_OFF] = cell[COUNT], 0.0
+    if cell[COUNT] > 0.0:
+        own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
+        memory.stay[KNOWN_OFF] = gain * (cell[MEAN_Q] - own)
+
+
+@inner
 def _note_stay(
     number: int, side: int, t: int, residual: float, weight: float, memory: Memory, at: Floats
 ) -> None:
@@ -254,25 +273,40 @@ def _end_stay(memory: Memory, room: Room) -> None:
     """Let the drift learn from the stay that ends."""
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     many = stay[SAMPLES]
-    if many > 0.0:
+    if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
+        cell = memory.cells[counters[STAY_CELL]]
+        cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
+    is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE]
+    if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
         side, now = counters[STAY_SIDE], counters[STAY_TIME]
         last = counters[CLOCK + side]
         dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
         counters[CLOCK + side] = now
         rho = scalars[fits.COLOUR]
         noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / many, 1.0)
+        alike = rho**many
+        noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
+        of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
+        of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
+        share = of_map / (of_map + of_cell)
+        residual = stay[RESIDUAL] / many - share * off
         drift = Drift(
             memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
         )
-        before = drift.chance[drifts.JUMPED]
+        young = counters[USED] < rules.MATURE
+        jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         drifts.step(
-            drift, dt, stay[RESIDUAL] / many, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
-            stay[OF_MAP] / many + noise,
+            drift, dt, jumps, residual, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
+            noise + share * of_cell,
         )  # fmt: skip
-        if drift.chance[drifts.JUMPED] > 0.5 >= before:
+        jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+        if jumped > rules.CERTAIN and not counters[ALARMED]:
+            counters[ALARMED] = 1
             counters[CHANGES] += 1
             counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
-            stay[CHANGE_SIZE] = stay[RESIDUAL] / many
+            stay[CHANGE_SIZE] = residual
+        elif jumped < rules.OVER:
+            counters[ALARMED] = 0
     stay[:CHANGE_SIZE] = 0.0
 
 
