@@ -36,7 +36,7 @@ class FlowMapState(State):
         Local precisions of the prior along U and s.
     x, P, chance, now : (2, …)
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
-    stay : (8,)
+    stay : (9,)
         The stay in a cell that lasts, see :mod:`kernels.flow_run`.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_run`.

@@ -31,12 +31,13 @@ from valvemap.model.samples import Floats, Singles, Status, Times
 USED, NEXT_FIT, FITTED, FITS, NEXT_START = 0, 1, 2, 3, 4
 CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
 STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
-CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED = 11, 12, 13, 14
+CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS = 11, 12, 13, 14, 15  # STAYS: of one visit
 COUNTERS = 16
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP = 0, 1, 2, 3, 4
-KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 5, 6, 7, 8  # what the cell knew when the stay began
+APART = 5  # sum of squared distances from the cell's mean, in cells
+KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 6, 7, 8, 9  # what the cell knew when the stay began
 
 _OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
 _EXTRAPOLATING = int(Status.EXTRAPOLATING)
@@ -135,7 +136,8 @@ def _learn(
             _end_stay(memory, room)
         if memory.stay[SAMPLES] == 0.0:
             _begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
-        _note_stay(number, side, batch.t[i], residual, weight, memory, at)
+        apart = _apart(axis_U, axis_s, memory.cells[number], number, at)
+        _note_stay(number, side, batch.t[i], residual, weight, apart, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
             _end_stay(memory, room)
     share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
@@ -251,11 +253,24 @@ def _begin_stay(
 
 
 @inner
+def _apart(axis_U: Axis, axis_s: Axis, cell: Singles, number: int, at: Floats) -> float:
+    """Squared distance of a sample from its cell's mean, in sizes of the cell."""
+    parts = len(axis_s.breaks) - 1
+    i, j = number // parts, number % parts
+    du = (at[PLACE_U] - cell[MEAN_U]) / (axis_U.breaks[i + 1] - axis_U.breaks[i])
+    ds = (at[PLACE_S] - cell[MEAN_S]) / (axis_s.breaks[j + 1] - axis_s.breaks[j])
+    return float(du * du + ds * ds)
+
+
+@inner
 def _note_stay(
-    number: int, side: int, t: int, residual: float, weight: float, memory: Memory, at: Floats
-) -> None:
+    number: int, side: int, t: int, residual: float, weight: float, apart: float, memory: Memory,
+    at: Floats,
+) -> None:  # fmt: skip
     """Add a sample to the stay in its cell; a single one that is refused is left out."""
     counters, stay = memory.counters, memory.stay
+    if stay[SAMPLES] == 0.0:
+        counters[STAYS] = counters[STAYS] + 1 if number == counters[STAY_CELL] else 1
     counters[STAY_CELL], counters[STAY_SIDE], counters[STAY_TIME] = number, side, t
     if weight < 0.5 and counters[SKIPPED] == 0:
         counters[SKIPPED] = 1
@@ -266,6 +281,7 @@ def _note_stay(
     stay[BY_GAIN] += at[OF_GAIN]
     stay[BY_EDGE] += at[OF_EDGE]
     stay[OF_MAP] += at[SURE]
+    stay[APART] += apart
 
 
 @inner
@@ -287,6 +303,7 @@ def _end_stay(memory: Memory, room: Room) -> None:
         alike = rho**many
         noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
         of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
+        of_cell += stay[APART] / many * stay[OF_MAP] / many
         of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
         share = of_map / (of_map + of_cell)
         residual = stay[RESIDUAL] / many - share * off
@@ -297,7 +314,7 @@ def _end_stay(memory: Memory, room: Room) -> None:
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         drifts.step(
             drift, dt, jumps, residual, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
-            noise + share * of_cell,
+            counters[STAYS] * (noise + share * of_cell),
         )  # fmt: skip
         jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
         if jumped > rules.CERTAIN and not counters[ALARMED]:
@@ -305,9 +322,9 @@ def _end_stay(memory: Memory, room: Room) -> None:
             counters[CHANGES] += 1
             counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
             stay[CHANGE_SIZE] = residual
-        elif jumped < rules.OVER:
+        elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
             counters[ALARMED] = 0
-    stay[:CHANGE_SIZE] = 0.0
+    stay[:KNOWN_COUNT] = 0.0
 
 
 @lean_kernel
