@@ -152,7 +152,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     counters = state.counters
     used = int(counters[flow_run.USED])
     fitted = bool(counters[flow_run.FITTED])
-    rounds = rules.FIRST_ROUNDS if used < rules.YOUNG else rules.LATER_ROUNDS
+    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
     counters[flow_run.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
     if used >= counters[flow_run.NEXT_START]:
         counters[flow_run.NEXT_START] = 2 * used

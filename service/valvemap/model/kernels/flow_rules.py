@@ -12,9 +12,8 @@ MEMORY: Final = 500.0  # samples; what a cell remembers: .05 σ, less than a map
 FIRST_FIT: Final = 24  # samples; before the first fit: a few more than eq. (7) has parameters
 GROWTH: Final = 5  # a fit is due when the samples grew by 1 / GROWTH: bounds the cost of all fits
 MOST_BETWEEN: Final = 2048  # samples; between two fits: 20 s at 100 Hz
-FIRST_ROUNDS: Final = 8  # rounds of hyper-parameters at the first fits; later ones start from these
-LATER_ROUNDS: Final = 3
-YOUNG: Final = 60  # samples; up to which FIRST_ROUNDS hold
+FIRST_ROUNDS: Final = 8  # rounds of hyper-parameters from the first guess, at most
+LATER_ROUNDS: Final = 2  # rounds from those of the last fit, at most
 SECOND_START: Final = (
     300  # samples; from which on, at each doubling, hyper-parameters are estimated
 )
