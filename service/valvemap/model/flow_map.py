@@ -150,7 +150,7 @@ def _room() -> flow_run.Room:
 def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     """Fit the map, written in place, and set when the next fit is due."""
     counters = state.counters
-    used = int(counters[flow_run.USED])
+    used = int(counters[flow_run.USED] - counters[flow_run.BEGAN])
     fitted = bool(counters[flow_run.FITTED])
     rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
     counters[flow_run.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
@@ -165,7 +165,7 @@ def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
                 getattr(state, name)[:] = getattr(other, name)
     counters[flow_run.FITS] += 1
     ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
-    counters[flow_run.NEXT_FIT] = used + ahead
+    counters[flow_run.NEXT_FIT] = counters[flow_run.USED] + ahead
 
 
 def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
-from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_run
+from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_play, flow_run
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
@@ -38,6 +38,8 @@ class FlowMapState(State):
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
     stay : (9,)
         The stay in a cell that lasts, see :mod:`kernels.flow_run`.
+    play : (PLACES,)
+        Play between U and the spool, see :mod:`kernels.flow_play`.
     scalars, counters
         See :mod:`kernels.flow_fit` and :mod:`kernels.flow_run`.
     """
@@ -54,6 +56,7 @@ class FlowMapState(State):
     chance: Floats
     now: Floats
     stay: Floats
+    play: Floats
     scalars: Floats
     counters: Counts
 
@@ -101,17 +104,20 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     counters = np.zeros(flow_run.COUNTERS, np.int64)
     counters[flow_run.NEXT_FIT] = rules.FIRST_FIT
     counters[flow_run.NEXT_START] = rules.SECOND_START
-    return FlowMapState(
+    state = FlowMapState(
         cells=cells,
         theta=np.zeros(n_U * n_s),
         std=np.zeros(n_U * n_s, np.float32),
         w=np.ones(n_U - 2),
         v=np.ones(n_s - 2),
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
-        P=np.tile(flow_drift.first_covariance(), (2, 1, 1, 1)),
-        chance=np.tile(flow_drift.first_chance(), (2, 1)),
+        P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
+        chance=np.zeros((2, flow_drift.MODELS)),
         now=np.zeros((2, flow_drift.NOW)),
         stay=np.zeros(flow_run.STAY),
+        play=np.zeros(flow_play.PLACES),
         scalars=np.zeros(flow_fit.SCALARS),
         counters=counters,
     )
+    flow_drift.begin(state.x, state.P, state.chance, state.now)
+    return state

@@ -15,10 +15,8 @@ filters of its own. States are a, e, da/dt, de/dt (1, %, 1/s, %/s).
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from valvemap.model.kernels import flow_rules as rules
-from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
 STILL, MOVING, OTHER_GAIN, OTHER_EDGE, MODELS = 0, 1, 2, 3, 4
@@ -50,17 +48,20 @@ class Drift(NamedTuple):
     room: Floats
 
 
-def first_chance() -> Floats:
-    """Probabilities of the models before the first sample, (MODELS,)."""
-    moving = rules.PERSISTENCE / (rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
-    return np.array([1.0 - moving, moving, 0.0, 0.0])
-
-
-def first_covariance() -> Floats:
-    """Covariances before the first sample, (MODELS, STATES, STATES): gain and edge are 0 then."""
-    P = np.zeros((MODELS, STATES, STATES))
+@inner
+def forget(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
+    """Begin: gain and edge are 0, and may be about to drift."""
+    x[:], P[:], chance[:], now[:] = 0.0, 0.0, 0.0, 0.0
     P[MOVING, 2, 2], P[MOVING, 3, 3] = (rules.RATE_GAIN / 3600) ** 2, (rules.RATE_EDGE / 3600) ** 2
-    return P
+    chance[MOVING] = rules.PERSISTENCE / (rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
+    chance[STILL] = 1.0 - chance[MOVING]
+
+
+@kernel
+def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
+    """`forget` both sides."""
+    for side in range(2):
+        forget(x[side], P[side], chance[side], now[side])
 
 
 @inner

@@ -1,4 +1,7 @@
-"""Every number of `FlowMap` that is chosen rather than estimated: unit; meaning; reason."""
+"""Every number of `FlowMap` that is chosen rather than estimated: unit; meaning; reason.
+
+They are compiled in: a change of one is a change of every kernel (`kernels.compiled`).
+"""
 
 from typing import Final
 
@@ -69,7 +72,7 @@ BETWEEN_DRIFTS: Final = 36_000.0  # s; how long nothing drifts, about
 JUMP_GAIN: Final = 0.1  # standard deviation of a sudden change of the gain
 JUMP_EDGE: Final = 2.0  # %; standard deviation of a sudden shift of the edge
 AFTER_JUMP: Final = 10.0  # s; how long a sudden change is a hypothesis of its own, about
-MATURE: Final = 1000  # samples; before them no sudden change is looked for: the map is not sure
+MATURE: Final = 3000  # samples; before them no sudden change is looked for: the map is not sure
 BETWEEN_JUMPS: Final = 360_000.0  # s; between two sudden changes, about
 VISITED: Final = 1.0  # samples in a cell from which on a stay in it tells what moves
 SHARED: Final = 8.0  # samples that have the doubt about gain and edge in common, when they are
@@ -78,3 +81,13 @@ REFUSED: Final = 3.0  # stays in a row; refused as outliers, they are what the c
 SHORTEST_STAY: Final = 4  # samples; of which a stay consists that is refused
 CERTAIN: Final = 0.95  # probability of a sudden change from which on it is published
 OVER: Final = 0.05  # probability of a sudden change below which the last one is over
+
+# Play.
+HALF_PLAYS: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)  # %; hypotheses
+PLAY_GAIN: Final = 150.0  # log likelihood by which another half play is taken: samples of a hold
+# have the map's misfit in common
+SETTLED_MAP: Final = 150  # samples of a map from which on it tells what moves in time
+PLAY_FROM: Final = 200  # samples of a map from which on it tells of play
+PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
+PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
+PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made

@@ -11,6 +11,7 @@ import numpy as np
 
 from valvemap.model.kernels import flow_drift as drifts
 from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_play as plays
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.compiled import inner, lean_kernel
 from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
@@ -31,8 +32,9 @@ from valvemap.model.samples import Floats, Singles, Status, Times
 USED, NEXT_FIT, FITTED, FITS, NEXT_START = 0, 1, 2, 3, 4
 CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
 STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
-CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS = 11, 12, 13, 14, 15  # STAYS: of one visit
-COUNTERS = 16
+CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15, 16
+# STAYS: of one visit; BEGAN: samples when the map began again
+COUNTERS = 17
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
 SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP = 0, 1, 2, 3, 4
@@ -57,6 +59,7 @@ class Memory(NamedTuple):
     chance: Floats
     now: Floats
     stay: Floats
+    play: Floats
 
 
 class Batch(NamedTuple):
@@ -82,7 +85,7 @@ class Room(NamedTuple):
 
 
 # Places in `Room.at`: what the map says at one point.
-FLOW, OF_GAIN, OF_EDGE, SURE, TOTAL, PLACE_U, PLACE_S, AT = 0, 1, 2, 3, 4, 5, 6, 7
+FLOW, OF_GAIN, OF_EDGE, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, AT = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 @lean_kernel
@@ -104,8 +107,22 @@ def run(
         batch.status[i] = _learn(i, batch, U, s, Q, axis_U, axis_s, memory, room)
         if counters[USED] >= counters[NEXT_FIT]:
             _end_stay(memory, room)
+            if plays.decide(memory.play):
+                begin_again(memory)
             return i + 1
     return stop
+
+
+@inner
+def begin_again(memory: Memory) -> None:
+    """Forget the cells, as their U was that of another play; scales stay."""
+    memory.cells[:] = 0.0
+    memory.counters[FITTED] = 0
+    memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
+    memory.counters[BEGAN] = memory.counters[USED]
+    memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
+    for side in range(2):
+        drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
 
 
 @inner
@@ -115,8 +132,10 @@ def _learn(
 ) -> int:  # fmt: skip
     """Predict one sample, then learn from it; give its status."""
     scalars, counters, at = memory.scalars, memory.counters, room.at
-    u, is_beyond = clipped(axis_U, U)
+    _, is_beyond = clipped(axis_U, U)
     r, is_beyond_s = clipped(axis_s, s)
+    spool = memory.play[plays.SPOOL] if is_beyond or is_beyond_s else plays.follow(memory.play, U)
+    u, _ = clipped(axis_U, spool)
     known, side = False, 0 if U >= 0.0 else 1
     place(axis_U, memory, side, u, r, at)
     if counters[FITTED]:
@@ -130,12 +149,17 @@ def _learn(
     weight = 1.0
     if counters[FITTED]:
         residual = batch.residual[i]
+        slope = at[SLOPE]
         weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], room)
+        is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
         is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
         if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
             _end_stay(memory, room)
         if memory.stay[SAMPLES] == 0.0:
             _begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
+        known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
+        if weight > 0.5 and known_well and not is_young:
+            plays.weigh(memory.play, U, residual, slope, scalars[fits.VARIANCE] + at[SURE])
         apart = _apart(axis_U, axis_s, memory.cells[number], number, at)
         _note_stay(number, side, batch.t[i], residual, weight, apart, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
@@ -185,6 +209,7 @@ def look(
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
     at[FLOW], at[OF_GAIN] = gain * flow, flow
+    at[SLOPE] = gain * slope
     at[OF_EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
     at[SURE] = gain * gain * (spread * spread + memory.scalars[fits.MISFIT])
     moved = flow * flow * now[drifts.VAR_GAIN] + at[OF_EDGE] ** 2 * now[drifts.VAR_EDGE]
@@ -217,7 +242,7 @@ def _trust(
         if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
             cell[:] = 0.0
     if cell[COUNT] > 0.0 and variance < noise:
-        _note_error(error, weight, cell[COUNT], counters[USED], scalars)
+        _note_error(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
     else:
         scalars[fits.LAST_ERROR] = 0.0
     return weight
@@ -289,19 +314,20 @@ def _end_stay(memory: Memory, room: Room) -> None:
     """Let the drift learn from the stay that ends."""
     counters, scalars, stay = memory.counters, memory.scalars, memory.stay
     many = stay[SAMPLES]
+    rho = scalars[fits.COLOUR]
+    noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / max(many, 1.0), 1.0)
+    alike = rho**many
+    noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
     if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
         cell = memory.cells[counters[STAY_CELL]]
         cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
     is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE]
+    is_sure = is_sure and counters[USED] - counters[BEGAN] >= rules.SETTLED_MAP
     if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
         side, now = counters[STAY_SIDE], counters[STAY_TIME]
         last = counters[CLOCK + side]
         dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
         counters[CLOCK + side] = now
-        rho = scalars[fits.COLOUR]
-        noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / many, 1.0)
-        alike = rho**many
-        noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
         of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
         of_cell += stay[APART] / many * stay[OF_MAP] / many
         of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
@@ -310,7 +336,7 @@ def _end_stay(memory: Memory, room: Room) -> None:
         drift = Drift(
             memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
         )
-        young = counters[USED] < rules.MATURE
+        young = counters[USED] - counters[BEGAN] < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         drifts.step(
             drift, dt, jumps, residual, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
