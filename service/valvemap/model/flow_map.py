@@ -117,7 +117,7 @@ class FlowMap:
     def adaptation_many(self, states: FlowMapState) -> Codes:
         """`adaptation` of M models (M,): drift where it is likelier than not on either side."""
         moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
-        young = states.counters[..., flow_run.USED] < rules.MATURE
+        young = states.counters[..., flow_run.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
         return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
 

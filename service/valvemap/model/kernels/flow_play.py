@@ -74,7 +74,7 @@ def decide(play: Floats) -> bool:
             half += (
                 0.5 * (fall_left * right - fall_right * left) / max(fall_left + fall_right, 1e-300)
             )
-        is_far = abs(half - play[HALF]) > rules.PLAY_STEP
+        is_far = bool(abs(half - play[HALF]) > rules.PLAY_STEP)
         play[HALF] = min(max(half, 0.0), GRID[MANY - 1])
         play[SPOOL] = play[SPOOLS + best]
         _forget(play)

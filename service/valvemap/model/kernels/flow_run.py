@@ -159,7 +159,11 @@ def _learn(
             _begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
         known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
         if weight > 0.5 and known_well and not is_young:
-            plays.weigh(memory.play, U, residual, slope, scalars[fits.VARIANCE] + at[SURE])
+            visit = 0.0  # samples in this cell so far: all have the map's misfit in common
+            if counters[STAY_CELL] == number:
+                visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
+            doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
+            plays.weigh(memory.play, U, residual, slope, doubt)
         apart = _apart(axis_U, axis_s, memory.cells[number], number, at)
         _note_stay(number, side, batch.t[i], residual, weight, apart, memory, at)
         if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
