@@ -165,6 +165,22 @@ def damaged(name, seed, at=10_000, size=-0.1):
     return Row(c.samples_of(U, dp, Q), (at + 250, N), (now, now))
 
 
+def behind(U, width):
+    """A spool behind a play of ``width`` %."""
+    spool, p = np.empty(len(U)), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - width / 2.0), u + width / 2.0)
+        spool[i] = p
+    return spool
+
+
+def slack(name, width, seed, N=20_000):
+    """A spool with play; the truth is the middle of the loop."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    return Row(c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N)), (N,), (valve,))
+
+
 def _times(valve, factor, U, dp):
     return factor * valve(U, dp)
 
@@ -190,4 +206,9 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     **{f"-15 %/h, ordinary, {fs} Hz": partial(fading, "ordinary", fs) for fs in RATES},
     **{f"overlap + 4 %/h, {fs} Hz": partial(growing, fs) for fs in RATES},
     "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
+    **{
+        f"play {width} %, {name}, cycle, 20000": partial(slack, name, width)
+        for name in ("ordinary", "saturating")
+        for width in (2, 4, 6)
+    },
 }

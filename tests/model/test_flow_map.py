@@ -135,6 +135,25 @@ def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
     assert judged(FlowMap(), state, lambda U, dp: 0.9 * bent(U, dp))[0] < 1.0
 
 
+@pytest.mark.parametrize("width", [0.0, 3.0])
+def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_loop(width):
+    U, dp = cycle(13, 20_000, 100.0)
+    spool, p = np.empty_like(U), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - width / 2), u + width / 2)
+        spool[i] = p
+    state, _ = learnt(U, dp, bent(spool, dp))
+    assert 2 * state.play[0] == pytest.approx(width, abs=0.2)
+    assert judged(FlowMap(), state, bent, low=8.0)[0] < 0.5
+
+
+def test_a_machine_at_rest_tells_of_no_play():
+    U, dp = cycle(14, 4000, 100.0)
+    U[2000:], dp[2000:] = 50.0, 100.0
+    state, _ = learnt(U, dp, bent(U, dp) + np.where(np.arange(4000) < 2000, 0.0, 0.3))
+    assert state.play[0] == 0.0
+
+
 def test_a_healthy_valve_neither_drifts_nor_changes():
     U, dp = cycle(9, 20_000, 100.0)
     state, _ = learnt(U, dp, bent(U, dp))

@@ -61,7 +61,7 @@ def weigh(play: Floats, U: float, residual: float, slope: float, variance: float
 @inner
 def decide(play: Floats) -> bool:
     """Take another half play where it is likelier by far; True: the map has to begin again."""
-    best, most = -1, rules.PLAY_GAIN
+    best, most = -1, rules.PLAY_GAIN if play[HALF] == 0.0 else rules.PLAY_AGAIN
     for k in range(MANY):
         if play[GAINS + k] > most:
             best, most = k, play[GAINS + k]

@@ -84,10 +84,11 @@ OVER: Final = 0.05  # probability of a sudden change below which the last one is
 
 # Play.
 HALF_PLAYS: Final = (0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)  # %; hypotheses
-PLAY_GAIN: Final = 80.0  # log likelihood by which another half play is taken: samples of a hold
+PLAY_GAIN: Final = 300.0  # log likelihood by which another half play is taken: samples of a hold
 # have the map's misfit in common
 SETTLED_MAP: Final = 150  # samples of a map from which on it tells what moves in time
-PLAY_FROM: Final = 200  # samples of a map from which on it tells of play
+PLAY_AGAIN: Final = 100.0  # the same where there is some already
+PLAY_FROM: Final = 300  # samples of a map from which on it tells of play
 PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
 PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
 PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made

@@ -211,6 +211,10 @@ def look(
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
     flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    along = math.copysign(1.0, at[PLACE_S]) * (1.0 if side == 0 else -1.0)
+    least = -rules.ZERO_FLOW * math.sqrt(memory.scalars[fits.SCALE])
+    if flow * along < least:  # flow does not run against Δp but for an offset of the meter
+        flow, slope = least * along, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
     at[FLOW], at[OF_GAIN] = gain * flow, flow
     at[SLOPE] = gain * slope
