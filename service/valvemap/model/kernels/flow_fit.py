@@ -18,7 +18,7 @@ from valvemap.model.kernels import flow_solve as solved
 from valvemap.model.kernels.banded import factorise, invert_band
 from valvemap.model.kernels.compiled import inner, kernel, maker
 from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.kernels.flow_cells import COUNT, Cells
+from valvemap.model.kernels.flow_cells import COUNT, MEAN_Q, MEAN_S, MEAN_U, Cells
 from valvemap.model.kernels.flow_solve import Design, Solution
 from valvemap.model.kernels.flow_spread import spread
 from valvemap.model.samples import Floats, Singles
@@ -35,6 +35,7 @@ LAST_U, LAST_S = 15, 16  # of the last sample
 PLAIN = 17  # probability of eq. (7)
 SCALE_BEFORE = 18  # mean square of the flow at the last fit
 EVIDENCE = 19  # log marginal likelihood, but for a constant
+LEAST = 20  # flow against Δp that the meter shows: its offset
 SCALARS = 24
 
 
@@ -94,6 +95,7 @@ def fit(
     zeta, root = to.scalars[solved.ZETA], to.scalars[solved.ROOT]
     for p in range(len(theta)):
         theta[p] = to.beta[p] + zeta * axis_s.squares[p % n_s]
+    scalars[LEAST] = _least(cells, scale)
     scalars[FREE] = to.scalars[solved.FREE]
     scalars[EVIDENCE] = _evidence(2 * n_s + 3, scalars, to)
     spread(axis_U, axis_s, to.Z, to.lifted[0], root, theta, work, std)
@@ -101,6 +103,17 @@ def fit(
         axis_U, axis_s, of, to.scalars[solved.LEFT], to.scalars[solved.FREE], theta, std
     )
     return True
+
+
+@inner
+def _least(cells: Cells, scale: float) -> float:
+    """Largest flow against Δp that cells of many samples show, as a negative number."""
+    least = 0.0
+    for c in range(len(cells)):
+        if cells[c, COUNT] >= rules.SURE_CELL:
+            towards = cells[c, MEAN_S] * (1.0 if cells[c, MEAN_U] >= 0.0 else -1.0)
+            least = min(least, math.copysign(1.0, towards) * cells[c, MEAN_Q])
+    return max(least, -rules.ZERO_FLOW * math.sqrt(scale))
 
 
 @inner

@@ -56,6 +56,7 @@ OUTLIER_WIDTH: Final = 4.0  # root mean squares of the flow; width of their even
 FEW: Final = 4.0  # samples in a cell up to which an outlier may have been among them
 DOUBTED: Final = 0.01  # probability below which a cell of few samples began with an outlier
 HUGE: Final = 1e9  # of any signal; beyond it squares leave the range of numbers
+SURE_CELL: Final = 16.0  # samples in a cell from which on its mean tells the meter's offset
 UNKNOWN: Final = 0.5  # of the flow; standard deviation beyond which the map is not known
 BEYOND: Final = 0.05  # of the range; how far samples may lie outside and still count at its border
 

@@ -212,7 +212,7 @@ def look(
     flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     along = math.copysign(1.0, at[PLACE_S]) * (1.0 if side == 0 else -1.0)
-    least = -rules.ZERO_FLOW * math.sqrt(memory.scalars[fits.SCALE])
+    least = memory.scalars[fits.LEAST]
     if flow * along < least:  # flow does not run against Δp but for an offset of the meter
         flow, slope = least * along, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
