@@ -181,6 +181,21 @@ def slack(name, width, seed, N=20_000):
     return Row(c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N)), (N,), (valve,))
 
 
+def oily(U, dp, T):
+    """A laminar edge that moves with the viscosity of ISO VG 46, leakage past closed lands."""
+    thin = np.exp(-0.034 * (T - 40.0) + 1.3e-4 * (T - 40.0) ** 2)
+    opening, half = np.clip((U - 5.0) / 95.0, 0.0, 1.0) ** 1.2, np.sqrt(thin)
+    return 12.0 * opening * (np.sqrt(dp + half**2) - half) + 0.008 * dp / thin
+
+
+def warmed(asked, seed, N=120_000):
+    """Oil from 20 to 60 °C and back within 20 minutes."""
+    U, dp = c.cycle(seed, N)
+    T = 20.0 + 40.0 * np.sin(np.pi * np.arange(N) / N) ** 2
+    samples = c.samples_of(U, dp, oily(U, dp, T) + c.white(seed, N), T)
+    return Row(samples, (N,), (partial(oily, T=asked),), T=asked)
+
+
 def _times(valve, factor, U, dp):
     return factor * valve(U, dp)
 
@@ -206,6 +221,7 @@ ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
     **{f"-15 %/h, ordinary, {fs} Hz": partial(fading, "ordinary", fs) for fs in RATES},
     **{f"overlap + 4 %/h, {fs} Hz": partial(growing, fs) for fs in RATES},
     "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
+    **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 40, 60)},
     **{
         f"play {width} %, {name}, cycle, 20000": partial(slack, name, width)
         for name in ("ordinary", "saturating")

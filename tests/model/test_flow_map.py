@@ -44,11 +44,11 @@ def cycle(seed, N, fs):
     return path(0, 100), path(3, 195)
 
 
-def learnt(U, dp, Q, fs=100.0, estimator=None):
+def learnt(U, dp, Q, fs=100.0, estimator=None, T=None):
     estimator = estimator or FlowMap()
     t = 1_700_000_000_000_000_000 + (1e9 / fs * np.arange(len(U))).astype(np.int64)
     noise = SIGMA * np.random.default_rng(len(U)).normal(size=len(U))
-    samples = Samples.of(t, U, dp, 0 * dp, Q + noise)
+    samples = Samples.of(t, U, dp, 0 * dp, Q + noise, T)
     return estimator.update(estimator.initial_state(), samples)
 
 
@@ -107,7 +107,7 @@ def test_a_gain_that_drifts_is_followed_in_seconds_whatever_the_rate_of_samples(
     assert rmse < 0.6
     assert held > 0.8
     assert FlowMap().adaptation(state) == Adaptation.DRIFT
-    assert state.now[0, 5] * 3600 == pytest.approx(-0.15, abs=0.05)
+    assert FlowMap().rates(state)[0][0, 0] == pytest.approx(-0.15, abs=0.05)
 
 
 def test_an_overlap_that_grows_is_a_shift_of_the_edge():
@@ -122,7 +122,7 @@ def test_an_overlap_that_grows_is_a_shift_of_the_edge():
     rmse, held = judged(FlowMap(), state, valve)
     assert rmse < 0.4
     assert held > 0.8
-    assert state.now[0, 6] * 3600 == pytest.approx(4.0, abs=1.5)
+    assert FlowMap().rates(state)[0][0, 1] == pytest.approx(4.0, abs=1.5)
 
 
 def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
@@ -143,15 +143,39 @@ def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_
         p = min(max(p, u - width / 2), u + width / 2)
         spool[i] = p
     state, _ = learnt(U, dp, bent(spool, dp))
-    assert 2 * state.play[0] == pytest.approx(width, abs=0.2)
+    assert FlowMap().play(state) == pytest.approx(width, abs=0.2)
     assert judged(FlowMap(), state, bent, low=8.0)[0] < 0.5
+
+
+def test_the_map_is_that_of_the_temperature_that_is_asked():
+    def oily(U, dp, T):
+        half = np.exp(-0.017 * (T - 40))
+        return 12 * np.clip((U - 5) / 95, 0, 1) * (np.sqrt(dp + half**2) - half)
+
+    N = 60_000
+    U, dp = cycle(15, N, 100.0)
+    T = 20 + 40 * np.sin(np.pi * np.arange(N) / N) ** 2
+    state, _ = learnt(U, dp, oily(U, dp, T), T=T)
+    rng = np.random.default_rng(99)
+    U, dp = rng.uniform(8, 95, 500), rng.uniform(10, 190, 500)
+    for asked in (22.0, 40.0, 58.0):
+        Q, _ = FlowMap().predict(state, U, dp, np.full(500, asked))
+        assert np.sqrt(np.mean((Q - oily(U, dp, asked)) ** 2)) < 1.0 * SIGMA
+    assert FlowMap().last_change(state) is None
+
+
+def test_where_no_temperature_is_measured_none_is_missed():
+    U, dp = scattered(16, 1000)
+    state, _ = learnt(U, dp, bent(U, dp), T=np.full(1000, np.nan))
+    known, unknown = (FlowMap().predict(state, U, dp, np.full(1000, T))[0] for T in (40.0, np.nan))
+    np.testing.assert_array_equal(known, unknown)
 
 
 def test_a_machine_at_rest_tells_of_no_play():
     U, dp = cycle(14, 4000, 100.0)
     U[2000:], dp[2000:] = 50.0, 100.0
     state, _ = learnt(U, dp, bent(U, dp) + np.where(np.arange(4000) < 2000, 0.0, 0.3))
-    assert state.play[0] == 0.0
+    assert FlowMap().play(state) == 0.0
 
 
 def test_a_healthy_valve_neither_drifts_nor_changes():

@@ -10,11 +10,12 @@ from valvemap.model.adaptation import Adaptation
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
-from valvemap.model.kernels import flow_drift, flow_fit, flow_run
+from valvemap.model.kernels import flow_drift, flow_fit, flow_play, flow_run
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
+SECONDS_PER_HOUR: Final = 3600.0
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -93,10 +94,9 @@ class FlowMap:
         self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
     ) -> tuple[Floats, Floats]:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
-        del T
         Q, std = np.empty((2, len(U)))
         both, room = axes(self.U_range, self.dp_range), _room()
-        flow_run.evaluate(*both, _memory(state), U, dp, Q, std, room)
+        flow_run.evaluate(*both, _memory(state), U, dp, T, Q, std, room)
         return Q, std
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
@@ -120,6 +120,17 @@ class FlowMap:
         young = states.counters[..., flow_run.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
         return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
+
+    def rates(self, state: FlowMapState) -> tuple[Floats, Floats]:
+        """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
+        rates = slice(flow_drift.LEVELS, flow_drift.RATES)
+        mean, covariance = state.now[:, 0, rates], state.now[:, 1:][:, rates, rates]
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR
+
+    def play(self, state: FlowMapState) -> float:
+        """Play between U and the spool, %."""
+        return 2.0 * float(state.play[flow_play.HALF])
 
     def change_counts(self, states: FlowMapState) -> Times:
         """How many sudden changes were found of each of M valves."""

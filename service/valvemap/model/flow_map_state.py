@@ -36,7 +36,7 @@ class FlowMapState(State):
         Local precisions of the prior along U and s.
     x, P, chance, now : (2, …)
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
-    stay : (9,)
+    stay : (15,)
         The stay in a cell that lasts, see :mod:`kernels.flow_run`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
@@ -66,6 +66,7 @@ class FlowMapState(State):
         positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
         positive += [flow_cells.REFUSALS]
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
+        scalars.within(-1e9, 1e9, flow_fit.FIRST_T).or_nan(flow_fit.FIRST_T)
         counters = Contents(self.counters)
         times = [flow_run.CLOCK, flow_run.CLOCK + 1, flow_run.STAY_TIME, flow_run.CHANGE_TIME]
         counters.any_time(times)
@@ -113,7 +114,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
         P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
         chance=np.zeros((2, flow_drift.MODELS)),
-        now=np.zeros((2, flow_drift.NOW)),
+        now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
         stay=np.zeros(flow_run.STAY),
         play=np.zeros(flow_play.PLACES),
         scalars=np.zeros(flow_fit.SCALARS),

@@ -20,11 +20,10 @@ from valvemap.model.kernels.compiled import inner, kernel
 from valvemap.model.samples import Floats
 
 STILL, MOVING, OTHER_GAIN, OTHER_EDGE, MODELS = 0, 1, 2, 3, 4
-STATES = 4
+LEVELS, RATES, STATES = 2, 4, 8  # states from LEVELS on are rates; from RATES on, effects of T
 
-# Places in `now`: gain and edge; their covariance; rates and their variances.
-GAIN, EDGE, VAR_GAIN, COV, VAR_EDGE, RATE_GAIN, RATE_EDGE, VAR_RATE_GAIN, VAR_RATE_EDGE = range(9)
-NOW = 9
+# Places of a state.
+GAIN, EDGE, RATE_GAIN, RATE_EDGE = 0, 1, 2, 3
 
 
 class Drift(NamedTuple):
@@ -36,8 +35,8 @@ class Drift(NamedTuple):
     P : (MODELS, STATES, STATES)
     chance : (MODELS,)
         Probabilities of the models.
-    now : (NOW,)
-        The mean over the models.
+    now : (1 + STATES, STATES)
+        Mean over the models, then the covariance.
     room : (2, MODELS, STATES + 1, STATES)
     """
 
@@ -55,6 +54,11 @@ def forget(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
     P[MOVING, 2, 2], P[MOVING, 3, 3] = (rules.RATE_GAIN / 3600) ** 2, (rules.RATE_EDGE / 3600) ** 2
     chance[MOVING] = rules.PERSISTENCE / (rules.PERSISTENCE + rules.BETWEEN_DRIFTS)
     chance[STILL] = 1.0 - chance[MOVING]
+    for m in range(MODELS):
+        for k in range(RATES, STATES):
+            P[m, k, k] = rules.WARMTH**2
+    for k in range(RATES, STATES):
+        now[1 + k, k] = rules.WARMTH**2
 
 
 @kernel
@@ -66,14 +70,15 @@ def begin(x: Floats, P: Floats, chance: Floats, now: Floats) -> None:
 
 @inner
 def step(
-    drift: Drift, dt: float, jumps: float, residual: float, flow: float, slope: float,
-    variance: float,
+    drift: Drift, dt: float, jumps: float, residual: float, by: Floats, variance: float
 ) -> None:  # fmt: skip
     """Advance by ``dt`` s, in which ``jumps`` are expected, then learn from a stay.
 
-    ``residual`` is measured against `now`; ``flow`` and ``slope`` are its derivatives by a and e.
+    ``residual`` is measured against `now`; ``by`` (STATES,) are its derivatives by the states.
     """
-    before = drift.now[GAIN], drift.now[EDGE]
+    known = residual
+    for k in range(STATES):
+        known += by[k] * drift.now[0, k]
     if dt > 0.0:
         _mix(drift, dt, jumps)
         _advance(drift, dt)
@@ -81,10 +86,14 @@ def step(
     largest = -math.inf
     for m in range(MODELS):
         x, P, said = drift.x[m], drift.P[m], drift.room[0, m]
-        off = residual - flow * (x[0] - before[0]) - slope * (x[1] - before[1])
+        off, S = known, variance
         for k in range(STATES):
-            said[0, k] = P[k, 0] * flow + P[k, 1] * slope
-        S = flow * said[0, 0] + slope * said[0, 1] + variance
+            off -= by[k] * x[k]
+            said[0, k] = 0.0
+            for j in range(STATES):
+                said[0, k] += P[k, j] * by[j]
+        for k in range(STATES):
+            S += by[k] * said[0, k]
         square = off * off / S
         heavy = min(1.0, rules.MOST_STAY / math.sqrt(max(square, 1e-300)))
         for k in range(STATES):
@@ -157,7 +166,7 @@ def _advance(drift: Drift, dt: float) -> None:
     for m in range(MODELS):
         x, P = drift.x[m], drift.P[m]
         if m != MOVING:
-            for k in range(2, STATES):
+            for k in range(LEVELS, RATES):
                 x[k] = 0.0
                 for j in range(STATES):
                     P[k, j] = P[j, k] = 0.0
@@ -169,7 +178,7 @@ def _advance(drift: Drift, dt: float) -> None:
                     P[k, j] += dt * P[k + 2, j]
                 for j in range(STATES):
                     P[j, k] += dt * P[j, k + 2]
-            for k in range(2, STATES):
+            for k in range(LEVELS, RATES):
                 x[k] *= keep
                 for j in range(STATES):
                     P[k, j] *= keep
@@ -186,14 +195,10 @@ def _combine(drift: Drift) -> None:
     x, P, chance, now = drift.x, drift.P, drift.chance, drift.now
     now[:] = 0.0
     for m in range(MODELS):
-        now[GAIN] += chance[m] * x[m, 0]
-        now[EDGE] += chance[m] * x[m, 1]
-        now[RATE_GAIN] += chance[m] * x[m, 2]
-        now[RATE_EDGE] += chance[m] * x[m, 3]
+        for k in range(STATES):
+            now[0, k] += chance[m] * x[m, k]
     for m in range(MODELS):
-        a, e = x[m, 0] - now[GAIN], x[m, 1] - now[EDGE]
-        now[VAR_GAIN] += chance[m] * (P[m, 0, 0] + a * a)
-        now[COV] += chance[m] * (P[m, 0, 1] + a * e)
-        now[VAR_EDGE] += chance[m] * (P[m, 1, 1] + e * e)
-        now[VAR_RATE_GAIN] += chance[m] * (P[m, 2, 2] + (x[m, 2] - now[RATE_GAIN]) ** 2)
-        now[VAR_RATE_EDGE] += chance[m] * (P[m, 3, 3] + (x[m, 3] - now[RATE_EDGE]) ** 2)
+        for k in range(STATES):
+            for j in range(STATES):
+                off = (x[m, k] - now[0, k]) * (x[m, j] - now[0, j])
+                now[1 + k, j] += chance[m] * (P[m, k, j] + off)

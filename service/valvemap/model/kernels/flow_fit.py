@@ -36,6 +36,7 @@ PLAIN = 17  # probability of eq. (7)
 SCALE_BEFORE = 18  # mean square of the flow at the last fit
 EVIDENCE = 19  # log marginal likelihood, but for a constant
 LEAST = 20  # flow against Δp that the meter shows: its offset
+FIRST_T = 21  # °C; of the first sample, NaN where it was not measured
 SCALARS = 24
 
 

@@ -93,3 +93,9 @@ PLAY_FROM: Final = 300  # samples of a map from which on it tells of play
 PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
 PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
 PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made
+
+# Temperature.
+THINNING: Final = 0.03  # 1/K; rate of the oil's viscosity, ISO VG 32-68 near 40 °C
+WARMTH: Final = 0.1  # of the flow; standard deviation of an effect of viscosity, before it is known
+STRONG: Final = 3.0  # times the standard deviation WARMTH; effects where flow is laminar
+LAMINAR: Final = 0.1  # of the largest √|Δp|; below it flow is laminar, about

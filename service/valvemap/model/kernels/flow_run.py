@@ -37,9 +37,10 @@ CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15,
 COUNTERS = 17
 
 # Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
-SAMPLES, RESIDUAL, BY_GAIN, BY_EDGE, OF_MAP = 0, 1, 2, 3, 4
-APART = 5  # sum of squared distances from the cell's mean, in cells
-KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 6, 7, 8, 9  # what the cell knew when the stay began
+SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
+APART = 3  # sum of squared distances from the cell's mean, in cells
+BY = 4  # sums of derivatives, drifts.STATES places
+KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 12, 13, 14, 15  # what the cell knew when the stay began
 
 _OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
 _EXTRAPOLATING = int(Status.EXTRAPOLATING)
@@ -85,7 +86,8 @@ class Room(NamedTuple):
 
 
 # Places in `Room.at`: what the map says at one point.
-FLOW, OF_GAIN, OF_EDGE, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, AT = 0, 1, 2, 3, 4, 5, 6, 7, 8
+FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
+AT = OF + drifts.STATES  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T
 
 
 @lean_kernel
@@ -138,13 +140,16 @@ def _learn(
     u, _ = clipped(axis_U, spool)
     known, side = False, 0 if U >= 0.0 else 1
     place(axis_U, memory, side, u, r, at)
+    if counters[USED] == 0:
+        scalars[fits.FIRST_T] = batch.T[i]
+    at[WARM] = 0.0
     if counters[FITTED]:
-        look(axis_U, axis_s, memory, side, u, room)
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
         batch.predicted[i], batch.residual[i] = at[FLOW], Q - at[FLOW]
         known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
     if is_beyond or is_beyond_s:
         return _EXTRAPOLATING
-    gain = 1.0 + memory.now[side, drifts.GAIN]
+    gain = 1.0 + memory.now[side, 0, drifts.GAIN]
     number = cell_of(axis_U, axis_s, at[PLACE_U], r)
     weight = 1.0
     if counters[FITTED]:
@@ -178,7 +183,9 @@ def _learn(
     if counters[FITTED]:  # what a stay has in common: where gain and edge are
         shared = rules.SHARED * (at[TOTAL] - at[SURE])
         weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
-    deposit(memory.cells[number], at[PLACE_U], r, Q / gain, weight, worth, rules.MEMORY)
+    deposit(
+        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
+    )
     scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
     counters[USED] += 1
     return _OK if known else _WARMING_UP
@@ -196,18 +203,18 @@ def clipped(axis: Axis, x: float) -> tuple[float, bool]:
 def place(axis_U: Axis, memory: Memory, side: int, u: float, r: float, at: Floats) -> None:
     """Where a point lies on the map as it was at first."""
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
-    shifted = u - memory.now[side, drifts.EDGE] * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    shifted = u - memory.now[side, 0, drifts.EDGE] * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
     at[PLACE_U] = min(max(shifted, axis_U.breaks[0]), axis_U.breaks[-1])
     at[PLACE_S] = r
 
 
 @inner
 def look(
-    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, room: Room
-) -> None:  # fmt: skip
+    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, thinner: float, room: Room
+) -> None:
     """Fill what the map says at a place: flow, derivatives, variances without and with drift."""
     at, now = room.at, memory.now[side]
-    gain = 1.0 + now[drifts.GAIN]
+    gain = 1.0 + now[0, drifts.GAIN]
     end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
     flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
     slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
@@ -216,12 +223,44 @@ def look(
     if flow * along < least:  # flow does not run against Δp but for an offset of the meter
         flow, slope = least * along, 0.0
     spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
-    at[FLOW], at[OF_GAIN] = gain * flow, flow
+    for k in range(drifts.STATES):
+        at[OF + k] = 0.0
+    at[OF + drifts.GAIN] = flow
     at[SLOPE] = gain * slope
-    at[OF_EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    at[OF + drifts.EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    _warm(axis_s, memory, flow, thinner, at)
+    for k in range(drifts.RATES, drifts.STATES):
+        at[WARM] += at[OF + k] * now[0, k]
+    at[FLOW] = gain * flow + at[WARM]
     at[SURE] = gain * gain * (spread * spread + memory.scalars[fits.MISFIT])
-    moved = flow * flow * now[drifts.VAR_GAIN] + at[OF_EDGE] ** 2 * now[drifts.VAR_EDGE]
-    at[TOTAL] = at[SURE] + max(moved + 2.0 * flow * at[OF_EDGE] * now[drifts.COV], 0.0)
+    moved = 0.0
+    for k in range(drifts.STATES):
+        for j in range(drifts.STATES):
+            moved += at[OF + k] * at[OF + j] * now[1 + k, j]
+    at[TOTAL] = at[SURE] + max(moved, 0.0)
+
+
+@inner
+def _warm(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats) -> None:
+    """Derivatives by the effects of T: gain, laminar flow by √ν and ν, leakage by 1/ν."""
+    top, s = axis_s.breaks[-1], at[PLACE_S]
+    laminar = rules.STRONG * flow * rules.LAMINAR * top / (abs(s) + rules.LAMINAR * top)
+    at[WARM] = 0.0
+    nu = 1.0 + thinner
+    at[OF + drifts.RATES] = math.log(nu) * flow
+    at[OF + drifts.RATES + 1] = (math.sqrt(nu) - 1.0) * laminar
+    at[OF + drifts.RATES + 2] = thinner * laminar
+    leakage = s * abs(s) / (top * top) * math.sqrt(memory.scalars[fits.SCALE])
+    at[OF + drifts.RATES + 3] = (1.0 / nu - 1.0) * leakage
+
+
+@inner
+def viscosity(memory: Memory, T: float) -> float:
+    """How much thicker the oil is than at the first sample, as a share; 0 where T is not known."""
+    first = memory.scalars[fits.FIRST_T]
+    if not (math.isfinite(T) and math.isfinite(first)):
+        return 0.0
+    return math.exp(min(max(rules.THINNING * (first - T), -2.0), 2.0)) - 1.0
 
 
 @inner
@@ -311,8 +350,8 @@ def _note_stay(
     counters[SKIPPED] = 0 if weight >= 0.5 else 1
     stay[SAMPLES] += 1.0
     stay[RESIDUAL] += residual
-    stay[BY_GAIN] += at[OF_GAIN]
-    stay[BY_EDGE] += at[OF_EDGE]
+    for k in range(drifts.STATES):
+        stay[BY + k] += at[OF + k]
     stay[OF_MAP] += at[SURE]
     stay[APART] += apart
 
@@ -344,11 +383,13 @@ def _end_stay(memory: Memory, room: Room) -> None:
         drift = Drift(
             memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
         )
+        by = stay[BY : BY + drifts.STATES]
+        for k in range(drifts.STATES):
+            by[k] /= many
         young = counters[USED] - counters[BEGAN] < rules.MATURE
         jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
         drifts.step(
-            drift, dt, jumps, residual, stay[BY_GAIN] / many, stay[BY_EDGE] / many,
-            counters[STAYS] * (noise + share * of_cell),
+            drift, dt, jumps, residual, by, counters[STAYS] * (noise + share * of_cell)
         )  # fmt: skip
         jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
         if jumped > rules.CERTAIN and not counters[ALARMED]:
@@ -363,7 +404,8 @@ def _end_stay(memory: Memory, room: Room) -> None:
 
 @lean_kernel
 def evaluate(
-    axis_U: Axis, axis_s: Axis, memory: Memory, U: Floats, dp: Floats, Q: Floats, spread: Floats,
+    axis_U: Axis, axis_s: Axis, memory: Memory, U: Floats, dp: Floats, T: Floats, Q: Floats,
+    spread: Floats,
     room: Room,
 ) -> None:  # fmt: skip
     """Flow and its standard deviation at N points; NaN where a point or the map is not known."""
@@ -377,6 +419,6 @@ def evaluate(
         r, _ = clipped(axis_s, s)
         side = 0 if U[i] >= 0.0 else 1
         place(axis_U, memory, side, u, r, at)
-        look(axis_U, axis_s, memory, side, u, room)
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
         if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
             Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL])
