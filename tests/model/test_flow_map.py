@@ -8,7 +8,7 @@ import pytest
 from valvemap.model.adaptation import Adaptation
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
-from valvemap.model.kernels import flow_run
+from valvemap.model.kernels import flow_memory
 from valvemap.model.samples import Samples, Status
 
 SIGMA = 0.4
@@ -216,4 +216,4 @@ def test_a_range_of_dp_with_both_signs_gets_knots_on_both_sides():
 def test_fits_are_due_by_the_count_of_samples():
     U, dp = scattered(12, 500)
     state, _ = learnt(U, dp, bent(U, dp))
-    assert 500 < state.counters[flow_run.NEXT_FIT] <= 600
+    assert 500 < state.counters[flow_memory.NEXT_FIT] <= 600

@@ -10,7 +10,14 @@ from valvemap.model.adaptation import Adaptation
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
-from valvemap.model.kernels import flow_drift, flow_fit, flow_play, flow_run
+from valvemap.model.kernels import (
+    flow_drift,
+    flow_fit,
+    flow_look,
+    flow_memory,
+    flow_play,
+    flow_run,
+)
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
@@ -68,7 +75,7 @@ class FlowMap:
         N = len(samples)
         predicted, residual = np.full((2, N), np.nan)
         trace = Trace(predicted, residual, residual, np.zeros(N, np.uint8))
-        batch = flow_run.Batch(
+        batch = flow_memory.Batch(
             t=samples.t,
             U=samples.U,
             dp=samples.dp,
@@ -86,7 +93,7 @@ class FlowMap:
                 memory = _memory(state)
                 while row < stop:
                     row = flow_run.run(row, int(stop), batch, *both, memory, room)
-                    if state.counters[flow_run.USED] >= state.counters[flow_run.NEXT_FIT]:
+                    if state.counters[flow_memory.USED] >= state.counters[flow_memory.NEXT_FIT]:
                         _refit(state, *both)
         return trace
 
@@ -96,7 +103,7 @@ class FlowMap:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
         Q, std = np.empty((2, len(U)))
         both, room = axes(self.U_range, self.dp_range), _room()
-        flow_run.evaluate(*both, _memory(state), U, dp, T, Q, std, room)
+        flow_look.evaluate(*both, _memory(state), U, dp, T, Q, std, room)
         return Q, std
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
@@ -117,7 +124,7 @@ class FlowMap:
     def adaptation_many(self, states: FlowMapState) -> Codes:
         """`adaptation` of M models (M,): drift where it is likelier than not on either side."""
         moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
-        young = states.counters[..., flow_run.USED] < rules.SETTLED_MAP
+        young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP
         steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
         return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
 
@@ -134,49 +141,49 @@ class FlowMap:
 
     def change_counts(self, states: FlowMapState) -> Times:
         """How many sudden changes were found of each of M valves."""
-        return np.asarray(states.counters[..., flow_run.CHANGES])
+        return np.asarray(states.counters[..., flow_memory.CHANGES])
 
     def last_change(self, state: FlowMapState) -> Change | None:
         """Return the last sudden change of gain or edge, None if there was none."""
         counters = state.counters
-        if not counters[flow_run.CHANGES]:
+        if not counters[flow_memory.CHANGES]:
             return None
         return Change(
-            count=int(counters[flow_run.CHANGES]),
-            sample=int(counters[flow_run.CHANGE_SAMPLE]),
-            t=int(counters[flow_run.CHANGE_TIME]),
-            size=float(state.stay[flow_run.CHANGE_SIZE]),
+            count=int(counters[flow_memory.CHANGES]),
+            sample=int(counters[flow_memory.CHANGE_SAMPLE]),
+            t=int(counters[flow_memory.CHANGE_TIME]),
+            size=float(state.stay[flow_memory.CHANGE_SIZE]),
         )
 
 
-def _memory(state: FlowMapState) -> flow_run.Memory:
-    return flow_run.Memory(*(getattr(state, name) for name in flow_run.Memory._fields))
+def _memory(state: FlowMapState) -> flow_memory.Memory:
+    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
 
 
-def _room() -> flow_run.Room:
+def _room() -> flow_memory.Room:
     shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
-    return flow_run.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_run.AT))
+    return flow_memory.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT))
 
 
 def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
     """Fit the map, written in place, and set when the next fit is due."""
     counters = state.counters
-    used = int(counters[flow_run.USED] - counters[flow_run.BEGAN])
-    fitted = bool(counters[flow_run.FITTED])
+    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
+    fitted = bool(counters[flow_memory.FITTED])
     rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
-    counters[flow_run.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
-    if used >= counters[flow_run.NEXT_START]:
-        counters[flow_run.NEXT_START] = 2 * used
+    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    if used >= counters[flow_memory.NEXT_START]:
+        counters[flow_memory.NEXT_START] = 2 * used
         other = copied(state)
         better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
         gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
         if better and not gained <= 0.0:
-            counters[flow_run.FITTED] = 1
+            counters[flow_memory.FITTED] = 1
             for name in ("theta", "std", "w", "v", "scalars"):
                 getattr(state, name)[:] = getattr(other, name)
-    counters[flow_run.FITS] += 1
+    counters[flow_memory.FITS] += 1
     ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
-    counters[flow_run.NEXT_FIT] = counters[flow_run.USED] + ahead
+    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
 
 
 def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.contents import Contents
 from valvemap.model.estimator import State
-from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_play, flow_run
+from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_memory, flow_play
 from valvemap.model.kernels import flow_prior as prior
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis, axis
@@ -37,11 +37,11 @@ class FlowMapState(State):
     x, P, chance, now : (2, …)
         What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
     stay : (15,)
-        The stay in a cell that lasts, see :mod:`kernels.flow_run`.
+        The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
     play : (PLACES,)
         Play between U and the spool, see :mod:`kernels.flow_play`.
     scalars, counters
-        See :mod:`kernels.flow_fit` and :mod:`kernels.flow_run`.
+        See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
     """
 
     state_version: ClassVar[int] = 1
@@ -68,10 +68,17 @@ class FlowMapState(State):
         scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
         scalars.within(-1e9, 1e9, flow_fit.FIRST_T).or_nan(flow_fit.FIRST_T)
         counters = Contents(self.counters)
-        times = [flow_run.CLOCK, flow_run.CLOCK + 1, flow_run.STAY_TIME, flow_run.CHANGE_TIME]
+        times = [
+            flow_memory.CLOCK,
+            flow_memory.CLOCK + 1,
+            flow_memory.STAY_TIME,
+            flow_memory.CHANGE_TIME,
+        ]
         counters.any_time(times)
         counters.within(
-            0, 1, [flow_run.FITTED, flow_run.STAY_SIDE, flow_run.SKIPPED, flow_run.ALARMED]
+            0,
+            1,
+            [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED, flow_memory.ALARMED],
         )
         return {
             "cells": Contents(self.cells).within(0.0, where=(every, positive)),
@@ -102,9 +109,9 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
     """State before the first sample."""
     n_U, n_s = len(axis_U.sites), len(axis_s.sites)
     cells = np.zeros(((n_U - 2) * (n_s - 2), flow_cells.COLUMNS), np.float32)
-    counters = np.zeros(flow_run.COUNTERS, np.int64)
-    counters[flow_run.NEXT_FIT] = rules.FIRST_FIT
-    counters[flow_run.NEXT_START] = rules.SECOND_START
+    counters = np.zeros(flow_memory.COUNTERS, np.int64)
+    counters[flow_memory.NEXT_FIT] = rules.FIRST_FIT
+    counters[flow_memory.NEXT_START] = rules.SECOND_START
     state = FlowMapState(
         cells=cells,
         theta=np.zeros(n_U * n_s),
@@ -115,7 +122,7 @@ def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
         P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
         chance=np.zeros((2, flow_drift.MODELS)),
         now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
-        stay=np.zeros(flow_run.STAY),
+        stay=np.zeros(flow_memory.STAY),
         play=np.zeros(flow_play.PLACES),
         scalars=np.zeros(flow_fit.SCALARS),
         counters=counters,
