@@ -89,7 +89,7 @@ PLAY_GAIN: Final = 300.0  # log likelihood by which another half play is taken: 
 # have the map's misfit in common
 SETTLED_MAP: Final = 150  # samples of a map from which on it tells what moves in time
 PLAY_AGAIN: Final = 100.0  # the same where there is some already
-PLAY_FROM: Final = 300  # samples of a map from which on it tells of play
+PLAY_FROM: Final = 800  # samples of a map from which on it tells of play
 PLAY_KEPT: Final = 0.9998  # of what was gained, per sample: 5,000 samples
 PLAY_STEP: Final = 0.1  # %; a half play that differs by less needs no new map
 PLAY_SURE: Final = 3.0  # standard deviations from which on a correction is made
