@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from valvemap.model.adaptation import Adaptation
+from valvemap.model.fleet import members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
 from valvemap.model.kernels import flow_memory
@@ -194,6 +195,18 @@ def test_beyond_its_ranges_it_learns_nothing_and_says_so():
     assert trace.status.tolist() == [Status.EXTRAPOLATING]
     for field in fields(state):
         np.testing.assert_array_equal(getattr(after, field.name), getattr(state, field.name))
+
+
+def test_results_of_many_valves_are_those_of_each_without_their_cells():
+    estimator = FlowMap()
+    states = [
+        learnt(U, dp, bent(U, dp))[0] for U, dp in (scattered(seed, 300) for seed in (17, 18))
+    ]
+    chosen = members(stack(states), np.arange(2))
+    Q, std = estimator.parameters_many(chosen)
+    for m, state in enumerate(states):
+        np.testing.assert_array_equal([Q[m], std[m]], estimator.parameters(state))
+        assert estimator.adaptation_many(chosen)[m] == estimator.adaptation(state)
 
 
 def test_its_state_is_small():

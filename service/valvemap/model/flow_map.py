@@ -11,6 +11,7 @@ from valvemap.model.change import Change
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
 from valvemap.model.kernels import (
+    flow_cells,
     flow_drift,
     flow_fit,
     flow_look,
@@ -23,6 +24,7 @@ from valvemap.model.kernels.flow_basis import Axis
 from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
 
 SECONDS_PER_HOUR: Final = 3600.0
+NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
 SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
 
 
@@ -103,7 +105,8 @@ class FlowMap:
         """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
         Q, std = np.empty((2, len(U)))
         both, room = axes(self.U_range, self.dp_range), _room()
-        flow_look.evaluate(*both, _memory(state), U, dp, T, Q, std, room)
+        memory = _memory(state)._replace(cells=NO_CELLS)  # results are published without cells
+        flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
         return Q, std
 
     def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
