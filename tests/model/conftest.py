@@ -3,6 +3,7 @@
 import pytest
 
 from valvemap.model.auto import Auto
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -33,6 +34,7 @@ ESTIMATORS = {
     "maximum likelihood": MaximumLikelihood(),
     "network": RbfNetwork(),
     "auto": Auto(),
+    "flow map": FlowMap(),
 }
 
 

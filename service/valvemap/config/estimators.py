@@ -8,6 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from valvemap.config.sections import Section
 from valvemap.model.auto import Auto
 from valvemap.model.estimator import Estimator
+from valvemap.model.flow_map import FlowMap
 from valvemap.model.forgetting import (
     Adaptive,
     Directional,
@@ -99,7 +100,14 @@ class AutoConfig(Section):
         return Auto(lam=lam).lam
 
 
-AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig
+class FlowMapConfig(Section):
+    """The map as one Gaussian model, all of whose scales the samples decide."""
+
+    kind: Literal["FlowMap"] = "FlowMap"
+    name: Name = "FlowMap"
+
+
+AnyEstimatorConfig = RlsConfig | RmlConfig | RbfConfig | AutoConfig | FlowMapConfig
 EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
 
 
@@ -128,6 +136,8 @@ def build_estimator(
             )
         case AutoConfig():
             return Auto(lam=config.lam, lag_U=config.lag_U_s, lag_Q=config.lag_Q_s)
+        case FlowMapConfig():
+            return FlowMap(U_range=U_range, dp_range=dp_range)
         case _:
             assert_never(config)
 

@@ -1,0 +1,111 @@
+"""`FlowMap` beside `Auto`, row by row: ``python -m benchmarks.one_model --seeds N [--only ROW]``.
+
+A line per row and moment: RMSE of the map inside the data in σ, its ratio to `Auto`'s, the share of
+true flows inside the 95 % interval, and the least such share over the quarters of U and of Δp; each
+the mean over the seeds, RMSE the root mean square. ``--report`` takes the seeds that nothing is
+tuned on. `Auto`'s figures are kept in benchmarks/results/one_model.json.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks import circumstances as c
+from benchmarks import results_file
+from benchmarks.one_model_rows import ROWS, Row, inside
+from valvemap.model.auto import Auto
+from valvemap.model.estimator import Estimator
+from valvemap.model.flow_map import FlowMap
+
+RESULTS: Final = Path(__file__).parent / "results" / "one_model.json"
+REPORT: Final = 97_000  # the first seed of those that nothing is tuned on
+
+Figures = dict[str, list[float]]
+
+
+def measured(estimator: Estimator[Any], row: Row) -> Figures:
+    """Error, share held, least share of a quarter, after each of the row's moments; µs a sample."""
+    state, start, spent = estimator.initial_state(), 0, 0.0
+    found: Figures = {"rmse": [], "held": [], "least": [], "width": [], "us": []}
+    for end, truth in zip(row.ends, row.truths, strict=True):
+        began = time.process_time()
+        state, _ = estimator.update(state, row.samples[start:end])
+        spent, start = spent + time.process_time() - began, end
+        at = inside(row, end)
+        Q, std = estimator.predict(state, at.U, at.dp, np.full(len(at.U), row.T))
+        error = Q - truth(at.U, at.dp)
+        held = np.abs(error) <= c.TWO_SIDED_95 * std  # a flow that is not known is not held
+        error, std = (x[np.isfinite(Q)] for x in (error, std))
+        found["rmse"].append(c.rms(error) / c.SIGMA)
+        found["held"].append(float(held.mean()))
+        found["least"].append(min(held[q].mean() for x in (at.U, at.dp) for q in _quarters(x)))
+        found["width"].append(c.rms(std) / c.SIGMA)
+        found["us"].append(1e6 * spent / end)
+    return found
+
+
+def _quarters(x):
+    low, high = x.min(), x.max()
+    place = np.minimum((4.0 * (x - low) / max(high - low, 1e-9)).astype(int), 3)
+    return [place == k for k in range(4) if (place == k).any()]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--report", action="store_true", help="seeds that nothing is tuned on")
+    parser.add_argument("--auto", action="store_true", help="measure Auto alone")
+    wanted = parser.parse_args(arguments)
+    first = REPORT if wanted.report else 0
+    kept = json.loads(RESULTS.read_text("utf-8")) if RESULTS.exists() else {}
+    ratios = []
+    for name in (name for name in ROWS if wanted.only in name):
+        seeds = range(first, first + wanted.seeds)
+        of_auto = [_of_auto(kept, name, seed) for seed in seeds]
+        if wanted.auto:
+            continue
+        ours = [measured(_ours(ROWS[name](seed)), ROWS[name](seed)) for seed in seeds]
+        ratios += [_line(name, k, ours, of_auto) for k in range(len(ours[0]["rmse"]))]
+    if ratios:
+        print(f"geometric mean of the ratios {np.exp(np.mean(np.log(ratios))):.2f}")
+    return 0
+
+
+def _ours(row: Row) -> FlowMap:
+    return FlowMap(U_range=row.U_range)
+
+
+def _of_auto(kept: dict[str, Any], name: str, seed: int) -> Figures:
+    of: dict[str, Figures] = kept.setdefault(name, {})
+    if str(seed) not in of:
+        of[str(seed)] = measured(Auto(), ROWS[name](seed))
+        results_file.keep(RESULTS, kept)
+    return of[str(seed)]
+
+
+def _line(name: str, k: int, ours: Sequence[Figures], of_auto: Sequence[Figures]) -> float:
+    one, auto = (
+        {key: np.array([f[key][k] for f in found]) for key in found[0]} for found in (ours, of_auto)
+    )
+    ratio = c.rms(one["rmse"]) / c.rms(auto["rmse"])
+    print(
+        f"{name} [{k}]: {c.rms(one['rmse']):.3f} σ, {ratio:.2f} × Auto's, "
+        f"held {one['held'].mean():.3f} (a quarter {one['least'].mean():.3f}), "
+        f"std {one['width'].mean():.3f} σ, {one['us'].mean():.1f} µs | "
+        f"Auto {c.rms(auto['rmse']):.3f} σ, held {auto['held'].mean():.3f}, "
+        f"{auto['us'].mean():.1f} µs",
+        flush=True,
+    )
+    return float(ratio)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

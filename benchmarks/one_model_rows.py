@@ -1,0 +1,230 @@
+"""Rows of `benchmarks.one_model`: samples of a circumstance, and where the map is asked.
+
+Valves that `benchmarks.circumstances` does not have are here. *Inside* is within 5 % of U and 5 bar
+of three samples at least.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from benchmarks import circumstances as c
+from valvemap.model.samples import Samples
+
+SIX: Final = ("ordinary", "dead band", "S-shape", "eq. (7)", "saturating", "laminar")
+MINUTES: Final = (5, 20, 60)
+RATES: Final = (1, 10, 100)  # Hz
+BOTH_WAYS: Final = (-100.0, 100.0)  # %
+
+Flow = Callable[..., np.ndarray]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Samples of one seed; the true flow (U, dp) that is asked; where.
+
+    Attributes
+    ----------
+    ends : (K,)
+        Numbers of samples after which the map is asked.
+    truths : (K,)
+        The true flow at each of these moments.
+    U_range
+        Of the valve, %.
+    """
+
+    samples: Samples
+    ends: tuple[int, ...]
+    truths: tuple[Flow, ...]
+    T: float = 40.0
+    U_range: tuple[float, float] = (0.0, 100.0)
+
+
+def both_ways(U, dp, lap=(3.0, 5.0), gain=(14.0, 9.0)):
+    """Gains 14 and 9 l/min/√bar, dead band -3 … 5 %."""
+    closing = gain[1] * np.clip((-U - lap[0]) / (100.0 - lap[0]), 0.0, 1.0)
+    opening = gain[0] * np.clip((U - lap[1]) / (100.0 - lap[1]), 0.0, 1.0)
+    return (opening - closing) * np.sqrt(np.abs(dp))
+
+
+def compensated(U, dp, knee=10.0):
+    """A pressure compensator: dp counts up to ``knee`` bar."""
+    return 40.0 * np.clip((U - 4.0) / 96.0, 0.0, 1.0) * np.sqrt(np.minimum(dp, knee) / knee)
+
+
+def overlapping(U, dp, lap):
+    """A dead band of ``lap`` %, a gain of 13 l/min/√bar."""
+    return 13.0 * np.clip((U - lap) / (100.0 - lap), 0.0, 1.0) * np.sqrt(dp)
+
+
+def inside(row: Row, end: int, grid: int = 41) -> c.Region:
+    """Points of a grid near at least three of the first ``end`` samples."""
+    low, high = row.U_range
+    span = (high - low) / 100.0
+    U = (row.samples.U[:end] - low) / span
+    parts = round(span)
+    at = c.inside(U, row.samples.dp[:end], grid)
+    if parts == 1:
+        return at
+    halves = [
+        c.inside(row.samples.U[:end] - start, row.samples.dp[:end], grid)
+        for start in np.arange(low, high, 100.0)
+    ]
+    starts = np.arange(low, high, 100.0)
+    U = np.concatenate([h.U + start for h, start in zip(halves, starts, strict=True)])
+    return c.Region(U, np.concatenate([h.dp for h in halves]))
+
+
+def _points(seed, kind, N, U=(0.0, 100.0)):
+    dp = (2.0, 198.0) if kind == "scattered" else (3.0, 195.0)
+    return (c.scattered if kind == "scattered" else c.cycle)(seed, N, U, dp)
+
+
+def plain(name, kind, N, seed):
+    """A valve as it is."""
+    valve = c.VALVES[name]
+    U, dp = _points(seed, kind, N)
+    return Row(c.samples_of(U, dp, valve(U, dp) + c.white(seed, N)), (N,), (valve,))
+
+
+def two_ways(kind, N, seed):
+    """U of both signs."""
+    U, dp = _points(seed, kind, N, BOTH_WAYS)
+    Q = both_ways(U, dp) + c.white(seed, N)
+    return Row(c.samples_of(U, dp, Q), (N,), (both_ways,), U_range=BOTH_WAYS)
+
+
+def knee(kind, N, seed):
+    """A compensator."""
+    U, dp = _points(seed, kind, N)
+    Q = compensated(U, dp) + c.white(seed, N)
+    return Row(c.samples_of(U, dp, Q), (N,), (compensated,))
+
+
+def coloured(name, N, seed):
+    """Noise of AR(1), ρ = .95, on a cycle."""
+    row = plain(name, "cycle", N, seed)
+    U, dp = row.samples.U, row.samples.dp
+    return replace(row, samples=c.samples_of(U, dp, row.truths[0](U, dp) + c.ar(seed, N)))
+
+
+def spiked(name, kind, N, seed):
+    """Spikes: .5 % of the samples anywhere in 0 … 180 l/min."""
+    row = plain(name, kind, N, seed)
+    rng, Q = np.random.default_rng([seed, 5]), row.samples.Q.copy()
+    hit = rng.random(N) < 0.005
+    Q[hit] = rng.uniform(0.0, 180.0, int(hit.sum()))
+    return replace(row, samples=replace(row.samples, Q=Q))
+
+
+def timed(U, dp, Q, fs):
+    """Samples at ``fs`` Hz."""
+    samples = c.samples_of(U, dp, Q)
+    return replace(samples, t=(np.arange(len(U)) * (1e9 / fs)).astype(np.int64))
+
+
+def _slow_cycle(seed, N, fs):
+    """The machine's cycle at another sample rate."""
+    every = round(c.FS / fs)
+    U, dp = c.cycle(seed, N * every)
+    return U[::every], dp[::every]
+
+
+def fading(name, fs, seed, per_hour=-0.15):
+    """A gain that drifts for an hour."""
+    N = 3600 * fs
+    U, dp = _slow_cycle(seed, N, fs)
+    ends = tuple(60 * minutes * fs for minutes in MINUTES)
+    valve, hours = c.VALVES[name], np.arange(N) / fs / 3600.0
+    Q = valve(U, dp) * (1.0 + per_hour * hours) + c.white(seed, N)
+    truths = tuple(partial(_times, valve, 1.0 + per_hour * end / fs / 3600.0) for end in ends)
+    return Row(timed(U, dp, Q, fs), ends, truths)
+
+
+def growing(fs, seed, first=5.0, per_hour=4.0):
+    """An overlap that grows for an hour."""
+    N = 3600 * fs
+    U, dp = _slow_cycle(seed, N, fs)
+    ends = tuple(60 * minutes * fs for minutes in MINUTES)
+    hours = np.arange(N) / fs / 3600.0
+    Q = overlapping(U, dp, first + per_hour * hours) + c.white(seed, N)
+    truths = tuple(partial(overlapping, lap=first + per_hour * end / fs / 3600.0) for end in ends)
+    return Row(timed(U, dp, Q, fs), ends, truths)
+
+
+def damaged(name, seed, at=10_000, size=-0.1):
+    """-10 % of the flow, asked 250 and 8,000 samples later."""
+    N = at + 8_000
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    Q = valve(U, dp) * (1.0 + size * (np.arange(N) >= at)) + c.white(seed, N)
+    now = partial(_times, valve, 1.0 + size)
+    return Row(c.samples_of(U, dp, Q), (at + 250, N), (now, now))
+
+
+def behind(U, width):
+    """A spool behind a play of ``width`` %."""
+    spool, p = np.empty(len(U)), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - width / 2.0), u + width / 2.0)
+        spool[i] = p
+    return spool
+
+
+def slack(name, width, seed, N=20_000):
+    """A spool with play; the truth is the middle of the loop."""
+    U, dp = c.cycle(seed, N)
+    valve = c.VALVES[name]
+    return Row(c.samples_of(U, dp, valve(behind(U, width), dp) + c.white(seed, N)), (N,), (valve,))
+
+
+def oily(U, dp, T):
+    """A laminar edge that moves with the viscosity of ISO VG 46, leakage past closed lands."""
+    thin = np.exp(-0.034 * (T - 40.0) + 1.3e-4 * (T - 40.0) ** 2)
+    opening, half = np.clip((U - 5.0) / 95.0, 0.0, 1.0) ** 1.2, np.sqrt(thin)
+    return 12.0 * opening * (np.sqrt(dp + half**2) - half) + 0.008 * dp / thin
+
+
+def warmed(asked, seed, N=120_000):
+    """Oil from 20 to 60 °C and back within 20 minutes."""
+    U, dp = c.cycle(seed, N)
+    T = 20.0 + 40.0 * np.sin(np.pi * np.arange(N) / N) ** 2
+    samples = c.samples_of(U, dp, oily(U, dp, T) + c.white(seed, N), T)
+    return Row(samples, (N,), (partial(oily, T=asked),), T=asked)
+
+
+def _times(valve, factor, U, dp):
+    return factor * valve(U, dp)
+
+
+ROWS: Final[Mapping[str, Callable[[int], Row]]] = {
+    **{
+        f"{name}, {kind}, {N}": partial(plain, name, kind, N)
+        for N in (3_000, 20_000)
+        for kind in ("scattered", "cycle")
+        for name in SIX
+    },
+    **{
+        f"U of both signs, {kind}, {N}": partial(two_ways, kind, N)
+        for kind in ("scattered", "cycle")
+        for N in (3_000, 20_000)
+    },
+    "compensator's knee, cycle, 20000": partial(knee, "cycle", 20_000),
+    "AR(.95), ordinary, cycle, 20000": partial(coloured, "ordinary", 20_000),
+    **{
+        f"spikes, ordinary, {kind}, 20000": partial(spiked, "ordinary", kind, 20_000)
+        for kind in ("scattered", "cycle")
+    },
+    **{f"-15 %/h, ordinary, {fs} Hz": partial(fading, "ordinary", fs) for fs in RATES},
+    **{f"overlap + 4 %/h, {fs} Hz": partial(growing, fs) for fs in RATES},
+    "-10 %, ordinary, cycle": partial(damaged, "ordinary"),
+    **{f"oil 20-60-20 °C, asked at {T}": partial(warmed, float(T)) for T in (22, 40, 60)},
+    **{
+        f"play {width} %, {name}, cycle, 20000": partial(slack, name, width)
+        for name in ("ordinary", "saturating")
+        for width in (2, 4, 6)
+    },
+}

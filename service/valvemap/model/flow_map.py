@@ -1,0 +1,194 @@
+"""`FlowMap`: the map as one Gaussian model, all of whose scales the samples decide."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.change import Change
+from valvemap.model.fleet import alone, copied, member, update_one
+from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
+from valvemap.model.kernels import (
+    flow_cells,
+    flow_drift,
+    flow_fit,
+    flow_look,
+    flow_memory,
+    flow_play,
+    flow_run,
+)
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_basis import Axis
+from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
+
+SECONDS_PER_HOUR: Final = 3600.0
+NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)
+SITES: Final = tuple(product(range(0, 101, 10), (5, 20, 50, 100, 150)))
+
+
+@dataclass(frozen=True)
+class FlowMap:
+    """The flow map as a Gaussian field over (U, s), s = sign(Δp)·√|Δp|.
+
+        Q = g(U, s) + b_cell + ε,   g = Σ c_ij·B_i(U)·B_j(s)
+
+    with quadratic B-splines B, second differences of c as a prior, a deviation b ~ N(0, δ²) of each
+    cell from the smooth map, and noise ε ~ AR(1) of variance σ². The precisions of the prior, δ²,
+    σ² and ρ are estimated by marginal likelihood (:mod:`kernels.flow_fit`); bends along U have a
+    Student-t prior, so a dead band or a knee needs no shape of its own.
+
+    Parameters
+    ----------
+    U_range, dp_range
+        Of the valve, % and bar.
+
+    Examples
+    --------
+    >>> U, dp = np.meshgrid(np.linspace(0, 100, 40), np.linspace(1, 200, 40))
+    >>> Q = 0.14 * U.ravel() * np.sqrt(dp.ravel())
+    >>> flow_map = FlowMap()
+    >>> state, _ = flow_map.update(
+    ...     flow_map.initial_state(), Samples.of(np.arange(1600), U.ravel(), dp.ravel(), 0 * Q, Q)
+    ... )
+    >>> flow_map.predict(state, np.array([50.0]), np.array([100.0]), np.array([40.0]))[0].round(2)
+    array([70.])
+    """
+
+    U_range: Range = (0.0, 100.0)
+    dp_range: Range = (0.0, 200.0)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the points at which the map is published."""
+        return tuple(f"Q({U}%,{dp}bar)" for U, dp in SITES)
+
+    def initial_state(self) -> FlowMapState:
+        """State before the first sample."""
+        return empty(*axes(self.U_range, self.dp_range))
+
+    def update(self, state: FlowMapState, samples: Samples) -> tuple[FlowMapState, Trace]:
+        """Learn from N samples, one after another."""
+        return update_one(self, state, samples)
+
+    def update_many(self, states: FlowMapState, samples: Samples, segments: Segments) -> Trace:
+        """Learn from the samples of many valves; their states are written in place."""
+        N = len(samples)
+        predicted, residual = np.full((2, N), np.nan)
+        trace = Trace(predicted, residual, residual, np.zeros(N, np.uint8))
+        batch = flow_memory.Batch(
+            t=samples.t,
+            U=samples.U,
+            dp=samples.dp,
+            T=samples.T,
+            Q=samples.Q,
+            usable=samples.quality != Quality.BAD,
+            predicted=predicted,
+            residual=residual,
+            status=trace.status,
+        )
+        both, room = axes(self.U_range, self.dp_range), _room()
+        with np.errstate(all="ignore"):
+            for m, start, stop in zip(*segments, strict=True):
+                state, row = member(states, int(m)), int(start)
+                memory = _memory(state)
+                while row < stop:
+                    row = flow_run.run(row, int(stop), batch, *both, memory, room)
+                    if state.counters[flow_memory.USED] >= state.counters[flow_memory.NEXT_FIT]:
+                        _refit(state, *both)
+        return trace
+
+    def predict(
+        self, state: FlowMapState, U: Floats, dp: Floats, T: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flow Q̂ (N,) and its standard deviation (N,), l/min."""
+        Q, std = np.empty((2, len(U)))
+        both, room = axes(self.U_range, self.dp_range), _room()
+        memory = _memory(state)._replace(cells=NO_CELLS)  # results are published without cells
+        flow_look.evaluate(*both, memory, U, dp, T, Q, std, room)
+        return Q, std
+
+    def parameters(self, state: FlowMapState) -> tuple[Floats, Floats]:
+        """Q at the 55 points and its standard deviation."""
+        U, dp = (np.array(x, np.float64) for x in zip(*SITES, strict=True))
+        return self.predict(state, U, dp, np.full_like(U, np.nan))
+
+    def parameters_many(self, states: FlowMapState) -> tuple[Floats, Floats]:
+        """What ``parameters`` gives valve by valve, both (M, 55)."""
+        found = [self.parameters(member(states, m)) for m in range(len(states.counters))]
+        Q, std = (np.array(x).reshape(len(found), len(SITES)) for x in zip(*found, strict=True))
+        return Q, std
+
+    def adaptation(self, state: FlowMapState) -> Adaptation:
+        """What the estimator makes of its residuals by now."""
+        return Adaptation(int(self.adaptation_many(alone(state))[0]))
+
+    def adaptation_many(self, states: FlowMapState) -> Codes:
+        """`adaptation` of M models (M,): drift where it is likelier than not on either side."""
+        moving = (states.chance[..., flow_drift.MOVING] > 0.5).any(axis=-1)
+        young = states.counters[..., flow_memory.USED] < rules.SETTLED_MAP
+        steady = np.where(young, Adaptation.UNDECIDED, Adaptation.STEADY)
+        return np.where(moving & ~young, Adaptation.DRIFT, steady).astype(np.uint8)
+
+    def rates(self, state: FlowMapState) -> tuple[Floats, Floats]:
+        """Rates of gain (1/h) and edge (%/h), and their standard deviations, (2, 2): by side."""
+        rates = slice(flow_drift.LEVELS, flow_drift.RATES)
+        mean, covariance = state.now[:, 0, rates], state.now[:, 1:][:, rates, rates]
+        variance = np.diagonal(covariance, axis1=1, axis2=2)
+        return mean * SECONDS_PER_HOUR, np.sqrt(np.maximum(variance, 0.0)) * SECONDS_PER_HOUR
+
+    def play(self, state: FlowMapState) -> float:
+        """Play between U and the spool, %."""
+        return 2.0 * float(state.play[flow_play.HALF])
+
+    def change_counts(self, states: FlowMapState) -> Times:
+        """How many sudden changes were found of each of M valves."""
+        return np.asarray(states.counters[..., flow_memory.CHANGES])
+
+    def last_change(self, state: FlowMapState) -> Change | None:
+        """Return the last sudden change of gain or edge, None if there was none."""
+        counters = state.counters
+        if not counters[flow_memory.CHANGES]:
+            return None
+        return Change(
+            count=int(counters[flow_memory.CHANGES]),
+            sample=int(counters[flow_memory.CHANGE_SAMPLE]),
+            t=int(counters[flow_memory.CHANGE_TIME]),
+            size=float(state.stay[flow_memory.CHANGE_SIZE]),
+        )
+
+
+def _memory(state: FlowMapState) -> flow_memory.Memory:
+    return flow_memory.Memory(*(getattr(state, name) for name in flow_memory.Memory._fields))
+
+
+def _room() -> flow_memory.Room:
+    shape = 2, flow_drift.MODELS, flow_drift.STATES + 1, flow_drift.STATES
+    return flow_memory.Room(np.empty((4, 3)), np.empty(shape), np.empty(flow_memory.AT))
+
+
+def _refit(state: FlowMapState, axis_U: Axis, axis_s: Axis) -> None:
+    """Fit the map, written in place, and set when the next fit is due."""
+    counters = state.counters
+    used = int(counters[flow_memory.USED] - counters[flow_memory.BEGAN])
+    fitted = bool(counters[flow_memory.FITTED])
+    rounds = rules.LATER_ROUNDS if fitted else rules.FIRST_ROUNDS
+    counters[flow_memory.FITTED] = _fit(state, axis_U, axis_s, rounds, fresh=not fitted)
+    if used >= counters[flow_memory.NEXT_START]:
+        counters[flow_memory.NEXT_START] = 2 * used
+        other = copied(state)
+        better = _fit(other, axis_U, axis_s, rules.FIRST_ROUNDS, fresh=True)
+        gained = other.scalars[flow_fit.EVIDENCE] - state.scalars[flow_fit.EVIDENCE]
+        if better and not gained <= 0.0:
+            counters[flow_memory.FITTED] = 1
+            for name in ("theta", "std", "w", "v", "scalars"):
+                getattr(state, name)[:] = getattr(other, name)
+    counters[flow_memory.FITS] += 1
+    ahead = min(max(used // rules.GROWTH, 1), rules.MOST_BETWEEN)
+    counters[flow_memory.NEXT_FIT] = counters[flow_memory.USED] + ahead
+
+
+def _fit(state: FlowMapState, axis_U: Axis, axis_s: Axis, rounds: int, *, fresh: bool) -> int:
+    arrays = state.cells, state.scalars, state.w, state.v, state.theta, state.std
+    return int(flow_fit.fit(axis_U, axis_s, *arrays, rounds, fresh))

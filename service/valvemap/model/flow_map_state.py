@@ -1,0 +1,131 @@
+"""What `FlowMap` knows: cells, the map, its standard deviation, hyper-parameters."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.contents import Contents
+from valvemap.model.estimator import State
+from valvemap.model.kernels import flow_cells, flow_drift, flow_fit, flow_memory, flow_play
+from valvemap.model.kernels import flow_prior as prior
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.flow_basis import Axis, axis
+from valvemap.model.samples import Floats
+
+Counts = NDArray[np.int64]
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class FlowMapState(State):
+    """What `FlowMap` knows; arrays of constant size, for n_U x n_s coefficients.
+
+    Attributes
+    ----------
+    cells : (cells of U · cells of s, 8) float32
+        See :mod:`kernels.flow_cells`.
+    theta : (n_U·n_s,)
+        Coefficients of the map.
+    std : (n_U·n_s,) float32
+        Standard deviation of the smooth map at the sites, l/min.
+    w, v : (n_U - 2,), (n_s - 2,) float64
+        Local precisions of the prior along U and s.
+    x, P, chance, now : (2, …)
+        What moves in time, on either side of U = 0, see :mod:`kernels.flow_drift`.
+    stay : (15,)
+        The stay in a cell that lasts, see :mod:`kernels.flow_memory`.
+    play : (PLACES,)
+        Play between U and the spool, see :mod:`kernels.flow_play`.
+    scalars, counters
+        See :mod:`kernels.flow_fit` and :mod:`kernels.flow_memory`.
+    """
+
+    state_version: ClassVar[int] = 1
+
+    cells: NDArray[np.float32]
+    theta: Floats
+    std: NDArray[np.float32]
+    w: Floats
+    v: Floats
+    x: Floats
+    P: Floats
+    chance: Floats
+    now: Floats
+    stay: Floats
+    play: Floats
+    scalars: Floats
+    counters: Counts
+
+    def contents(self) -> Mapping[str, Contents]:
+        """What may stand in them."""
+        every = slice(None)
+        positive = [flow_cells.COUNT, flow_cells.WORTH, flow_cells.VAR_U, flow_cells.VAR_S]
+        positive += [flow_cells.REFUSALS]
+        scalars = Contents(self.scalars).within(0.0, where=slice(prior.FAMILIES + 3))
+        scalars.within(-1e9, 1e9, flow_fit.FIRST_T).or_nan(flow_fit.FIRST_T)
+        counters = Contents(self.counters)
+        times = [
+            flow_memory.CLOCK,
+            flow_memory.CLOCK + 1,
+            flow_memory.STAY_TIME,
+            flow_memory.CHANGE_TIME,
+        ]
+        counters.any_time(times)
+        counters.within(
+            0,
+            1,
+            [flow_memory.FITTED, flow_memory.STAY_SIDE, flow_memory.SKIPPED, flow_memory.ALARMED],
+        )
+        return {
+            "cells": Contents(self.cells).within(0.0, where=(every, positive)),
+            "std": Contents(self.std).within(0.0),
+            "w": Contents(self.w).within(0.0),
+            "v": Contents(self.v).within(0.0),
+            "chance": Contents(self.chance).within(0.0, 1.0),
+            "scalars": scalars,
+            "counters": counters,
+        }
+
+
+@lru_cache(maxsize=64)
+def axes(U_range: Range, dp_range: Range) -> tuple[Axis, Axis]:
+    """Axes of U and s for a valve of these ranges (%, bar)."""
+    low, high = U_range
+    parts = max(round((high - low) / rules.STEP_U), 4)
+    shares = np.array(rules.SHARES_S)
+    below, above = (np.sqrt(max(x, 0.0)) for x in (-dp_range[0], dp_range[1]))
+    top = max(below, above)
+    breaks = shares * top
+    if below > rules.BEYOND * top:
+        breaks = np.concatenate([-breaks[:0:-1], breaks])
+    return axis(np.linspace(low, high, parts + 1)), axis(breaks)
+
+
+def empty(axis_U: Axis, axis_s: Axis) -> FlowMapState:
+    """State before the first sample."""
+    n_U, n_s = len(axis_U.sites), len(axis_s.sites)
+    cells = np.zeros(((n_U - 2) * (n_s - 2), flow_cells.COLUMNS), np.float32)
+    counters = np.zeros(flow_memory.COUNTERS, np.int64)
+    counters[flow_memory.NEXT_FIT] = rules.FIRST_FIT
+    counters[flow_memory.NEXT_START] = rules.SECOND_START
+    state = FlowMapState(
+        cells=cells,
+        theta=np.zeros(n_U * n_s),
+        std=np.zeros(n_U * n_s, np.float32),
+        w=np.ones(n_U - 2),
+        v=np.ones(n_s - 2),
+        x=np.zeros((2, flow_drift.MODELS, flow_drift.STATES)),
+        P=np.zeros((2, flow_drift.MODELS, flow_drift.STATES, flow_drift.STATES)),
+        chance=np.zeros((2, flow_drift.MODELS)),
+        now=np.zeros((2, 1 + flow_drift.STATES, flow_drift.STATES)),
+        stay=np.zeros(flow_memory.STAY),
+        play=np.zeros(flow_play.PLACES),
+        scalars=np.zeros(flow_fit.SCALARS),
+        counters=counters,
+    )
+    flow_drift.begin(state.x, state.P, state.chance, state.now)
+    return state

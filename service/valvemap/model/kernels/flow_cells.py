@@ -1,0 +1,66 @@
+"""What is remembered: per cell of the grid the means and second moments of its samples.
+
+A cell lies between two knots of U and two of s. Its row of the design is the mean of the basis over
+its samples, not the basis at their mean.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.flow_basis import Axis, interval, slopes, values
+from valvemap.model.samples import Floats
+
+# Columns: samples; what they are worth in white noise; means; second central moments.
+COUNT, WORTH, MEAN_U, MEAN_S, MEAN_Q, VAR_U, VAR_S, COV_US = 0, 1, 2, 3, 4, 5, 6, 7
+REFUSALS = 8  # samples in a row that were refused as outliers
+COLUMNS = 9
+
+Cells = NDArray[np.float32]
+
+
+@inner
+def cell_of(axis_U: Axis, axis_s: Axis, u: float, s: float) -> int:
+    """Number of the cell in which a point lies."""
+    return interval(axis_U, u) * (len(axis_s.breaks) - 1) + interval(axis_s, s)
+
+
+@inner
+def deposit(
+    cell: Cells, u: float, s: float, Q: float, weight: float, worth: float, memory: float
+) -> None:
+    """Add a sample of some weight (1: regular, 0: an outlier), worth ``worth`` white ones."""
+    if weight <= 0.0:
+        return
+    before = cell[COUNT]
+    kept = min(1.0, max(memory - weight, 0.0) / before) if before > 0.0 else 1.0
+    total = kept * before + weight
+    share = weight / total
+    du, ds = u - cell[MEAN_U], s - cell[MEAN_S]
+    rest = 1.0 - share
+    cell[COUNT] = total
+    cell[WORTH] = kept * cell[WORTH] + weight * worth
+    cell[VAR_U] = rest * (cell[VAR_U] + share * du * du)
+    cell[VAR_S] = rest * (cell[VAR_S] + share * ds * ds)
+    cell[COV_US] = rest * (cell[COV_US] + share * du * ds)
+    cell[MEAN_U] += share * du
+    cell[MEAN_S] += share * ds
+    cell[MEAN_Q] += share * (Q - cell[MEAN_Q])
+
+
+@inner
+def design(axis_U: Axis, axis_s: Axis, cell: Cells, number: int, work: Floats, row: Floats) -> int:
+    """Fill the nine values of a cell's row; give the first parameter that they belong to.
+
+    Value 3·a + b belongs to parameter a·n_s + b behind the first. ``work`` is (4, 3).
+    """
+    parts = len(axis_s.breaks) - 1
+    i, j = number // parts, number % parts
+    values(axis_U, i, cell[MEAN_U], cell[VAR_U], work[0])
+    values(axis_s, j, cell[MEAN_S], cell[VAR_S], work[1])
+    slopes(axis_U, i, cell[MEAN_U], work[2])
+    slopes(axis_s, j, cell[MEAN_S], work[3])
+    for a in range(3):
+        for b in range(3):
+            row[3 * a + b] = work[0, a] * work[1, b] + cell[COV_US] * work[2, a] * work[3, b]
+    return i * len(axis_s.sites) + j

@@ -1,0 +1,117 @@
+"""What the map says at a point now: flow, its derivatives, its variance."""
+
+import math
+
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import inner, lean_kernel
+from valvemap.model.kernels.flow_basis import Axis, between_sites, slope_U, surface
+from valvemap.model.kernels.flow_memory import (
+    FITTED,
+    FLOW,
+    OF,
+    PLACE_S,
+    PLACE_U,
+    SLOPE,
+    SURE,
+    TOTAL,
+    WARM,
+    Memory,
+    Room,
+)
+from valvemap.model.samples import Floats
+
+
+@inner
+def clipped(axis: Axis, x: float) -> tuple[float, bool]:
+    """Nearest point of the axis, and whether x lies too far beyond it to count there."""
+    low, high = axis.breaks[0], axis.breaks[-1]
+    slack = rules.BEYOND * (high - low)
+    return min(max(x, low), high), x < low - slack or x > high + slack
+
+
+@inner
+def place(axis_U: Axis, memory: Memory, side: int, u: float, r: float, at: Floats) -> None:
+    """Where a point lies on the map as it was at first."""
+    end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
+    shifted = u - memory.now[side, 0, drifts.EDGE] * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    at[PLACE_U] = min(max(shifted, axis_U.breaks[0]), axis_U.breaks[-1])
+    at[PLACE_S] = r
+
+
+@inner
+def look(
+    axis_U: Axis, axis_s: Axis, memory: Memory, side: int, u: float, thinner: float, room: Room
+) -> None:
+    """Fill what the map says at a place: flow, derivatives, variances without and with drift."""
+    at, now = room.at, memory.now[side]
+    gain = 1.0 + now[0, drifts.GAIN]
+    end = abs(axis_U.breaks[-1] if side == 0 else axis_U.breaks[0])
+    flow = surface(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    slope = slope_U(axis_U, axis_s, memory.theta, at[PLACE_U], at[PLACE_S], room.work)
+    along = math.copysign(1.0, at[PLACE_S]) * (1.0 if side == 0 else -1.0)
+    least = memory.scalars[fits.LEAST]
+    if flow * along < least:  # flow does not run against Δp but for an offset of the meter
+        flow, slope = least * along, 0.0
+    spread = between_sites(axis_U, axis_s, memory.std, at[PLACE_U], at[PLACE_S])
+    for k in range(drifts.STATES):
+        at[OF + k] = 0.0
+    at[OF + drifts.GAIN] = flow
+    at[SLOPE] = gain * slope
+    at[OF + drifts.EDGE] = -gain * slope * max(1.0 - abs(u) / max(end, 1e-9), 0.0)
+    _warm(axis_s, memory, flow, thinner, at)
+    for k in range(drifts.RATES, drifts.STATES):
+        at[WARM] += at[OF + k] * now[0, k]
+    at[FLOW] = gain * flow + at[WARM]
+    at[SURE] = gain * gain * (spread * spread + memory.scalars[fits.MISFIT])
+    moved = 0.0
+    for k in range(drifts.STATES):
+        for j in range(drifts.STATES):
+            moved += at[OF + k] * at[OF + j] * now[1 + k, j]
+    at[TOTAL] = at[SURE] + max(moved, 0.0)
+
+
+@inner
+def _warm(axis_s: Axis, memory: Memory, flow: float, thinner: float, at: Floats) -> None:
+    """Derivatives by the effects of T: gain, laminar flow by √ν and ν, leakage by 1/ν."""
+    top, s = axis_s.breaks[-1], at[PLACE_S]
+    laminar = rules.STRONG * flow * rules.LAMINAR * top / (abs(s) + rules.LAMINAR * top)
+    at[WARM] = 0.0
+    nu = 1.0 + thinner
+    at[OF + drifts.RATES] = math.log(nu) * flow
+    at[OF + drifts.RATES + 1] = (math.sqrt(nu) - 1.0) * laminar
+    at[OF + drifts.RATES + 2] = thinner * laminar
+    leakage = s * abs(s) / (top * top) * math.sqrt(memory.scalars[fits.SCALE])
+    at[OF + drifts.RATES + 3] = (1.0 / nu - 1.0) * leakage
+
+
+@inner
+def viscosity(memory: Memory, T: float) -> float:
+    """How much thicker the oil is than at the first sample, as a share; 0 where T is not known."""
+    first = memory.scalars[fits.FIRST_T]
+    if not (math.isfinite(T) and math.isfinite(first)):
+        return 0.0
+    return math.exp(min(max(rules.THINNING * (first - T), -2.0), 2.0)) - 1.0
+
+
+@lean_kernel
+def evaluate(
+    axis_U: Axis, axis_s: Axis, memory: Memory, U: Floats, dp: Floats, T: Floats, Q: Floats,
+    spread: Floats,
+    room: Room,
+) -> None:  # fmt: skip
+    """Flow and its standard deviation at N points; NaN where a point or the map is not known."""
+    at = room.at
+    for i in range(len(U)):
+        Q[i] = spread[i] = math.nan
+        if not (memory.counters[FITTED] and math.isfinite(U[i] + dp[i])):
+            continue
+        s = math.copysign(math.sqrt(abs(dp[i])), dp[i])
+        u, _ = clipped(axis_U, U[i])
+        r, _ = clipped(axis_s, s)
+        side = 0 if U[i] >= 0.0 else 1
+        place(axis_U, memory, side, u, r, at)
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, T[i]), room)
+        if at[TOTAL] < rules.UNKNOWN**2 * memory.scalars[fits.SCALE]:
+            Q[i], spread[i] = at[FLOW], math.sqrt(at[TOTAL])

@@ -1,0 +1,66 @@
+"""What the kernels of `FlowMap` share of one valve: its arrays, and the places in them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels.flow_cells import Cells
+from valvemap.model.samples import Floats, Singles, Times
+
+# Places in `counters`.
+USED, NEXT_FIT, FITTED, FITS, NEXT_START = 0, 1, 2, 3, 4
+CLOCK = 5  # ns; of the last stay on either side of U = 0: two places
+STAY_CELL, STAY_SIDE, STAY_TIME, SKIPPED = 7, 8, 9, 10
+CHANGES, CHANGE_SAMPLE, CHANGE_TIME, ALARMED, STAYS, BEGAN = 11, 12, 13, 14, 15, 16
+# STAYS: of one visit; BEGAN: samples when the map began again
+COUNTERS = 17
+
+# Places in `stay`: samples; sums of residuals, derivatives and variances of the map.
+SAMPLES, RESIDUAL, OF_MAP = 0, 1, 2
+APART = 3  # sum of squared distances from the cell's mean, in cells
+BY = 4  # sums of derivatives, drifts.STATES places
+KNOWN_COUNT, KNOWN_OFF, CHANGE_SIZE, STAY = 12, 13, 14, 15  # what the cell knew when the stay began
+
+
+class Memory(NamedTuple):
+    """One valve's arrays; see `FlowMapState`."""
+
+    cells: Cells
+    theta: Floats
+    std: Singles
+    scalars: Floats
+    counters: np.ndarray
+    x: Floats
+    P: Floats
+    chance: Floats
+    now: Floats
+    stay: Floats
+    play: Floats
+
+
+class Batch(NamedTuple):
+    """Samples, and what is found of them; all (N,)."""
+
+    t: Times
+    U: Floats
+    dp: Floats
+    T: Floats
+    Q: Floats
+    usable: np.ndarray
+    predicted: Floats
+    residual: Floats
+    status: np.ndarray
+
+
+class Room(NamedTuple):
+    """Room to work in: (4, 3); see `Drift`; (AT,)."""
+
+    work: Floats
+    drift: Floats
+    at: Floats
+
+
+# Places in `Room.at`: what the map says at one point.
+FLOW, SURE, TOTAL, PLACE_U, PLACE_S, SLOPE, WARM, OF = 0, 1, 2, 3, 4, 5, 6, 7
+AT = OF + drifts.STATES  # from OF on derivatives by the states of `flow_drift`; WARM: flow due to T

@@ -1,0 +1,195 @@
+"""One pass over the samples: against the map and what moves, against the own cell, into the cell.
+
+Cells hold samples as they would have been with gain and edge as they were at first, see
+`flow_drift`: the map stays, only few numbers move.
+"""
+
+import math
+
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_play as plays
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import inner, lean_kernel
+from valvemap.model.kernels.flow_basis import Axis, surface
+from valvemap.model.kernels.flow_cells import (
+    COUNT,
+    MEAN_Q,
+    MEAN_S,
+    MEAN_U,
+    REFUSALS,
+    cell_of,
+    deposit,
+)
+from valvemap.model.kernels.flow_look import clipped, look, place, viscosity
+from valvemap.model.kernels.flow_memory import (
+    BEGAN,
+    FITTED,
+    FLOW,
+    NEXT_FIT,
+    PLACE_U,
+    SAMPLES,
+    SKIPPED,
+    SLOPE,
+    STAY_CELL,
+    STAY_SIDE,
+    STAYS,
+    SURE,
+    TOTAL,
+    USED,
+    WARM,
+    Batch,
+    Memory,
+    Room,
+)
+from valvemap.model.kernels.flow_stay import (
+    apart,
+    begin_again,
+    begin_stay,
+    end_stay,
+    note_stay,
+)
+from valvemap.model.samples import Floats, Singles, Status
+
+_OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
+_EXTRAPOLATING = int(Status.EXTRAPOLATING)
+_REJECTED, _HELD = int(Status.REJECTED), int(Status.HELD)
+
+
+@lean_kernel
+def run(
+    start: int, stop: int, batch: Batch, axis_U: Axis, axis_s: Axis, memory: Memory, room: Room
+) -> int:
+    """Learn from samples ``start`` … ``stop`` - 1 until a fit is due; give the next one."""
+    counters = memory.counters
+    for i in range(start, stop):
+        U, dp, Q = batch.U[i], batch.dp[i], batch.Q[i]
+        batch.predicted[i] = batch.residual[i] = math.nan
+        if not (batch.usable[i] and math.isfinite(U + dp + Q)):
+            batch.status[i] = _REJECTED
+            continue
+        if max(abs(U), abs(dp), abs(Q)) > rules.HUGE:
+            batch.status[i] = _HELD
+            continue
+        s = math.copysign(math.sqrt(abs(dp)), dp)
+        batch.status[i] = _learn(i, batch, U, s, Q, axis_U, axis_s, memory, room)
+        if counters[USED] >= counters[NEXT_FIT]:
+            end_stay(memory, room)
+            if plays.decide(memory.play):
+                begin_again(memory)
+            return i + 1
+    return stop
+
+
+@inner
+def _learn(
+    i: int, batch: Batch, U: float, s: float, Q: float, axis_U: Axis, axis_s: Axis, memory: Memory,
+    room: Room,
+) -> int:  # fmt: skip
+    """Predict one sample, then learn from it; give its status."""
+    scalars, counters, at = memory.scalars, memory.counters, room.at
+    _, is_beyond = clipped(axis_U, U)
+    r, is_beyond_s = clipped(axis_s, s)
+    spool = memory.play[plays.SPOOL] if is_beyond or is_beyond_s else plays.follow(memory.play, U)
+    u, _ = clipped(axis_U, spool)
+    known, side = False, 0 if U >= 0.0 else 1
+    place(axis_U, memory, side, u, r, at)
+    if counters[USED] == 0:
+        scalars[fits.FIRST_T] = batch.T[i]
+    at[WARM] = 0.0
+    if counters[FITTED]:
+        look(axis_U, axis_s, memory, side, u, viscosity(memory, batch.T[i]), room)
+        batch.predicted[i], batch.residual[i] = at[FLOW], Q - at[FLOW]
+        known = at[TOTAL] < rules.UNKNOWN**2 * scalars[fits.SCALE]
+    if is_beyond or is_beyond_s:
+        return _EXTRAPOLATING
+    gain = 1.0 + memory.now[side, 0, drifts.GAIN]
+    number = cell_of(axis_U, axis_s, at[PLACE_U], r)
+    weight = 1.0
+    if counters[FITTED]:
+        residual = batch.residual[i]
+        slope = at[SLOPE]
+        weight = _trust(residual, axis_U, axis_s, memory, gain, memory.cells[number], room)
+        is_young = counters[USED] - counters[BEGAN] < rules.PLAY_FROM
+        is_other = counters[STAY_CELL] != number or counters[STAY_SIDE] != side
+        if is_other or memory.stay[SAMPLES] >= rules.LONGEST_STAY:
+            end_stay(memory, room)
+        if memory.stay[SAMPLES] == 0.0:
+            begin_stay(axis_U, axis_s, memory, gain, memory.cells[number], room)
+        known_well = at[SURE] < scalars[fits.VARIANCE] + 2.0 * scalars[fits.MISFIT]
+        if weight > 0.5 and known_well and not is_young:
+            visit = 0.0  # samples in this cell so far: all have the map's misfit in common
+            if counters[STAY_CELL] == number:
+                visit = (counters[STAYS] - 1) * rules.LONGEST_STAY + memory.stay[SAMPLES]
+            doubt = (scalars[fits.VARIANCE] + at[SURE]) * max(visit / rules.SHORTEST_STAY, 1.0)
+            plays.weigh(memory.play, U, residual, slope, doubt)
+        distance = apart(axis_U, axis_s, memory.cells[number], number, at)
+        note_stay(number, side, batch.t[i], residual, weight, distance, memory, at)
+        if counters[SKIPPED] and memory.stay[SAMPLES] >= rules.SHORTEST_STAY:
+            end_stay(memory, room)
+    share = 1.0 / min(scalars[fits.SCALE_WEIGHT] + 1.0, rules.NOISE_MEMORY)
+    scalars[fits.SCALE_WEIGHT] += 1.0
+    scalars[fits.SCALE] += share * (Q * Q - scalars[fits.SCALE])
+    way = abs(u - scalars[fits.LAST_U]) / rules.WAY_U
+    way += abs(r - scalars[fits.LAST_S]) / (rules.WAY_S * axis_s.breaks[-1])
+    alike = scalars[fits.COLOUR] * math.exp(-way)
+    worth = (1.0 - alike) / (1.0 + alike)
+    if counters[FITTED]:  # what a stay has in common: where gain and edge are
+        shared = rules.SHARED * (at[TOTAL] - at[SURE])
+        weight *= min(1.0, scalars[fits.VARIANCE] / max(shared, 1e-300))
+    deposit(
+        memory.cells[number], at[PLACE_U], r, (Q - at[WARM]) / gain, weight, worth, rules.MEMORY
+    )
+    scalars[fits.LAST_U], scalars[fits.LAST_S] = u, r
+    counters[USED] += 1
+    return _OK if known else _WARMING_UP
+
+
+@inner
+def _trust(
+    residual: float, axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles,
+    room: Room,
+) -> float:  # fmt: skip
+    """Probability that a sample is none that the meter invented, by the map or by its cell."""
+    scalars, counters = memory.scalars, memory.counters
+    if not cell[COUNT] > 0.0:  # a fit weighs a cell of one sample against all others
+        scalars[fits.LAST_ERROR] = 0.0
+        return 1.0
+    width = rules.OUTLIER_WIDTH * math.sqrt(scalars[fits.SCALE])
+    noise, variance = scalars[fits.VARIANCE], room.at[TOTAL]
+    own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
+    off = gain * (cell[MEAN_Q] - own)
+    error = residual - off
+    by_map = fits.outlier_weight(residual * residual, noise + variance, width)
+    doubt = noise * (1.0 + 1.0 / cell[COUNT]) + scalars[fits.MISFIT]
+    weight = max(by_map, fits.outlier_weight(error * error, doubt, width))
+    if cell[REFUSALS] >= rules.REFUSED:
+        cell[:] = 0.0
+        weight = 1.0
+    elif cell[COUNT] < rules.FEW and by_map > 0.5:
+        doubt = noise / cell[COUNT] + variance
+        if fits.outlier_weight(off * off, doubt, width / cell[COUNT]) < rules.DOUBTED:
+            cell[:] = 0.0
+    if cell[COUNT] > 0.0 and variance < noise:
+        _note_error(error, weight, cell[COUNT], counters[USED] - counters[BEGAN], scalars)
+    else:
+        scalars[fits.LAST_ERROR] = 0.0
+    return weight
+
+
+@inner
+def _note_error(error: float, weight: float, count: float, age: int, scalars: Floats) -> None:
+    """Add an error against the sample's own cell to the noise's variance and correlation."""
+    rest = 1.0 - 1.0 / min(max(0.5 * age, 50.0), rules.NOISE_MEMORY)  # early maps were worse
+    part = count / (count + 1.0)
+    scalars[fits.WITHIN] = rest * scalars[fits.WITHIN] + weight * part * error * error
+    scalars[fits.WITHIN_WEIGHT] = rest * scalars[fits.WITHIN_WEIGHT] + weight
+    last = scalars[fits.LAST_ERROR]
+    scalars[fits.LAST_ERROR] = weight * error if count >= rules.COLOUR_FROM else 0.0
+    if last != 0.0 and count >= rules.COLOUR_FROM:
+        scalars[fits.NEXT] = rest * scalars[fits.NEXT] + weight * error * last
+        scalars[fits.NEXT_WEIGHT] = rest * scalars[fits.NEXT_WEIGHT] + weight
+        many, variance = scalars[fits.NEXT_WEIGHT], scalars[fits.WITHIN]
+        rho = scalars[fits.NEXT] / many * scalars[fits.WITHIN_WEIGHT] / max(variance, 1e-300)
+        sure = rho * rho * many > rules.SURE_COLOUR**2
+        scalars[fits.COLOUR] = min(max(rho, 0.0), rules.MOST_COLOUR) if sure else 0.0

@@ -1,0 +1,147 @@
+"""Stays: successive samples in one cell, from which drift and sudden changes are learnt."""
+
+from valvemap.model.kernels import flow_drift as drifts
+from valvemap.model.kernels import flow_fit as fits
+from valvemap.model.kernels import flow_rules as rules
+from valvemap.model.kernels.compiled import inner
+from valvemap.model.kernels.flow_basis import Axis, surface
+from valvemap.model.kernels.flow_cells import (
+    COUNT,
+    MEAN_Q,
+    MEAN_S,
+    MEAN_U,
+    REFUSALS,
+)
+from valvemap.model.kernels.flow_drift import Drift
+from valvemap.model.kernels.flow_memory import (
+    ALARMED,
+    APART,
+    BEGAN,
+    BY,
+    CHANGE_SAMPLE,
+    CHANGE_SIZE,
+    CHANGE_TIME,
+    CHANGES,
+    CLOCK,
+    FITTED,
+    KNOWN_COUNT,
+    KNOWN_OFF,
+    NEXT_FIT,
+    OF,
+    OF_MAP,
+    PLACE_S,
+    PLACE_U,
+    RESIDUAL,
+    SAMPLES,
+    SKIPPED,
+    STAY_CELL,
+    STAY_SIDE,
+    STAY_TIME,
+    STAYS,
+    SURE,
+    USED,
+    Memory,
+    Room,
+)
+from valvemap.model.samples import Floats, Singles
+
+
+@inner
+def begin_again(memory: Memory) -> None:
+    """Forget the cells, as their U was that of another play; scales stay."""
+    memory.cells[:] = 0.0
+    memory.counters[FITTED] = 0
+    memory.counters[NEXT_FIT] = memory.counters[USED] + rules.FIRST_FIT
+    memory.counters[BEGAN] = memory.counters[USED]
+    memory.scalars[fits.WITHIN : fits.COLOUR + 1] = 0.0
+    for side in range(2):
+        drifts.forget(memory.x[side], memory.P[side], memory.chance[side], memory.now[side])
+
+
+@inner
+def begin_stay(
+    axis_U: Axis, axis_s: Axis, memory: Memory, gain: float, cell: Singles, room: Room
+) -> None:
+    """Note what the cell knows: later it knows the stay's own samples."""
+    memory.stay[KNOWN_COUNT], memory.stay[KNOWN_OFF] = cell[COUNT], 0.0
+    if cell[COUNT] > 0.0:
+        own = surface(axis_U, axis_s, memory.theta, cell[MEAN_U], cell[MEAN_S], room.work)
+        memory.stay[KNOWN_OFF] = gain * (cell[MEAN_Q] - own)
+
+
+@inner
+def apart(axis_U: Axis, axis_s: Axis, cell: Singles, number: int, at: Floats) -> float:
+    """Squared distance of a sample from its cell's mean, in sizes of the cell."""
+    parts = len(axis_s.breaks) - 1
+    i, j = number // parts, number % parts
+    du = (at[PLACE_U] - cell[MEAN_U]) / (axis_U.breaks[i + 1] - axis_U.breaks[i])
+    ds = (at[PLACE_S] - cell[MEAN_S]) / (axis_s.breaks[j + 1] - axis_s.breaks[j])
+    return float(du * du + ds * ds)
+
+
+@inner
+def note_stay(
+    number: int, side: int, t: int, residual: float, weight: float, distance: float, memory: Memory,
+    at: Floats,
+) -> None:  # fmt: skip
+    """Add a sample to the stay in its cell; a single one that is refused is left out."""
+    counters, stay = memory.counters, memory.stay
+    if stay[SAMPLES] == 0.0:
+        counters[STAYS] = counters[STAYS] + 1 if number == counters[STAY_CELL] else 1
+    counters[STAY_CELL], counters[STAY_SIDE], counters[STAY_TIME] = number, side, t
+    if weight < 0.5 and counters[SKIPPED] == 0:
+        counters[SKIPPED] = 1
+        return
+    counters[SKIPPED] = 0 if weight >= 0.5 else 1
+    stay[SAMPLES] += 1.0
+    stay[RESIDUAL] += residual
+    for k in range(drifts.STATES):
+        stay[BY + k] += at[OF + k]
+    stay[OF_MAP] += at[SURE]
+    stay[APART] += distance
+
+
+@inner
+def end_stay(memory: Memory, room: Room) -> None:
+    """Let the drift learn from the stay that ends."""
+    counters, scalars, stay = memory.counters, memory.scalars, memory.stay
+    many = stay[SAMPLES]
+    rho = scalars[fits.COLOUR]
+    noise = scalars[fits.VARIANCE] * min((1.0 + rho) / (1.0 - rho) / max(many, 1.0), 1.0)
+    alike = rho**many
+    noise *= (1.0 + alike) / (1.0 - alike)  # the stay before has noise in common
+    if counters[FITTED] and counters[STAY_CELL] < len(memory.cells):
+        cell = memory.cells[counters[STAY_CELL]]
+        cell[REFUSALS] = cell[REFUSALS] + 1.0 if counters[SKIPPED] and many > 0.0 else 0.0
+    is_sure = stay[OF_MAP] < many * scalars[fits.VARIANCE]
+    is_sure = is_sure and counters[USED] - counters[BEGAN] >= rules.SETTLED_MAP
+    if many > 0.0 and is_sure and stay[KNOWN_COUNT] >= rules.VISITED:
+        side, now = counters[STAY_SIDE], counters[STAY_TIME]
+        last = counters[CLOCK + side]
+        dt = min(max(1e-9 * float(now - last), 0.0), rules.OLDEST) if last != 0 else 0.0
+        counters[CLOCK + side] = now
+        of_cell, off = scalars[fits.VARIANCE] / stay[KNOWN_COUNT], stay[KNOWN_OFF]
+        of_cell += stay[APART] / many * stay[OF_MAP] / many
+        of_map = max(stay[OF_MAP] / many, off * off - of_cell)  # a map that the cell refutes
+        share = of_map / (of_map + of_cell)
+        residual = stay[RESIDUAL] / many - share * off
+        drift = Drift(
+            memory.x[side], memory.P[side], memory.chance[side], memory.now[side], room.drift
+        )
+        by = stay[BY : BY + drifts.STATES]
+        for k in range(drifts.STATES):
+            by[k] /= many
+        young = counters[USED] - counters[BEGAN] < rules.MATURE
+        jumps = 0.0 if young else min(dt / rules.BETWEEN_JUMPS, 0.1)
+        drifts.step(
+            drift, dt, jumps, residual, by, counters[STAYS] * (noise + share * of_cell)
+        )  # fmt: skip
+        jumped = drift.chance[drifts.OTHER_GAIN] + drift.chance[drifts.OTHER_EDGE]
+        if jumped > rules.CERTAIN and not counters[ALARMED]:
+            counters[ALARMED] = 1
+            counters[CHANGES] += 1
+            counters[CHANGE_SAMPLE], counters[CHANGE_TIME] = counters[USED], now
+            stay[CHANGE_SIZE] = residual
+        elif jumped < rules.OVER and 1e-9 * float(now - counters[CHANGE_TIME]) > rules.AFTER_JUMP:
+            counters[ALARMED] = 0
+    stay[:KNOWN_COUNT] = 0.0

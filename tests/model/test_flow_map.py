@@ -1,0 +1,232 @@
+"""`FlowMap`: the map, its interval, what moves in time; shared checks run on it elsewhere."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from valvemap.model.adaptation import Adaptation
+from valvemap.model.fleet import members, stack
+from valvemap.model.flow_map import FlowMap
+from valvemap.model.flow_map_state import axes
+from valvemap.model.kernels import flow_memory
+from valvemap.model.samples import Samples, Status
+
+SIGMA = 0.4
+
+
+def bent(U, dp):
+    u = np.clip((U - 5) / 95, 0, 1)
+    return 13 * u * (1.12 - 0.12 * u) * np.sqrt(np.abs(dp))
+
+
+def two_edges(U, dp):
+    opening = np.where(U > 0, 14 * np.clip(U - 5, 0, None), -9 * np.clip(-U - 3, 0, None)) / 100
+    return opening * np.sqrt(np.abs(dp))
+
+
+def scattered(seed, N, low=0.0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(low, 100, N), rng.uniform(2, 198, N)
+
+
+def cycle(seed, N, fs):
+    """Ramps and holds of U and dp at ``fs`` Hz."""
+    rng = np.random.default_rng(seed)
+
+    def path(low, high):
+        t, x = [0.0], [rng.uniform(low, high)]
+        while t[-1] < N / fs:
+            ramp, level = rng.uniform(0.4, 3.0), rng.uniform(low, high)
+            t += [t[-1] + ramp, t[-1] + ramp + rng.uniform(0, 1)]
+            x += [level, level]
+        return np.interp(np.arange(N) / fs, t, x)
+
+    return path(0, 100), path(3, 195)
+
+
+def learnt(U, dp, Q, fs=100.0, estimator=None, T=None):
+    estimator = estimator or FlowMap()
+    t = 1_700_000_000_000_000_000 + (1e9 / fs * np.arange(len(U))).astype(np.int64)
+    noise = SIGMA * np.random.default_rng(len(U)).normal(size=len(U))
+    samples = Samples.of(t, U, dp, 0 * dp, Q + noise, T)
+    return estimator.update(estimator.initial_state(), samples)
+
+
+def judged(estimator, state, truth, low=5.0):
+    """RMSE in σ and share held at points well inside the data."""
+    rng = np.random.default_rng(99)
+    U, dp = rng.uniform(low, 95, 500), rng.uniform(10, 190, 500)
+    Q, std = estimator.predict(state, U, dp, np.full(500, 40.0))
+    error = Q - truth(U, dp)
+    return np.sqrt(np.mean(error**2)) / SIGMA, np.mean(np.abs(error) <= 1.96 * std)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_bent_valve_with_a_dead_band_is_learnt_without_a_shape_for_it(seed):
+    U, dp = scattered(seed, 3000)
+    rmse, held = judged(FlowMap(), learnt(U, dp, bent(U, dp))[0], bent)
+    assert rmse < 0.2
+    assert held > 0.85
+
+
+def test_a_valve_of_two_unlike_edges_is_one_map():
+    both = FlowMap(U_range=(-100.0, 100.0))
+    U, dp = scattered(3, 6000, low=-100.0)
+    rmse, held = judged(both, learnt(U, dp, two_edges(U, dp), estimator=both)[0], two_edges, -95.0)
+    assert rmse < 0.25
+    assert held > 0.85
+
+
+def test_where_eq_7_suffices_the_map_is_eq_7():
+    def plain(U, dp):
+        return 1 + 0.02 * U + 0.3 * np.sqrt(dp) + 0.12 * U * np.sqrt(dp) - 0.01 * dp
+
+    U, dp = scattered(4, 5000)
+    rmse, held = judged(FlowMap(), learnt(U, dp, plain(U, dp))[0], plain)
+    assert rmse < 0.06
+    assert held > 0.85
+
+
+def test_spikes_neither_bend_the_map_nor_count_as_a_change():
+    U, dp = scattered(5, 6000)
+    rng = np.random.default_rng(5)
+    Q = bent(U, dp)
+    Q[rng.random(6000) < 0.005] += 80.0
+    state, _ = learnt(U, dp, Q)
+    assert judged(FlowMap(), state, bent)[0] < 0.2
+    assert FlowMap().last_change(state) is None
+
+
+@pytest.mark.parametrize("fs", [1.0, 10.0])
+def test_a_gain_that_drifts_is_followed_in_seconds_whatever_the_rate_of_samples(fs):
+    N = int(1800 * fs)
+    U, dp = cycle(6, N, fs)
+    factor = 1 - 0.15 * np.arange(N) / fs / 3600
+    state, _ = learnt(U, dp, bent(U, dp) * factor, fs)
+    rmse, held = judged(FlowMap(), state, lambda U, dp: factor[-1] * bent(U, dp))
+    assert rmse < 0.6
+    assert held > 0.8
+    assert FlowMap().adaptation(state) == Adaptation.DRIFT
+    assert FlowMap().rates(state)[0][0, 0] == pytest.approx(-0.15, abs=0.05)
+
+
+def test_an_overlap_that_grows_is_a_shift_of_the_edge():
+    N, fs = 18_000, 10.0
+    U, dp = cycle(7, N, fs)
+    lap = 5 + 4 * np.arange(N) / fs / 3600
+
+    def valve(U, dp, lap=lap[-1]):
+        return 13 * np.clip((U - lap) / (100 - lap), 0, 1) * np.sqrt(dp)
+
+    state, _ = learnt(U, dp, valve(U, dp, lap), fs)
+    rmse, held = judged(FlowMap(), state, valve)
+    assert rmse < 0.4
+    assert held > 0.8
+    assert FlowMap().rates(state)[0][0, 1] == pytest.approx(4.0, abs=1.5)
+
+
+def test_a_sudden_change_is_found_and_the_map_is_right_soon_after():
+    N, at = 6_300, 6_000
+    U, dp = cycle(8, N, 100.0)
+    state, _ = learnt(U, dp, bent(U, dp) * np.where(np.arange(N) < at, 1.0, 0.9))
+    change = FlowMap().last_change(state)
+    assert change.count == 1
+    assert at < change.sample < at + 200
+    assert judged(FlowMap(), state, lambda U, dp: 0.9 * bent(U, dp))[0] < 1.0
+
+
+@pytest.mark.parametrize("width", [0.0, 3.0])
+def test_play_between_u_and_the_spool_is_found_and_the_map_is_the_middle_of_the_loop(width):
+    U, dp = cycle(13, 20_000, 100.0)
+    spool, p = np.empty_like(U), U[0]
+    for i, u in enumerate(U.tolist()):
+        p = min(max(p, u - width / 2), u + width / 2)
+        spool[i] = p
+    state, _ = learnt(U, dp, bent(spool, dp))
+    assert FlowMap().play(state) == pytest.approx(width, abs=0.2)
+    assert judged(FlowMap(), state, bent, low=8.0)[0] < 0.5
+
+
+def test_the_map_is_that_of_the_temperature_that_is_asked():
+    def oily(U, dp, T):
+        half = np.exp(-0.017 * (T - 40))
+        return 12 * np.clip((U - 5) / 95, 0, 1) * (np.sqrt(dp + half**2) - half)
+
+    N = 60_000
+    U, dp = cycle(15, N, 100.0)
+    T = 20 + 40 * np.sin(np.pi * np.arange(N) / N) ** 2
+    state, _ = learnt(U, dp, oily(U, dp, T), T=T)
+    rng = np.random.default_rng(99)
+    U, dp = rng.uniform(8, 95, 500), rng.uniform(10, 190, 500)
+    for asked in (22.0, 40.0, 58.0):
+        Q, _ = FlowMap().predict(state, U, dp, np.full(500, asked))
+        assert np.sqrt(np.mean((Q - oily(U, dp, asked)) ** 2)) < 1.0 * SIGMA
+    assert FlowMap().last_change(state) is None
+
+
+def test_where_no_temperature_is_measured_none_is_missed():
+    U, dp = scattered(16, 1000)
+    state, _ = learnt(U, dp, bent(U, dp), T=np.full(1000, np.nan))
+    known, unknown = (FlowMap().predict(state, U, dp, np.full(1000, T))[0] for T in (40.0, np.nan))
+    np.testing.assert_array_equal(known, unknown)
+
+
+def test_a_machine_at_rest_tells_of_no_play():
+    U, dp = cycle(14, 4000, 100.0)
+    U[2000:], dp[2000:] = 50.0, 100.0
+    state, _ = learnt(U, dp, bent(U, dp) + np.where(np.arange(4000) < 2000, 0.0, 0.3))
+    assert FlowMap().play(state) == 0.0
+
+
+def test_a_healthy_valve_neither_drifts_nor_changes():
+    U, dp = cycle(9, 20_000, 100.0)
+    state, _ = learnt(U, dp, bent(U, dp))
+    assert FlowMap().last_change(state) is None
+    assert FlowMap().adaptation(state) == Adaptation.STEADY
+
+
+def test_beyond_its_ranges_it_learns_nothing_and_says_so():
+    estimator = FlowMap()
+    U, dp = scattered(10, 300)
+    state, _ = learnt(U, dp, bent(U, dp))
+    beyond = Samples.of([10**18], [150.0], [100.0], [0.0], [500.0])
+    after, trace = estimator.update(state, beyond)
+    assert trace.status.tolist() == [Status.EXTRAPOLATING]
+    for field in fields(state):
+        np.testing.assert_array_equal(getattr(after, field.name), getattr(state, field.name))
+
+
+def test_results_of_many_valves_are_those_of_each_without_their_cells():
+    estimator = FlowMap()
+    states = [
+        learnt(U, dp, bent(U, dp))[0] for U, dp in (scattered(seed, 300) for seed in (17, 18))
+    ]
+    chosen = members(stack(states), np.arange(2))
+    Q, std = estimator.parameters_many(chosen)
+    for m, state in enumerate(states):
+        np.testing.assert_array_equal([Q[m], std[m]], estimator.parameters(state))
+        assert estimator.adaptation_many(chosen)[m] == estimator.adaptation(state)
+
+
+def test_its_state_is_small():
+    for U_range, most in (((0.0, 100.0), 100_000), ((-100.0, 100.0), 130_000)):
+        state = FlowMap(U_range=U_range).initial_state()
+        assert sum(np.asarray(getattr(state, f.name)).nbytes for f in fields(state)) < most
+
+
+def test_a_range_of_dp_with_both_signs_gets_knots_on_both_sides():
+    _, axis_s = axes((0.0, 100.0), (-100.0, 100.0))
+    np.testing.assert_array_equal(axis_s.breaks, -axis_s.breaks[::-1])
+    estimator = replace(FlowMap(), dp_range=(-100.0, 100.0))
+    rng = np.random.default_rng(11)
+    U, dp = rng.uniform(0, 100, 4000), rng.uniform(-98, 98, 4000)
+    state, _ = learnt(U, dp, bent(U, dp) * np.sign(dp), estimator=estimator)
+    Q, _ = estimator.predict(state, np.full(2, 60.0), np.array([-50.0, 50.0]), np.full(2, 40.0))
+    np.testing.assert_allclose(Q, bent(60.0, 50.0) * np.array([-1, 1]), atol=0.5)
+
+
+def test_fits_are_due_by_the_count_of_samples():
+    U, dp = scattered(12, 500)
+    state, _ = learnt(U, dp, bent(U, dp))
+    assert 500 < state.counters[flow_memory.NEXT_FIT] <= 600
