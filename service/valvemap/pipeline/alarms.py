@@ -41,7 +41,7 @@ from valvemap.vocabulary.statuses import Adaptation
 
 LOSS_MEMORY_S = 60.0  # s; time constant of the share of lost samples
 ENOUGH_SAMPLES = 100.0  # samples, lost or not; with fewer the share is not judged
-SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # large residuals near a change
+SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # ns; window of confirmation
 CLEAR_CHANGE = 2.5  # times the usual residual; a smaller change is one of the map
 LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # s, and share; a larger move changes the residuals
 DAY_S = 86_400.0

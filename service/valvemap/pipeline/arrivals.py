@@ -89,7 +89,7 @@ class Arrivals:
         return self._align(self.timing.take(changes))
 
     def waits(self) -> NDArray[np.bool_]:
-        """Mask of the valves with samples in the reorder buffer or in detection of the timing."""
+        """Mask of the valves with samples in the reorder buffer, or changes buffered for scans."""
         return self.alignment.waits(self._waiting) | (self.timing.pending > 0)
 
     def pending(self) -> Times:

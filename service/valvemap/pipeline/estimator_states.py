@@ -150,7 +150,7 @@ class Listed:
         return trace
 
     def get(self, m: int) -> State:
-        """Return the state of valve ``m``; states are immutable."""
+        """Return the state of valve ``m``; updates replace it by a new one."""
         return self._all[m]
 
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:

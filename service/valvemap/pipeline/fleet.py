@@ -314,7 +314,7 @@ class Fleet:
             self.show_stopped(m)
 
     def rejections(self) -> Times:
-        """Counts (M, reasons) of samples rejected since the start, by the gate or an estimator."""
+        """Counts (M, reasons) since the start: rejections by gate and estimators, lane failures."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()

@@ -127,7 +127,7 @@ class Identification:
         return self._arrivals.how_signals_come(valve, self.plans[valve].nodes)
 
     def newly_timed(self) -> list[int]:
-        """Return the valves whose signals were detected as staggered since the last call."""
+        """Return the valves whose signals were newly found to have different timestamps."""
         return self._arrivals.timing.newly_found()
 
     def holds(self) -> NDArray[np.bool_]:

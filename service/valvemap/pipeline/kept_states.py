@@ -80,7 +80,7 @@ class KeptStates:
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; for each rejected checkpoint, whose state is reset, why.
+            names ``<Valve>.<Estimator>``; ``refused`` maps to the reason, and the state is reset.
         """
         restored: list[str] = []
         refused: dict[str, str] = {}

@@ -1,7 +1,7 @@
 """Lanes: one estimator on M valves, with its residuals' statistics and its maps' support.
 
-Lanes that an operator froze, or whose ``lam`` he set, are updated one valve at a time; all others
-in one call.
+Lanes that an operator froze or gave another ``lam`` are updated one valve at a time; all others in
+one call.
 """
 
 from collections.abc import Callable, Mapping, Sequence

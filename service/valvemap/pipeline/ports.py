@@ -224,7 +224,8 @@ class ValveResult:
 class EstimatorResults:
     """One estimator on M valves: the fields of :class:`EstimatorResult`, all of length M.
 
-    ``theta`` and ``std`` have shape (M, n); ``old`` masks valves with an old newest sample or None.
+    ``theta`` and ``std`` have shape (M, n). ``old`` masks the valves whose newest sample is old;
+    None: no valve.
     """
 
     t: Times

@@ -101,7 +101,7 @@ class Timing:
         return found
 
     def newly_found(self) -> list[int]:
-        """Return the valves whose signals were detected as staggered since the last call."""
+        """Return the valves whose signals were newly found to have different timestamps."""
         new, self._new = self._new, []
         return new
 

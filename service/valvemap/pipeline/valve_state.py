@@ -59,7 +59,7 @@ class PathDependent(Protocol):
     """An estimator whose flow depends on the direction of U (hysteresis)."""
 
     def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
-        """Direction of U (N,) along a path that starts at ``state``."""
+        """Direction of U (N,) along a path without a previous U."""
 
     def predict_along(
         self,

@@ -61,7 +61,7 @@ class PublishingTurns:
         return bool(self._since) and now >= self._due
 
     def next(self, now: float) -> list[int]:
-        """Dequeue the valves to publish now; requeue those published as late once it is over."""
+        """Dequeue the valves to publish now; valves published while late are queued again later."""
         some = list(islice(self._since, VALVES_AT_ONCE))
         waited = now - self._since[some[0]] if some else 0.0
         self.round_s = waited

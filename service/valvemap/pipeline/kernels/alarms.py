@@ -51,7 +51,7 @@ CLEAR = 0.1  # share that a lag must explain beyond the others: a constant error
 LEAST_SHARE = 1e-6  # least share of an edge, a meter and an offset: always possible
 OTHER_OIL_K = 3.0  # K from the usual temperature, beyond which the oil is named first
 
-# Places in `Senses.memory` and `Senses.times`.
+# Indices into `Senses.memory` and `Senses.times`.
 CELL, KNOWN, BLOCK_SUM, BLOCK_N, RECENT, RECENT_N, USUAL, USUAL_N, T_USUAL, Q_BEFORE = range(10)
 SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN = range(10, 17)
 USUAL_SQUARE, USUAL_SQUARE_N, LAG_BEFORE, MEMORY = range(17, 21)

@@ -182,7 +182,7 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
 
 @inner
 def resume(order: NDArray[np.int64], slots: NDArray[np.int64], time: int) -> int:
-    """Return the slot of the first sample after a restart of the source."""
+    """Set the bounds of the run after a restart; return the slot of its first sample."""
     if time > order[HIGH]:
         order[FLOOR] = order[HIGH]
     else:

@@ -77,8 +77,9 @@ def leave_by_time(
     out: Aligned,
     n: int,
 ) -> int:
-    """Emit complete samples; return the number in ``out``. Older ones are dropped, or stop it.
+    """Emit complete samples, oldest first; return the number in ``out``.
 
+    Incomplete samples before them are dropped if overdue; otherwise emission stops there.
     ``complete`` is the slot of a complete sample; -1: search for the newest.
     """
     order, reorder = w.order[v], 0 if at_once else rules.reorder[v]
@@ -134,7 +135,7 @@ def _begin_anew(w: Waiting, v: int) -> None:
 
 @inner
 def _hopeless(w: Waiting, v: int, k: int, rules: Rules) -> bool:
-    """Whether slot ``k`` stays incomplete: each missing signal has already sent newer values."""
+    """Whether each signal that slot ``k`` lacks has sent a value newer by ``reorder``."""
     limit = w.slots[v, k, TIME] + rules.tolerance + rules.reorder[v]
     for m in range(SIGNALS):
         lacks = rules.required[v] & ~w.slots[v, k, FILLED] & (1 << m)

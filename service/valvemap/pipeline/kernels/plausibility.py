@@ -49,7 +49,7 @@ def count(
     """Add N samples of many valves to the statistics; ``columns`` (N, 5) are U, p1, p2, Q, T.
 
     ``counts`` (M, FIELDS), ``times`` (M,) of the newest sample and ``sums`` (M, CELLS, SUMS) by
-    cells of U are updated in place. ``refused`` (N,) is set for samples with impossible pressures.
+    cells of U are updated in place. ``refused`` (N,) is set for each rejected sample.
     """
     members, starts, stops = segments
     width = (HIGHEST_CELL - LOWEST_CELL) / CELLS

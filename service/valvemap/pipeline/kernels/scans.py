@@ -14,7 +14,7 @@ from valvemap.model.kernels.compiled import inner, kernel
 
 SIGNALS = 6  # the running number is the last
 NEVER = np.iinfo(np.int64).min
-ZERO, ONE = cast("int", np.int64(0)), cast("int", np.int64(1))  # literals would be recompiled
+ZERO, ONE = cast("int", np.int64(0)), cast("int", np.int64(1))  # literals compile a callee again
 _STEPS = 4  # periods; an older value is not used for interpolation
 
 SIZE, NEWEST, LEFT, LATE, TWICE, FIELDS = range(6)  # of ``course``
@@ -79,9 +79,10 @@ def make_scans(
     w: Scans,
     out: Changed,
 ) -> int:
-    """Process changes; write the signals of finished scans, at one time each; return how many.
+    """Process changes; write finished scans to ``out``; return the number of changes in it.
 
-    ``flush`` also writes unfinished scans, after the changes were processed.
+    All changes of a scan get one time. ``flush`` also writes unfinished scans, once the changes are
+    processed.
     """
     n = ZERO
     for i in range(len(changes.time)):
@@ -175,7 +176,7 @@ def _members(rules: ScanRules, w: Scans) -> tuple[int, int]:
 
 @inner
 def _is_finished(rules: ScanRules, w: Scans, found: int) -> bool:
-    """Whether the first scan is finished: each signal delivers its values in order."""
+    """Whether no absent signal can still arrive for the first scan: each signal is in order."""
     ends = w.time[0] + rules.window
     for j in range(SIGNALS):
         absent = rules.there[j] and not found & (1 << j)
