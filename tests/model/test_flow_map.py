@@ -5,12 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.fleet import members, stack
 from valvemap.model.flow_map import FlowMap
 from valvemap.model.flow_map_state import axes
 from valvemap.model.kernels import flow_memory
-from valvemap.model.samples import Samples, Status
+from valvemap.model.samples import Samples
+from valvemap.vocabulary.statuses import Adaptation, Status
 
 SIGMA = 0.4
 

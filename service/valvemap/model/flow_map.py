@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from valvemap.model.adaptation import Adaptation
 from valvemap.model.change import Change
 from valvemap.model.fleet import alone, copied, member, update_one
 from valvemap.model.flow_map_state import FlowMapState, Range, axes, empty
@@ -21,7 +20,8 @@ from valvemap.model.kernels import (
 )
 from valvemap.model.kernels import flow_rules as rules
 from valvemap.model.kernels.flow_basis import Axis
-from valvemap.model.samples import Codes, Floats, Quality, Samples, Segments, Times, Trace
+from valvemap.model.samples import Codes, Floats, Samples, Segments, Times, Trace
+from valvemap.vocabulary.statuses import Adaptation, Quality
 
 SECONDS_PER_HOUR: Final = 3600.0
 NO_CELLS: Final = np.zeros((0, flow_cells.COLUMNS), np.float32)

@@ -1,1 +1,1 @@
-"""From data changes to results: alignment, gate, pipeline; only the supervisor waits."""
+"""From data changes to results: alignment, gate, estimators. Pure."""

@@ -1,8 +1,7 @@
-"""How alarms stand, and what people did about them. Pure.
+"""State of alarms: activation, acknowledgement, confirmation and comments. Pure.
 
-An alarm that came is to be acknowledged (it was seen) and then to be confirmed (it was dealt
-with), whether it is still there or not; a new coming begins anew (OPC UA Part 9, annex B.1). Kept
-of a remark is the newest.
+An activated alarm is to be acknowledged and then confirmed, whether it is still active or not; the
+next activation requires both again (OPC UA Part 9, annex B.1). Only the newest comment is stored.
 """
 
 import json
@@ -18,19 +17,19 @@ from valvemap.pipeline.alarm_words import Measured, text_of
 from valvemap.pipeline.kernels.alarms import Conditions
 from valvemap.pipeline.ports import AlarmReport, Remark
 
-MOST_OF_A_REMARK = 200  # characters that are kept of a remark, and of the name of who made it
+MOST_OF_A_REMARK = 200  # characters stored of a comment, and of its author's name
 
 
 @dataclass(frozen=True)
 class AlarmRule:
-    """When an alarm comes and goes.
+    """Rule of one alarm.
 
     Attributes
     ----------
     limit, hysteresis : float
-        It comes above the limit and goes below the limit less the hysteresis.
+        It is activated above the limit and deactivated below the limit less the hysteresis.
     delay_s : float
-        For so long the limit must be exceeded.
+        Time for which the limit must be exceeded.
     severity : int
         1 … 1,000 (Part 5, 6.4.2).
     """
@@ -42,14 +41,14 @@ class AlarmRule:
 
 
 class AlarmStates:
-    """The A alarms of each of M valves, or of the service; written in place.
+    """The A alarms of each of M valves, or of the service; updated in place.
 
     Attributes
     ----------
     conditions
-        How they stand, as the kernel moves them on.
+        The state that the kernel updates.
     confirmed
-        Up to which of its comings each was confirmed (M, A).
+        Number of the last confirmed activation of each alarm (M, A).
     """
 
     def __init__(self, M: int, names: Sequence[str], rules: Sequence[AlarmRule]) -> None:
@@ -60,7 +59,7 @@ class AlarmStates:
         self._remarks: dict[tuple[int, int], Remark] = {}
 
     def acknowledge(self, m: int, a: int, remark: Remark) -> bool:
-        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        """Acknowledge an alarm; False if there was nothing to acknowledge."""
         if self.conditions.acked[m, a]:
             return False
         self.conditions.acked[m, a] = True
@@ -68,7 +67,7 @@ class AlarmStates:
         return True
 
     def confirm(self, m: int, a: int, remark: Remark) -> bool:
-        """Note that it was dealt with; False if there was nothing to confirm."""
+        """Confirm an alarm; False if there was nothing to confirm."""
         if self._is_confirmed(m, a):
             return False
         self.confirmed[m, a] = self.conditions.came[m, a]
@@ -76,22 +75,22 @@ class AlarmStates:
         return True
 
     def remark(self, m: int, a: int, remark: Remark) -> None:
-        """Note what somebody said of an alarm; nothing said leaves what was."""
+        """Store a comment on an alarm; an empty one leaves the last."""
         if remark.text:
             text, by = remark.text[:MOST_OF_A_REMARK], remark.by[:MOST_OF_A_REMARK]
             self._remarks[m, a] = Remark(text, by, remark.t)
             self.conditions.version[m] += 1
 
     def reports(self, m: int, reason: str = "") -> tuple[AlarmReport, ...]:
-        """How every alarm of one valve stands, in words; ``reason`` is why a lane stopped."""
+        """Return the state of every alarm of one valve; ``reason`` is why a lane stopped."""
         return tuple(self._report(m, a, reason) for a in range(len(self._names)))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All but what people said, each (M, …): the arrays themselves."""
+        """Return all state except comments, each (M, …), not copied."""
         return {**self.conditions._asdict(), "confirmed": self.confirmed}
 
     def remarks_to_bytes(self, m: int) -> NDArray[np.uint8]:
-        """What people said of one valve's alarms."""
+        """Pack the comments on one valve's alarms."""
         said = {
             name: [remark.text, remark.by, remark.t]
             for a, name in enumerate(self._names)
@@ -100,12 +99,12 @@ class AlarmStates:
         return np.frombuffer(json.dumps(said).encode(), np.uint8)
 
     def remarks_from_bytes(self, m: int, packed: NDArray[np.uint8]) -> None:
-        """Take up what people said.
+        """Restore the comments.
 
         Raises
         ------
         StateMismatchError
-            if it is nothing that was packed here.
+            if the bytes are not packed comments.
         """
         try:
             said = {
@@ -126,7 +125,7 @@ class AlarmStates:
         self.remark(m, a, remark)
 
     def _is_confirmed(self, m: int, a: int) -> bool:
-        """Whether it needs no confirming: not before it was acknowledged, not twice."""
+        """Whether no confirmation is due: not yet acknowledged, or confirmed already."""
         conditions = self.conditions
         waits = conditions.acked[m, a] and self.confirmed[m, a] < conditions.came[m, a]
         return not waits

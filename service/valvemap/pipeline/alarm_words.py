@@ -1,4 +1,4 @@
-"""What an alarm says: what was measured, since when, and what else it could be. Pure."""
+"""Texts of alarms: the measured value, its beginning, and possible causes. Pure."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ HOUR_S = 3_600.0
 
 
 class Cause(IntEnum):
-    """What can be behind residuals; what U, p1, p2 and Q cannot tell apart is one cause."""
+    """Possible cause of residuals; causes that the signals cannot distinguish are one."""
 
     NONE = 0
     EDGE = 1
@@ -21,7 +21,7 @@ class Cause(IntEnum):
 
     @property
     def words(self) -> str:
-        """What to call it."""
+        """Name of the cause in texts."""
         return _WORDS[self]
 
 
@@ -37,18 +37,18 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Measured:
-    """What an alarm rests on.
+    """Data of an alarm's text.
 
     Attributes
     ----------
     value, limit : float
-        The largest value that was measured, and what it was held against.
+        The largest value during the alarm, and the alarm's limit.
     detail : float
-        What else was measured, depending on the alarm.
+        Another value, depending on the alarm.
     causes
         Numbers of :class:`Cause`.
     since : int
-        UTC ns; 0: it never came.
+        Start of the last activation, UTC ns; 0: never.
     reason : str
         Why a lane stopped.
     """
@@ -62,7 +62,7 @@ class Measured:
 
 
 def text_of(name: str, measured: Measured) -> str:
-    """What is said of an alarm; nothing, if it never came.
+    """Return the text of an alarm; empty before its first activation.
 
     >>> text_of("Changed", Measured(2.0, 0.25, -4.1, (1, 2, 0), 1_800_000_000_000_000_000))
     "The flow changed by -4.1 l/min, since 2027-01-15 08:00:00 UTC. It may be: the valve's edge \

@@ -1,25 +1,25 @@
-"""Alarms of a valve: what is known of it after its samples, against limits. Pure.
+"""Alarms of a valve: quantities derived from its samples and estimators, against limits. Pure.
 
 =============  ======================================================  =========================
-alarm          what is measured                                        limit by default
+alarm          quantity                                                default limit
 =============  ======================================================  =========================
-Changed        size of a change of the flow that was found             0.25 % of the flow's range
-Residual       residuals, over what they usually are at these places   2.5
+Changed        size of a detected change of the flow                   0.25 % of the flow's range
+Residual       residuals, relative to their usual size at these cells  2.5
 Misfit         residuals of a structure that does not fit              1 % of the flow's range
-SensorLost     time without a sample that is of use                    2 s
-SensorFrozen   time that a sensor's value stands still, others move    10 s
-Unexcited      time that the inputs teach nothing                      a day
-Extrapolated   the standing demand is answered where nothing was       yes
-               measured
-SamplesLost    share of the samples that were lost lately              1 %
-LagFound       lag of a signal that was found                          0.1 s
+SensorLost     time without a usable sample                            2 s
+SensorFrozen   time that a sensor's value is constant, others move     10 s
+Unexcited      time without informative inputs                         a day
+Extrapolated   the answer to the standing demand is extrapolated       yes
+SamplesLost    share of recent samples that were lost                  1 %
+LagFound       estimated lag of a signal                               0.1 s
 LaneFailed     estimators that stopped at an unexpected error          0.5
 =============  ======================================================  =========================
 
-An alarm comes when its limit was exceeded for ``delay_s`` and goes when what is measured falls
-below the limit less the hysteresis. A change stays until somebody has acknowledged it. Time is that
-of the samples, so the same recording gives the same alarms. Changed, Misfit, SamplesLost, LagFound
-and Extrapolated are judged at the end of each batch, all others sample by sample.
+An alarm becomes active when its limit was exceeded for ``delay_s``, and inactive when the quantity
+falls below the limit less the hysteresis. A change stays active until an operator acknowledges it.
+Time is the samples' time, so the same recording gives the same alarms. Changed, Misfit,
+SamplesLost, LagFound and Extrapolated are judged at the end of each batch, all others sample by
+sample.
 """
 
 from collections.abc import Mapping
@@ -39,11 +39,11 @@ from valvemap.pipeline.lane_failures import MOST_OF_A_REASON, Restore, saved
 from valvemap.pipeline.ports import AlarmReport, Remark
 from valvemap.vocabulary.statuses import Adaptation
 
-LOSS_MEMORY_S = 60.0  # over which the share of lost samples is reckoned
-ENOUGH_SAMPLES = 100.0  # of which some may have been lost, before a share is one
-SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # of a change, by residuals
-CLEAR_CHANGE = 2.5  # of the usual residual: a smaller change is one of the map
-LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # from so much on residuals are others than they were
+LOSS_MEMORY_S = 60.0  # s; time constant of the share of lost samples
+ENOUGH_SAMPLES = 100.0  # samples, lost or not; with fewer the share is not judged
+SHOWN_BEFORE_NS, SHOWN_WITHIN_NS = 1_000_000_000, 20_000_000_000  # ns; window of confirmation
+CLEAR_CHANGE = 2.5  # times the usual residual; a smaller change is one of the map
+LAG_MOVED_S, LAG_MOVED_SHARE = 0.004, 0.15  # s, and share; a larger move changes the residuals
 DAY_S = 86_400.0
 
 
@@ -63,7 +63,7 @@ class Alarm(IntEnum):
 
     @property
     def title(self) -> str:
-        """Its name in configuration and node ids."""
+        """Name in configuration and node ids."""
         return "".join(part.capitalize() for part in self.name.split("_"))
 
 
@@ -76,7 +76,7 @@ class ServiceAlarm(IntEnum):
 
     @property
     def title(self) -> str:
-        """Its name in configuration and node ids."""
+        """Name in configuration and node ids."""
         return self.name.capitalize()
 
 
@@ -105,7 +105,7 @@ SERVICE_RULES: Mapping[ServiceAlarm, AlarmRule] = {
 
 @dataclass(frozen=True)
 class _KeptOfService(State):
-    """The service's alarms as they go into a checkpoint."""
+    """The service's alarms as stored in a checkpoint."""
 
     over: Any
     since: Any
@@ -123,7 +123,7 @@ class _KeptOfService(State):
 
 @dataclass(frozen=True)
 class _Kept(_KeptOfService):
-    """One valve's: with what they are judged by."""
+    """One valve's alarms as stored in a checkpoint, with the statistics that judge them."""
 
     last: Any
     still: Any
@@ -140,14 +140,14 @@ class _Kept(_KeptOfService):
 
 
 class Alarms:
-    """The alarms of M valves that share a plan; their state is written in place.
+    """The alarms of M valves that share a plan; their state is updated in place.
 
     Parameters
     ----------
     M
-        How many valves.
+        Number of valves.
     rules
-        When each alarm comes and goes.
+        Limit, hysteresis, delay and severity of each alarm.
     Q_span
         Range of the flow, l/min.
 
@@ -171,11 +171,11 @@ class Alarms:
 
     @property
     def version(self) -> Times:
-        """How often anything changed of each valve's alarms (M,)."""
+        """Number of changes of each valve's alarms (M,)."""
         return self._conditions.version
 
     def watch(self, samples: Samples, trace: Trace, segments: Segments) -> None:
-        """Take samples in, as judged by the gate, with what the watched estimator said of them."""
+        """Update with gated samples and the watched estimator's trace of them."""
         seen = Watched(
             samples.t,
             samples.U,
@@ -201,14 +201,14 @@ class Alarms:
         )
 
     def be_patient(self, chosen: Times, patient: Flags) -> None:
-        """Say whose signals come on change: their silence is no loss."""
+        """Set which valves have on-change signals: their silence is no loss."""
         self._patient[chosen] = patient
 
     def note_changes(self, chosen: Times, counts: Times, t: Times, size: Floats) -> None:
-        """Take up how many changes of the flow were found of K valves, and the newest of each.
+        """Update with the number of detected flow changes of K valves, and the newest of each.
 
-        What changes while the map is new may be the map itself, and what residuals do not show
-        is a change of nothing but the estimator's mind.
+        A change while the map is new may be the map's convergence. A change that residuals do not
+        confirm is one of the estimate, not of the valve.
         """
         memory, detail = self._senses.memory, self._conditions.detail
         memory[chosen, kernel.CHANGES_SEEN] = np.minimum(
@@ -232,9 +232,9 @@ class Alarms:
             kernel.name_causes(new, int(Alarm.CHANGED), self._conditions, self._senses, shares)
 
     def note_lags(self, chosen: Times, lags: Floats) -> None:
-        """Take up the largest lag of K valves, s; NaN where none is looked for.
+        """Update with the largest lag of K valves, s; NaN if lags are not estimated.
 
-        Where it moves, what residuals usually are is found anew: the map may start anew, too.
+        If it moves, the usual residuals are estimated again: the map may be reset, too.
         """
         before = self._senses.memory[chosen, kernel.LAG_BEFORE]
         moved = np.abs(lags - before) > np.maximum(LAG_MOVED_S, LAG_MOVED_SHARE * before)
@@ -244,13 +244,13 @@ class Alarms:
         self._move_on(chosen, Alarm.LAG_FOUND, lags)
 
     def note_misfit(self, chosen: Times, adaptation: Codes, rmse: Floats) -> None:
-        """Take up what the watched estimator of K valves makes of its residuals, l/min."""
+        """Update with the adaptation status and the RMS residual, l/min, of K valves."""
         misfits = adaptation == Adaptation.MISFIT
         x = np.where(misfits, 100.0 * rmse / self._Q_span, 0.0)
         self._move_on(chosen, Alarm.MISFIT, x)
 
     def note_losses(self, chosen: Times, lost: Times, taken: Times) -> None:
-        """Take up how many samples of K valves were lost, and how many came, since the start."""
+        """Update with the numbers of lost and accepted samples of K valves since the start."""
         memory, times = self._senses.memory[chosen], self._senses.times[chosen]
         now, before = times[:, kernel.NEWEST], times[:, kernel.LOSS_TIME]
         first = before == kernel.NEVER
@@ -271,7 +271,7 @@ class Alarms:
         self._move_on(chosen, Alarm.SAMPLES_LOST, x)
 
     def note_answers(self, chosen: Times, guessed: Floats) -> None:
-        """Take up whether K valves' standing demands are answered where nothing was measured."""
+        """Update with whether the answers to K valves' standing demands are extrapolated."""
         self._move_on(chosen, Alarm.EXTRAPOLATED, guessed)
 
     def note_failure(self, m: int, reason: str, *, whole: bool) -> None:
@@ -292,7 +292,7 @@ class Alarms:
         return bool(self._conditions.detail[m, Alarm.LANE_FAILED, 0])
 
     def failures(self) -> Times:
-        """How often lanes stopped (M,)."""
+        """Number of lane failures (M,)."""
         return self._conditions.detail[:, Alarm.LANE_FAILED, 1].astype(np.int64)
 
     def saved(self, members: Times) -> Restore:
@@ -300,7 +300,7 @@ class Alarms:
         return saved(self.columns().values(), members)
 
     def overdue(self, chosen: Times, now: Times) -> None:
-        """Take up that K valves have sent nothing until ``now``, UTC ns by their sources."""
+        """Update K valves that have sent no sample until ``now``, UTC ns by their sources."""
         usable = self._senses.times[chosen, kernel.USABLE]
         began = np.where(usable == kernel.NEVER, 0, usable)
         waited = np.where(usable == kernel.NEVER, np.inf, (now - began) * 1e-9)
@@ -308,7 +308,7 @@ class Alarms:
         self._step(chosen, Alarm.SENSOR_LOST, waited, now, began)
 
     def acknowledge(self, m: int, alarm: Alarm, remark: Remark) -> bool:
-        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        """Acknowledge an alarm; False if there was nothing to acknowledge."""
         taken = self._states.acknowledge(m, alarm, remark)
         if taken and alarm is Alarm.CHANGED:
             conditions = self._conditions
@@ -318,20 +318,20 @@ class Alarms:
         return taken
 
     def confirm(self, m: int, alarm: Alarm, remark: Remark) -> bool:
-        """Note that it was dealt with; False if there was nothing to confirm."""
+        """Confirm an alarm; False if there was nothing to confirm."""
         return self._states.confirm(m, alarm, remark)
 
     def remark(self, m: int, alarm: Alarm, remark: Remark) -> None:
-        """Note what somebody said of an alarm."""
+        """Store an operator's comment on an alarm."""
         self._states.remark(m, alarm, remark)
 
     def was_away(self) -> None:
-        """Take up that nobody listened: silence until now is no loss, and no standstill."""
+        """Restart the timers after an outage of the service: its silence is no loss of samples."""
         times = self._senses.times
         times[:, [kernel.NEWEST, kernel.USABLE, kernel.LOSS_TIME]] = kernel.NEVER
 
     def forget_map(self, m: int) -> None:
-        """Forget what residuals usually are: the map they are of is forgotten, too."""
+        """Reset the usual residuals and the change alarm, after a reset of the map."""
         self._forget_usual(m)
         self._move_on(np.array([m]), Alarm.CHANGED, np.zeros(1))
 
@@ -344,23 +344,23 @@ class Alarms:
         self._move_on(np.array([m]), Alarm.RESIDUAL, np.zeros(1))
 
     def reports(self, m: int) -> tuple[AlarmReport, ...]:
-        """How every alarm of one valve stands, in words."""
+        """Return the state of every alarm of one valve, in words."""
         return self._states.reports(m, str(self._reasons[m]))
 
     def to_bytes(self, m: int) -> bytes:
-        """Pack what one valve's alarms are and rest on, but for the losses of the last minute."""
+        """Pack one valve's alarms and their statistics, without the losses of the last minute."""
         kept = {name: array[m].copy() for name, array in self._arrays().items()}
         kept["memory"][_LOSSES], kept["times"][kernel.LOSS_TIME] = 0.0, kernel.NEVER
         kept["reason"] = np.array(self._reasons[m])
         return _Kept(**kept, remarks=self._states.remarks_to_bytes(m)).to_bytes(_KEY)
 
     def from_bytes(self, m: int, data: bytes) -> None:
-        """Unpack it.
+        """Unpack one valve's alarms.
 
         Raises
         ------
         StateMismatchError
-            if the bytes are damaged, or of other alarms than there are today.
+            if the bytes are damaged, or their layout differs from the present one.
         """
         kept = _Kept.from_bytes(data, _KEY)
         arrays = self._arrays()
@@ -374,7 +374,7 @@ class Alarms:
         self._reasons[m] = str(kept.reason)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All that the alarms are and rest on, each (M, …): the arrays themselves."""
+        """Return all arrays of the alarms and their statistics, each (M, …), not copied."""
         return {**self._arrays(), "patient": self._patient, "reasons": self._reasons}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -399,17 +399,17 @@ class ServiceAlarms:
         self._limits = _limits(by_number)
         falls = self._limits[ServiceAlarm.CERTIFICATE]
         hysteresis = falls[0] - falls[1]
-        falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # it comes when too few are left
+        falls[0], falls[1] = -falls[0], -falls[0] - hysteresis  # active below the limit
         self._states = AlarmStates(1, SERVICE_ALARM_NAMES, by_number)
         self._conditions = self._states.conditions
 
     @property
     def version(self) -> int:
-        """How often anything changed."""
+        """Number of changes."""
         return int(self._conditions.version[0])
 
     def note(self, now: int, checkpoint_age_s: float, days_left: float, load: float) -> None:
-        """Take up how the service stands; NaN is not known, and changes nothing."""
+        """Update with the service's state; NaN is unknown and changes nothing."""
         for alarm, x in (
             (ServiceAlarm.CHECKPOINT, checkpoint_age_s),
             (ServiceAlarm.CERTIFICATE, -days_left),
@@ -420,29 +420,29 @@ class ServiceAlarms:
             kernel.move_on(one, t, t, value, int(alarm), limits, conditions, came)
 
     def acknowledge(self, alarm: ServiceAlarm, remark: Remark) -> bool:
-        """Note that somebody has seen an alarm; False if there was nothing to acknowledge."""
+        """Acknowledge an alarm; False if there was nothing to acknowledge."""
         return self._states.acknowledge(0, alarm, remark)
 
     def confirm(self, alarm: ServiceAlarm, remark: Remark) -> bool:
-        """Note that it was dealt with; False if there was nothing to confirm."""
+        """Confirm an alarm; False if there was nothing to confirm."""
         return self._states.confirm(0, alarm, remark)
 
     def remark(self, alarm: ServiceAlarm, remark: Remark) -> None:
-        """Note what somebody said of an alarm."""
+        """Store an operator's comment on an alarm."""
         self._states.remark(0, alarm, remark)
 
     def reports(self) -> tuple[AlarmReport, ...]:
-        """How every alarm stands, in words."""
+        """Return the state of every alarm, in words."""
         return self._states.reports(0)
 
     def to_bytes(self) -> bytes:
-        """Pack them."""
+        """Pack the service's alarms."""
         kept = {name: array[0] for name, array in self._states.arrays().items()}
         remarks = self._states.remarks_to_bytes(0)
         return _KeptOfService(**kept, remarks=remarks).to_bytes(_KEY_OF_SERVICE)
 
     def from_bytes(self, data: bytes) -> None:
-        """Unpack them.
+        """Unpack the service's alarms.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Alignment: data changes of single signals become samples of equal source time."""
+"""Alignment: data changes of single signals become samples with one source time."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -27,31 +27,31 @@ COUNTER_NAMES = (
 )
 
 _FIRST_CAPACITY = 16
-_LOST_KEPT = 8  # stretches given up, by which what comes late is told from what comes twice
-_TIMES_KEPT = 1024  # samples that are known again by their time alone
+_LOST_KEPT = 8  # dropped stretches kept, to distinguish late samples from duplicates
+_TIMES_KEPT = 1024  # times of emitted samples kept, to detect duplicates without running number
 
 
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """How the signals of a valve find together.
+    """How the signals of a valve are aligned.
 
     Attributes
     ----------
     tolerance_ns : int
         Largest difference of source times within one sample; 0 = the same timestamp.
     max_wait_ns : int
-        A sample still incomplete is given up once a complete one is newer by this much; a source
-        time that steps back by more tells of a step of the source's clock.
+        An incomplete sample is dropped once a complete one is newer by this much; a source time
+        that steps back by more is a step of the source's clock.
     reorder_ns : int
-        How long a sample waits behind a hole in the running numbers for what is missing there.
-        Where there is no hole it leaves at once.
+        How long a sample waits behind a gap in the running numbers for the missing samples.
+        Without a gap it is emitted at once.
     reorder_by_time_ns : int
-        The same for valves without running number: each sample waits until one so much newer is
-        complete.
+        The same for valves without running number: each sample waits until one newer by this much
+        is complete.
     max_pending : int
-        Incomplete samples kept per valve; the oldest is given up beyond that.
+        Incomplete samples kept per valve; beyond that the oldest is dropped.
     hold_ns : mapping of Signal to int
-        Signals that report less often than the others: the last value serves for this long.
+        Signals that report less often than the others: the last value is held for this long.
     """
 
     tolerance_ns: int = 0
@@ -64,7 +64,7 @@ class AlignmentSettings:
 
 @dataclass(frozen=True)
 class ByValve(Mapping[int, Samples]):
-    """Samples of several valves, one valve after another: whole for kernels, by valve for others.
+    """Samples of several valves, one valve after another: arrays for kernels, mapping by valve.
 
     ``segments.members`` are the valves' numbers, ascending.
     """
@@ -89,16 +89,17 @@ class ByValve(Mapping[int, Samples]):
 class Alignment:
     """Aligns the changes of V valves.
 
-    ``has_T`` tells which of them have a temperature sensor, ``has_sequence`` which have a running
-    number; none has, if it is empty.
+    ``has_T`` (V,) marks valves with a temperature sensor, ``has_sequence`` (V,) those with a
+    running number; if it is empty, no valve has one.
 
-    Every change is sorted by its source time into a waiting sample of its valve. Complete samples
-    leave each once: by their running number, as :mod:`valvemap.pipeline.kernels.by_number` says,
-    or else in the order of time. What a sample overtakes is given up and counted as ``missing``,
-    what comes after that as ``late``, what comes twice as ``duplicates``. ``gaps`` counts the
-    running numbers that never came, ``lost_by_time`` what the usual pace shows as lost where no
-    number tells, ``clock_steps`` the steps back of the source's clock, ``restarts`` how often its
-    running number began anew.
+    Every change is added to the pending sample of its valve with its source time. Complete samples
+    are emitted once each: in the order of their running number
+    (:mod:`valvemap.pipeline.kernels.by_number`), or else of time. Samples that a later one
+    overtakes are dropped and counted as ``missing``; samples that arrive after that count as
+    ``late``, repeated ones as ``duplicates``. ``gaps`` counts the running numbers that never
+    arrived; ``lost_by_time`` the losses inferred from the usual sampling period, without running
+    number; ``clock_steps`` the backward steps of the source's clock; ``restarts`` the restarts of
+    its running number.
 
     Examples
     --------
@@ -119,11 +120,11 @@ class Alignment:
     has_sequence: tuple[bool, ...] = ()
 
     def initial_state(self) -> Waiting:
-        """Nothing has arrived yet."""
+        """Return the state before the first change."""
         return self.nothing(len(self.has_T), min(_FIRST_CAPACITY, self.settings.max_pending))
 
     def nothing(self, valves: int, pending: int) -> Waiting:
-        """Nothing has arrived yet at some valves, with room for so many samples of each."""
+        """Return the initial state of ``valves`` valves, with room for ``pending`` samples each."""
         signals = slots.SIGNALS
         order = np.zeros((valves, slots.ORDER_FIELDS), np.int64)
         order[:, [slots.LAST, slots.BASE]] = slots.NO_NUMBER
@@ -143,21 +144,21 @@ class Alignment:
         )
 
     def update(self, state: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
-        """Take changes in; hand out the samples that may leave, by valve, in their order."""
+        """Process changes; return the samples that are due, by valve, in their order."""
         return self.take(Waiting._make(array.copy() for array in state), changes)
 
     def take(self, waiting: Waiting, changes: DataChanges) -> tuple[Waiting, ByValve]:
-        """The same; ``waiting`` is written in place, and must not be used any more."""
+        """As `update`, in place: ``waiting`` must not be used afterwards."""
         return self._run(waiting, changes, _NO_VALVES, slots.NOTHING)
 
     def waits(self, waiting: Waiting) -> NDArray[np.bool_]:
-        """Which valves (V,) have samples that are all there and wait for earlier ones."""
+        """Mask (V,) of the valves with complete samples in the reorder buffer."""
         found = np.zeros(len(self.has_T), np.bool_)
         kernel.find_waiting(self._rules, waiting, found)
         return found
 
     def of(self, waiting: Waiting, valve: int) -> Waiting:
-        """Copies of what waits at one valve, (1, …), no longer than needed."""
+        """Return copies of one valve's state, (1, …), trimmed to the samples in use."""
         one = Waiting._make(array[valve : valve + 1].copy() for array in waiting)
         size = int(one.order[0, slots.SIZE])
         return one._replace(
@@ -165,12 +166,12 @@ class Alignment:
         )
 
     def put(self, waiting: Waiting, valve: int, one: Waiting) -> Waiting:
-        """Have another valve's copies of `of` wait at a valve; ``waiting`` as in `take`.
+        """Restore one valve from the result of `of`; ``waiting`` is used up, as in `take`.
 
         Raises
         ------
         StateMismatchError
-            if more wait than this alignment lets.
+            if more samples wait than ``max_pending``.
         """
         size = one.slots.shape[1]
         if size > self.settings.max_pending:
@@ -184,7 +185,7 @@ class Alignment:
         return waiting
 
     def pending(self, waiting: Waiting) -> Times:
-        """How many samples of each valve wait, (V,)."""
+        """Number of waiting samples of each valve, (V,)."""
         return waiting.order[:, slots.SIZE].copy()
 
     def newest(self, waiting: Waiting, valve: int) -> Times:
@@ -194,11 +195,11 @@ class Alignment:
         return newest
 
     def flush(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
-        """Have what waits for earlier samples leave without them; ``waiting`` as in `take`."""
+        """Flush the reorder buffers of ``valves``; ``waiting`` is used up, as in `take`."""
         return self._run(waiting, DataChanges.empty(), valves, slots.FLUSH)
 
     def begin_anew(self, waiting: Waiting, valves: Times) -> tuple[Waiting, ByValve]:
-        """The source of some valves was restarted: any running number may be the next."""
+        """Accept any running number next: the source of these valves was restarted."""
         return self._run(waiting, DataChanges.empty(), valves, slots.BEGIN_ANEW)
 
     def counters(self, state: Waiting, valve: int) -> Mapping[str, int]:

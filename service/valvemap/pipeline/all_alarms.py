@@ -1,4 +1,4 @@
-"""The alarms of all valves and of the service: how they stand, and what people do about them."""
+"""The alarms of all valves and of the service: their state, and operators' actions on them."""
 
 from collections.abc import Mapping
 
@@ -19,18 +19,18 @@ from valvemap.pipeline.alarms import (
 from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.ports import AlarmReport, Remark
 
-OF_SERVICE = "Service"  # no valve is called so
+OF_SERVICE = "Service"  # owner of the service's alarms; no valve has this name
 
 
 class AllAlarms:
-    """Finds the alarm that is meant: of a valve, by its name, or (None) of the service.
+    """Forwards operators' actions to the alarms of a valve, by its name, or (None) of the service.
 
     Parameters
     ----------
     valves
-        Their fleets judge the valves' alarms.
+        The valves, whose fleets judge their alarms.
     rules
-        When each alarm of the service comes and goes.
+        Rules of the service's alarms.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class AllAlarms:
         self.of_service = ServiceAlarms(rules)
 
     def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note that somebody has seen an alarm.
+        """Acknowledge an alarm.
 
         Raises
         ------
         CommandRejected
-            if there is nothing to be seen.
+            if there is nothing to acknowledge.
         """
         if valve is None:
             taken = self.of_service.acknowledge(_of_service(alarm), remark)
@@ -58,12 +58,12 @@ class AllAlarms:
             raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to acknowledge")
 
     def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note that an alarm that was acknowledged was dealt with.
+        """Confirm an acknowledged alarm.
 
         Raises
         ------
         CommandRejected
-            if there is nothing that was to be dealt with.
+            if there is nothing to confirm.
         """
         if valve is None:
             taken = self.of_service.confirm(_of_service(alarm), remark)
@@ -74,7 +74,7 @@ class AllAlarms:
             raise CommandRejected(f"{valve or OF_SERVICE}.{alarm}: there is nothing to confirm")
 
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note what somebody said of an alarm."""
+        """Store an operator's comment on an alarm."""
         if valve is None:
             self.of_service.remark(_of_service(alarm), remark)
         else:
@@ -82,7 +82,7 @@ class AllAlarms:
             fleet.alarms.remark(m, _of_valve(alarm), remark)
 
     def alarmed(self) -> list[str]:
-        """The valves of which any alarm ever came."""
+        """Return the valves that have ever had an active alarm."""
         versions = [fleet.alarms.version for fleet in self._valves.fleets]
         kind, places = self._valves.kind, self._valves.places
         return [
@@ -92,21 +92,21 @@ class AllAlarms:
         ]
 
     def reports(self, valve: str | None) -> tuple[AlarmReport, ...]:
-        """How all alarms of a valve, or (None) of the service, stand."""
+        """Return the state of all alarms of a valve or (None) of the service."""
         if valve is None:
             return self.of_service.reports()
         fleet, m = self._valves.named(valve)
         return fleet.alarms.reports(m)
 
     def was_away(self) -> None:
-        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        """Note an outage of the service: silence until now is no loss of the sensors."""
         for fleet in self._valves.fleets:
             fleet.alarms.was_away()
 
     def say_overdue(self, valves: Times, now: Times) -> list[int]:
-        """Some valves (M,) have sent nothing until ``now`` (M,), UTC ns by their sources' clocks.
+        """Note that valves (M,) are silent until ``now`` (M,), UTC ns by their sources' clocks.
 
-        Returns those of which that is an alarm only now.
+        Returns the valves with a newly activated alarm.
         """
         new: list[int] = []
         for fleet, chosen in self._valves.by_fleet(valves):
@@ -129,7 +129,7 @@ class AllAlarms:
     def watch_service(
         self, now: int, checkpoint_age_s: float, days_left: float, load: float
     ) -> tuple[AlarmReport, ...]:
-        """Judge how the service itself stands: age of what is kept, certificate, share of time."""
+        """Update the service's alarms: age of the checkpoints, certificate, load."""
         self.of_service.note(now, checkpoint_age_s, days_left, load)
         return self.of_service.reports()
 

@@ -1,7 +1,6 @@
-"""All valves of one service: what is planned for each, in which fleet it is, and how it stands.
+"""All valves of one service: their plans, their fleets and their state.
 
-This is the ground that the parts of :class:`~valvemap.pipeline.identification.Identification`
-stand on.
+The parts of :class:`~valvemap.pipeline.identification.Identification` share this object.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,27 +25,27 @@ R = TypeVar("R")
 
 
 class AllValves:
-    """V valves, those that are treated alike in one fleet.
+    """V valves, grouped into fleets with the same plan.
 
-    A valve is known by its number, 0 <= number < V, or by its name; its place is its number in its
-    fleet.
+    A valve is identified by its number, 0 <= number < V, or by its name; its place is its number in
+    its fleet.
 
     Parameters
     ----------
     plans
-        What is done with the samples of each.
+        Plan of each valve.
     timing
-        How their signals come, and with that how far they may move without being written.
+        Timing of their signals, with the deadbands of on-change signals.
 
     Attributes
     ----------
     numbers : dict
-        Of the valves, by name.
+        Numbers of the valves, by name.
     fleets : list of Fleet
     places : int64
-        Of each valve in its fleet, (V,).
+        Place of each valve in its fleet, (V,).
     failures : LaneFailures
-        Why lanes stopped.
+        Failures of lanes.
     """
 
     def __init__(self, plans: Sequence[ValvePlan], timing: Timing) -> None:
@@ -61,24 +60,24 @@ class AllValves:
         ]
 
     def at(self, valve: int) -> tuple[Fleet, int]:
-        """The fleet of a valve, and its place there."""
+        """Return the fleet of a valve, and its place there."""
         return self.fleets[self._fleet_of[valve]], int(self.places[valve])
 
     def named(self, valve: str) -> tuple[Fleet, int]:
-        """The same, by the valve's name."""
+        """As `at`, by the valve's name."""
         return self.at(self.numbers[valve])
 
     def kind(self, valve: int) -> int:
-        """Number of the fleet of a valve: valves of one kind are treated alike."""
+        """Return the number of a valve's fleet."""
         return int(self._fleet_of[valve])
 
     def one_of_each_kind(self) -> list[int]:
-        """The first of the valves that are treated alike, for every kind there is."""
+        """Return the first valve of each fleet."""
         found: list[int] = np.unique(self._fleet_of, return_index=True)[1].tolist()
         return found
 
     def by_fleet(self, valves: Times) -> Iterator[tuple[Fleet, NDArray[np.intp]]]:
-        """Every fleet that some valves (M,) are in, and which of the M are in it."""
+        """Yield each fleet of the given valves (M,), and which of the M are in it."""
         fleets = self._fleet_of[valves]
         for number in np.unique(fleets):
             yield self.fleets[number], np.flatnonzero(fleets == number)
@@ -88,17 +87,17 @@ class AllValves:
         return self._keys[self.kind(valve)]
 
     def lane(self, valve: str, estimator: str) -> Lane:
-        """One estimator as it stands."""
+        """Return one estimator of one valve."""
         fleet, m = self.named(valve)
         return replace(fleet.lane(m, estimator), accuracy=self.accuracy(self.numbers[valve]))
 
     def put(self, valve: str, estimator: str, lane: Lane) -> None:
-        """Have an estimator stand otherwise, see :meth:`Fleet.put`."""
+        """Replace a lane, see :meth:`Fleet.put`."""
         fleet, m = self.named(valve)
         fleet.put(m, estimator, lane)
 
     def state(self, valve: int) -> ValveState:
-        """One valve as it stands."""
+        """Return the state of one valve."""
         fleet, m = self.at(valve)
         state, accuracy = fleet.state(m), self.accuracy(valve)
         if accuracy == fleet.plan.accuracy:
@@ -107,24 +106,24 @@ class AllValves:
         return replace(state, lanes=lanes)
 
     def state_of(self, valve: int, estimator: str) -> ValveState:
-        """One valve as it stands, with one of its estimators: whole states are large."""
+        """Return the state of one valve with one estimator only: whole states are large."""
         fleet, m = self.at(valve)
         return fleet.state(m, [estimator])
 
     def inverted(self, valve: int) -> tuple[ValvePlan, ValveState]:
-        """What the inverse of a valve's map is made from."""
+        """Return the plan and the state that a valve's inverse is computed from."""
         plan = self.plans[valve]
         return plan, self.state_of(valve, plan.inverse)
 
     def accuracy(self, valve: int) -> SensorAccuracy:
-        """What the sensors may be off by, and within what their signals may move unseen."""
+        """Return the sensors' accuracy, including the deadbands of on-change signals."""
         stated, found = self.plans[valve].accuracy, self._timing.valves[valve].found
         if found is None or not found.deadband.any():
             return stated
         return stated.beside(*found.deadband[: len(SENSORS)].tolist())
 
     def runs(self, valve: int, estimator: str) -> bool:
-        """Whether a lane has not stopped at an error."""
+        """Whether a lane is running, i.e. has not stopped at an error."""
         fleet, m = self.at(valve)
         return not fleet.has_failed(m, estimator)
 
@@ -135,20 +134,20 @@ class AllValves:
 
     @contextmanager
     def bulkhead(self, valve: int, step: Step, estimator: str | None = None) -> Iterator[None]:
-        """What raises within stops a lane, or (None) all lanes of the valve, and nothing else."""
+        """Stop a lane, or (None) all lanes of the valve, if the body raises; suppress the error."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - a bulkhead: the other lanes must not notice
             self.stop(valve, step, estimator, error)
 
     def T_or_last(self, valve: str, T: float) -> float:
-        """A temperature, °C, or where that is NaN the last one measured at a valve."""
+        """Return ``T``, °C, or, if it is NaN, the last temperature measured at a valve."""
         fleet, m = self.named(valve)
         return fleet.last_T(m) if np.isnan(T) else T
 
 
 def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
-    """The same function, called once for each estimator: valves of one kind share theirs."""
+    """Cache ``of`` by estimator: valves with the same plan share theirs."""
     known: dict[int, R] = {}
 
     def cached(estimator: AnyEstimator) -> R:
@@ -160,7 +159,7 @@ def once_each(of: Callable[[AnyEstimator], R]) -> Callable[[AnyEstimator], R]:
 
 
 def _fleets(plans: Sequence[ValvePlan], failures: LaneFailures) -> tuple[list[Fleet], Times, Times]:
-    """Fleets of the valves that are treated alike; of each valve its fleet and its place there."""
+    """Return the fleets of valves with the same plan, and each valve's fleet and place."""
     numbers: dict[str, int] = {}
     first: list[ValvePlan] = []
     names: list[list[str]] = []

@@ -1,4 +1,4 @@
-"""The maps that people approved as those of their valves when new, and what they do with them."""
+"""Baselines: maps that operators approved as those of their valves when new."""
 
 from dataclasses import replace
 
@@ -19,16 +19,16 @@ class ApprovedMaps:
     Parameters
     ----------
     valves
-        Whose.
+        The valves.
     commands
-        By which a valve's estimators forget.
+        Resets a valve's estimators.
 
     Attributes
     ----------
     baselines : dict
-        By the valve's number.
+        Baselines by the valve's number.
     counts : int64
-        How many were approved of each valve, (V,).
+        Number of approvals of each valve, (V,).
     """
 
     def __init__(self, valves: AllValves, commands: EstimatorCommands) -> None:
@@ -38,12 +38,12 @@ class ApprovedMaps:
         self.counts = np.zeros(len(valves.plans), np.int64)
 
     def approve(self, valve: str) -> None:
-        """Keep what the estimators know as the valve's map when new.
+        """Store the estimators' states as the valve's baseline, the map when new.
 
         Raises
         ------
         CommandRejected
-            if nothing to build on was learnt.
+            if the status of the inverted estimator is neither OK nor UNEXCITED.
         """
         number = self._valves.numbers[valve]
         plan, state = self._valves.plans[number], self._valves.state(number)
@@ -58,12 +58,12 @@ class ApprovedMaps:
         self.baselines[number] = Baseline.of(count, state.t, state.lanes, keys)
 
     def roll_back(self, valve: str) -> None:
-        """Have every estimator know what it knew when the baseline was approved.
+        """Restore every estimator's state of the baseline.
 
         Raises
         ------
         CommandRejected
-            if there is none, or an estimator is configured otherwise; nothing is changed then.
+            if there is none, or an estimator's configuration differs; nothing is changed then.
         """
         baseline, before = self._baseline(valve), {}
         for name, configured in self._valves.plans[self._valves.numbers[valve]].estimators.items():
@@ -79,19 +79,19 @@ class ApprovedMaps:
         fleet.start_again(m)
 
     def replace_valve(self, valve: str) -> None:
-        """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
+        """Note that the valve was replaced: reset its estimators and delete its baseline."""
         number = self._valves.numbers[valve]
         for name in self._valves.plans[number].estimators:
             self._commands.reset(valve, name)
         self.baselines.pop(number, None)
 
     def compare(self, valve: str, estimator: str) -> Difference:
-        """By how much an estimator's map has moved away from the baseline's.
+        """Return the difference of an estimator's map from the baseline's.
 
         Raises
         ------
         CommandRejected
-            if there is no such baseline or estimator, or that is configured otherwise.
+            if there is no such baseline or estimator, or its configuration differs.
         """
         baseline, plan = self._baseline(valve), self._valves.plans[self._valves.numbers[valve]]
         if estimator not in plan.estimators:
@@ -104,11 +104,11 @@ class ApprovedMaps:
         return difference(plan, now, then, T)
 
     def of(self, valve: int) -> Baseline | None:
-        """The map of a valve that was approved as new, if one was."""
+        """Return the baseline of a valve, or None."""
         return self.baselines.get(valve)
 
     def take_up(self, valve: int, kept: Baseline, *, is_approved: bool) -> None:
-        """Go on from a baseline that was kept, or from its number alone where there is none now."""
+        """Restore a stored baseline, or only its number if it was deleted."""
         self.counts[valve] = kept.number
         if is_approved:
             self.baselines[valve] = kept

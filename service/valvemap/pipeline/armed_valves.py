@@ -1,4 +1,4 @@
-"""Which valves people have armed for feed-forward, and whether answers are written to them."""
+"""Valves armed for feed-forward by an operator, and the status of their feed-forward."""
 
 import numpy as np
 
@@ -10,19 +10,19 @@ _AT_FIRST = {False: FeedForwardStatus.NOT_CONFIGURED, True: FeedForwardStatus.DI
 
 
 class ArmedValves:
-    """Nobody is armed after a start: somebody must do it again.
+    """The armed valves; none is armed after a start.
 
     Parameters
     ----------
     valves
-        Of these.
+        The valves.
 
     Attributes
     ----------
     armed : bool
-        Which valves (V,) are.
+        Mask (V,) of the armed valves.
     status : uint8
-        How feed-forward stands at each of them, (V,).
+        Feed-forward status of each valve, (V,).
     """
 
     def __init__(self, valves: AllValves) -> None:
@@ -33,12 +33,12 @@ class ArmedValves:
         )
 
     def arm(self, valve: str) -> None:
-        """Have the answer to the standing demand written to the valve, while it may be.
+        """Arm feed-forward: the answer to the standing demand is written to the valve.
 
         Raises
         ------
         CommandRejected
-            if it is not configured where to.
+            if no node to write to is configured.
         """
         number = self._valves.numbers[valve]
         if self._valves.plans[number].feed_forward is None:
@@ -46,17 +46,17 @@ class ArmedValves:
         self.armed[number] = True
 
     def disarm(self, valve: str) -> None:
-        """Write nothing to the valve any more."""
+        """Disarm feed-forward: nothing is written to the valve."""
         self.armed[self._valves.numbers[valve]] = False
 
     def is_armed(self, valve: int) -> bool:
-        """Whether somebody has armed the valve's feed-forward since the start."""
+        """Whether an operator has armed the valve's feed-forward since the start."""
         return bool(self.armed[valve])
 
     def feed_forward(self, valve: int) -> FeedForwardStatus:
-        """Whether the answer was written to the valve when last looked at."""
+        """Return the feed-forward status of the last step."""
         return FeedForwardStatus(int(self.status[valve]))
 
     def note(self, valve: int, status: FeedForwardStatus) -> None:
-        """Have a valve's feed-forward stand so."""
+        """Set a valve's feed-forward status."""
         self.status[valve] = status

@@ -1,4 +1,4 @@
-"""Data changes of many valves on their way into samples: timing first, then alignment. Pure."""
+"""Conversion of many valves' data changes into samples: timing, then alignment. Pure."""
 
 import json
 import zlib
@@ -28,7 +28,7 @@ _MISSING: Final = COUNTER_NAMES.index("missing")
 
 @dataclass(frozen=True)
 class _Kept(State):
-    """What waits at all valves."""
+    """The alignment's state of all valves."""
 
     slots: Any
     values: Any
@@ -44,7 +44,7 @@ class _Kept(State):
 
 @dataclass(frozen=True)
 class _Key:
-    """What it depends on how changes become samples."""
+    """The configuration that the state is bound to."""
 
     names: tuple[str, ...]
     alignment: AlignmentSettings
@@ -54,20 +54,19 @@ class _Key:
 
 
 class Arrivals:
-    """Makes samples of changes; what is under way can be kept, to the bit.
+    """Converts data changes into samples; its state can be packed and restored bitwise.
 
     Parameters
     ----------
     names
-        Of the valves.
+        Names of the valves.
     alignment, timing
-        How their signals find together, and how it is found in what way they come (None: it is
-        configured).
+        How the signals are aligned, and how their stamping is detected (None: it is configured).
 
     Attributes
     ----------
     finds_timing : bool
-        Whether it is found in what way the signals come.
+        Whether the stamping of the signals is detected.
 
     Examples
     --------
@@ -86,42 +85,42 @@ class Arrivals:
         self._waiting = alignment.initial_state()
 
     def take(self, changes: DataChanges) -> ByValve:
-        """Take changes in; return the samples that they completed."""
+        """Process data changes; return the samples that they completed."""
         return self._align(self.timing.take(changes))
 
     def waits(self) -> NDArray[np.bool_]:
-        """Which valves have samples that wait for earlier ones."""
+        """Mask of the valves with samples in the reorder buffer, or changes buffered for scans."""
         return self.alignment.waits(self._waiting) | (self.timing.pending > 0)
 
     def pending(self) -> Times:
-        """How many samples of each valve wait for signals or for earlier samples, (V,)."""
+        """Number of samples of each valve that wait for signals or for earlier samples, (V,)."""
         return self.alignment.pending(self._waiting) + self.timing.pending
 
     def wait_no_longer(self, valves: Times) -> ByValve:
-        """What waits for earlier samples, without them."""
+        """Flush the reorder buffer of these valves; return its samples."""
         unfinished = self.timing.flush(valves)
         if len(unfinished):
             return self._align(unfinished)
         return self._flush(valves)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
-        """The source of some valves was restarted: its running numbers begin anew."""
+        """Reset the alignment of these valves: the running numbers of their source restart."""
         self._waiting, samples = self.alignment.begin_anew(self._waiting, valves)
         return samples
 
     def finish(self) -> list[ByValve]:
-        """All that waits, whatever for."""
+        """Flush all buffers; return their samples."""
         every = np.arange(len(self.names))
         return [self._align(self.timing.flush(every)), self._flush(every)]
 
     def counts(self, valves: Times) -> Times:
-        """What was aligned and lost of some valves, a column for each of ``COUNTER_NAMES``."""
+        """Return the counters of the given valves, a column for each of ``COUNTER_NAMES``."""
         counts: Times = self._waiting.counters[valves]
         counts[:, _MISSING] += self.timing.not_made(valves)
         return counts
 
     def waited_for(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
-        """Which signals keep a valve's samples from being made, and what would help."""
+        """Return the signals that are missing for a valve's samples, and a remedy."""
         timing, has_T = self.timing.valves[valve], self.alignment.has_T[valve]
         newest = np.maximum(self.alignment.newest(self._waiting, valve), timing.newest[:-1])
         if timing.stands == IN_SCANS:
@@ -132,29 +131,29 @@ class Arrivals:
         return said
 
     def stand_still(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
-        """Which of a valve's signals, written on change, have not moved for long."""
+        """Return a valve's on-change signals that have not changed for long."""
         return self.timing.valves[valve].words.still(nodes)
 
     def how_signals_come(self, valve: int, nodes: Mapping[str, str]) -> tuple[str, ...]:
-        """How each of a valve's signals comes, in words."""
+        """Describe how each of a valve's signals is stamped."""
         return self.timing.valves[valve].words.sentences(nodes)
 
     def of(self, valve: int) -> Waiting:
-        """Copies of what waits at one valve, see :meth:`Alignment.of`."""
+        """Return copies of one valve's state, see :meth:`Alignment.of`."""
         return self.alignment.of(self._waiting, valve)
 
     def put(self, valve: int, one: Waiting) -> None:
-        """Have copies of `of` wait at a valve.
+        """Restore one valve from the result of `of`.
 
         Raises
         ------
         StateMismatchError
-            if more wait than the alignment lets.
+            if more samples wait than ``max_pending``.
         """
         self._waiting = self.alignment.put(self._waiting, valve, one)
 
     def to_bytes(self) -> bytes:
-        """Pack what is under way."""
+        """Pack the state of all valves."""
         size = int(self._waiting.order[:, slots.SIZE].max(initial=0))
         arrays = {
             name: array[:, :size] if name in _BY_SLOT else array
@@ -171,12 +170,12 @@ class Arrivals:
         return zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") + body
 
     def resume(self, packed: bytes) -> None:
-        """Go on from what was under way.
+        """Restore the state of all valves.
 
         Raises
         ------
         StateMismatchError
-            if it is damaged, or of valves that are configured otherwise; nothing is changed then.
+            if it is damaged, or the configuration differs; the present state is then unchanged.
         """
         digest, body = packed[:_DIGEST_BYTES], packed[_DIGEST_BYTES:]
         if zlib.crc32(body).to_bytes(_DIGEST_BYTES, "big") != digest:
@@ -200,7 +199,7 @@ class Arrivals:
             self.timing.put(number, states.get(number, _ALIKE))
 
     def _check(self, waiting: Waiting) -> None:
-        """Refuse what cannot wait at these valves."""
+        """Raise if the shapes or contents are invalid for these valves."""
         V, pending = len(self.names), waiting.slots.shape[1] if waiting.slots.ndim > 1 else 0
         like = self.alignment.nothing(V, pending)
         sizes = waiting.order[:, slots.SIZE] if waiting.order.shape == like.order.shape else ()

@@ -1,4 +1,4 @@
-"""The map of a valve as it was new: approved, kept, compared with, gone back to. Pure."""
+"""Baseline: the approved map of a new valve, stored, compared and restored. Pure."""
 
 import hashlib
 from collections.abc import Mapping
@@ -12,25 +12,25 @@ from valvemap.pipeline import valve_state
 from valvemap.pipeline.valve_state import Lane, ValvePlan
 from valvemap.vocabulary.statuses import Status
 
-KEY: Final = "baseline 1"  # the form in which baselines are kept
+KEY: Final = "baseline 1"  # version of the storage format
 _GRID_U, _GRID_DP = 21, 15  # points at which maps are compared
 _DIGITS = 12  # of the hash, in a version's name
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """An approved version of all that a valve's estimators knew.
+    """An approved version of the states of a valve's estimators.
 
     Attributes
     ----------
     number
-        How many were approved before it, and this one.
+        Running number of the approval, from 1.
     t
-        Source time of the newest sample behind it, UTC ns.
+        Source time of the newest sample, UTC ns.
     digest
         SHA-256 of the states, hexadecimal.
     states
-        By estimator: its state as `lane_to_bytes` packs it.
+        By estimator: its lane as packed by `lane_to_bytes`.
     keys
         By estimator: the hash of its hyper-parameters.
     """
@@ -43,29 +43,29 @@ class Baseline:
 
     @property
     def version(self) -> str:
-        """Name of the version: its number, and how its hash begins."""
+        """Name of the version: its number, and the first digits of its hash."""
         return f"{self.number}-{self.digest[:_DIGITS]}"
 
     @classmethod
     def none(cls, number: int) -> "Baseline":
-        """There is none any more; so many were approved."""
+        """Return the record of a deleted baseline, after ``number`` approvals."""
         return cls(number, 0, _digest(0, {}), {}, {})
 
     @classmethod
     def of(
         cls, number: int, t: int, lanes: Mapping[str, Lane], keys: Mapping[str, str]
     ) -> "Baseline":
-        """Of a valve's estimators as they stand."""
+        """Build it from the present lanes of a valve."""
         states = {name: valve_state.lane_to_bytes(lane, keys[name]) for name, lane in lanes.items()}
         return cls(number, t, _digest(t, states), states, dict(keys))
 
     def lane(self, name: str, configured: valve_state.AnyEstimator) -> Lane:
-        """One estimator as it was.
+        """Return one estimator's approved lane.
 
         Raises
         ------
         StateMismatchError
-            if it was not there, or is configured otherwise today.
+            if it is not in the baseline, or its configuration has changed.
         """
         if name not in self.states:
             raise StateMismatchError(f"{name} was not there")
@@ -93,7 +93,7 @@ class Baseline:
         Raises
         ------
         StateMismatchError
-            if the bytes are damaged, or their hash is another.
+            if the bytes are damaged, or do not match their hash.
         """
         kept = _Kept.from_bytes(data, KEY)
         try:
@@ -115,10 +115,10 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much a map has moved away from another, l/min, over where both were measured.
+    """Difference of two maps, l/min, over the points that both have measured.
 
-    ``largest`` is found at ``U`` (%) and ``dp`` (bar); ``points`` of the grid could be compared,
-    the figures are NaN where none could.
+    ``largest`` occurs at ``U`` (%) and ``dp`` (bar); ``points`` of the grid were compared; without
+    any, the figures are NaN.
     """
 
     mean: float
@@ -129,7 +129,7 @@ class Difference:
 
 
 def difference(plan: ValvePlan, now: Lane, then: Lane, T: float) -> Difference:
-    """Compare a map with an earlier one: now less then."""
+    """Return the difference of a map from an earlier one: ``now`` minus ``then``."""
     U, dp = np.meshgrid(
         np.linspace(*plan.U_range, _GRID_U), np.linspace(0.0, max(plan.map_dp), _GRID_DP)
     )

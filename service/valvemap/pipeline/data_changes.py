@@ -32,7 +32,7 @@ class DataChanges:
     item : int32
         ``valve * SIGNALS_PER_VALVE + signal``.
     value : float64
-        The value, NaN where it is no number.
+        The value; NaN if it is not a number.
     status : uint32
         OPC UA StatusCode as sent (Good = 0; severity in the top two bits; InfoBits kept).
     source_time : int64
@@ -46,7 +46,7 @@ class DataChanges:
 
     @classmethod
     def empty(cls) -> Self:
-        """No changes."""
+        """Return a batch without changes."""
         return cls(
             item=np.empty(0, np.int32),
             value=np.empty(0, np.float64),
@@ -56,7 +56,7 @@ class DataChanges:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """One batch from several, in their order."""
+        """Join batches, in their order."""
         if not parts:
             return cls.empty()
         columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(cls)}

@@ -3,13 +3,13 @@
 The values are those of Devices' DeviceHealthEnumeration (OPC 10000-100, 4.5.4).
 
 ==========================  ====================================================================
-FAILURE                     what it sends cannot be used: SensorLost, SensorFrozen, LaneFailed
-OFF_SPEC                    it does not do what is known of it, or where nothing is known:
-                            Residual, Misfit, Extrapolated; of the service: Load
-MAINTENANCE_REQUIRED        it works, somebody should look at it: Changed, LagFound, SamplesLost;
+FAILURE                     unusable output: SensorLost, SensorFrozen, LaneFailed
+OFF_SPEC                    deviation from the map, or extrapolation: Residual, Misfit,
+                            Extrapolated; of the service: Load
+MAINTENANCE_REQUIRED        works, but needs inspection: Changed, LagFound, SamplesLost;
                             of the service: Checkpoint, Certificate
-NORMAL                      nothing of that; Unexcited says that a machine stands, no more
-CHECK_FUNCTION              never: nobody tells the service that a device is being worked on
+NORMAL                      none of these; Unexcited only means that a machine is at rest
+CHECK_FUNCTION              never: the service is not informed of work on a device
 ==========================  ====================================================================
 """
 
@@ -18,7 +18,7 @@ from enum import IntEnum
 
 
 class DeviceHealth(IntEnum):
-    """How a device is."""
+    """Health of a device."""
 
     NORMAL = 0
     FAILURE = 1
@@ -51,7 +51,7 @@ _WORST_FIRST = (
 
 
 def device_health(active: Iterable[str]) -> DeviceHealth:
-    """The worst of what the alarms that are active say.
+    """Return the worst health that the active alarms imply.
 
     >>> device_health(["Changed", "Residual"]).name
     'OFF_SPEC'

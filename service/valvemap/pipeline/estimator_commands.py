@@ -1,4 +1,4 @@
-"""What people do to a valve's estimators and its standing demand, and what they ask of its maps."""
+"""Operators' commands on estimators and standing demands, and queries of their maps."""
 
 from dataclasses import replace
 
@@ -14,19 +14,19 @@ from valvemap.vocabulary.statuses import Status
 
 
 class EstimatorCommands:
-    """Carries out commands on estimators and maps, see :class:`valvemap.pipeline.ports.Operator`.
+    """Executes commands on estimators and maps, see :class:`valvemap.pipeline.ports.Operator`.
 
     Parameters
     ----------
     valves
-        Whose estimators.
+        The valves.
     """
 
     def __init__(self, valves: AllValves) -> None:
         self._valves = valves
 
     def reset(self, valve: str, estimator: str) -> None:
-        """Forget all samples; what the operator set stays set. A lane that failed starts again."""
+        """Reset the estimator; the operator's settings remain. A failed lane resumes."""
         lane = self._valves.lane(valve, estimator)
         fresh = valve_state.fresh_lane(lane.estimator, lane.support.forgotten())
         self._valves.put(valve, estimator, replace(fresh, frozen=lane.frozen, lam=lane.lam))
@@ -41,12 +41,12 @@ class EstimatorCommands:
         self._valves.put(valve, estimator, replace(lane, frozen=True))
 
     def resume(self, valve: str, estimator: str) -> None:
-        """Adapt again."""
+        """Resume adaptation."""
         lane = self._valves.lane(valve, estimator)
         self._valves.put(valve, estimator, replace(lane, frozen=False))
 
     def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Use another forgetting factor from the next sample on.
+        """Set the forgetting factor from the next sample on.
 
         Raises
         ------
@@ -86,12 +86,12 @@ class EstimatorCommands:
         return valve_state.demanded(plan, state, Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN takes it back."""
+        """Set the standing demand; NaN withdraws it."""
         fleet, m = self._valves.named(valve)
         fleet.demand(m, Q, dp)
 
     def required(self, valve: int) -> tuple[Required, Status]:
-        """The answer to a valve's standing demand, and how its estimator stands."""
+        """Return the answer to a valve's standing demand, and its estimator's status."""
         plan = self._valves.plans[valve]
         if self._valves.runs(valve, plan.inverse):
             with self._valves.bulkhead(valve, Step.INVERSE, plan.inverse):

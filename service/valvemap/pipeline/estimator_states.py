@@ -1,4 +1,4 @@
-"""The states of one estimator on M valves: stacked as arrays where it can, else one by one."""
+"""The states of one estimator on M valves: stacked as arrays where possible, else a list."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -19,40 +19,40 @@ CHANGE = np.dtype([("count", np.int64), ("t", np.int64), ("size", np.float64)]) 
 
 
 def states_of(estimator: AnyEstimator, M: int) -> "Stacked | Listed":
-    """M initial states, kept as the estimator can take them."""
+    """Return M initial states in the container that the estimator supports."""
     return Stacked(estimator, M) if isinstance(estimator, ManyModels) else Listed(estimator, M)
 
 
 class Stacked:
-    """As a structure of arrays, for an estimator that takes many models at once."""
+    """A structure of arrays, for an estimator that updates many models at once."""
 
     def __init__(self, estimator: ManyModels[Any], M: int) -> None:
         self._estimator = estimator
         self._all = repeated(estimator.initial_state(), M)
         self._changes: list[Change | None] = [None] * M
         self._newest_changes = np.zeros(M, CHANGE)
-        self._changed = np.zeros(M, np.int64)  # how often, when `_changes` was made; -1: unknown
+        self._changed = np.zeros(M, np.int64)  # change counts behind `_changes`; -1: unknown
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
-        """Learn the samples of each segment's valve; what was made of each."""
+        """Update each segment's valve with its samples; return the trace."""
         return self._estimator.update_many(self._all, samples, segments)
 
     def get(self, m: int) -> State:
-        """The state of valve ``m``, a copy."""
+        """Return a copy of the state of valve ``m``."""
         one: State = copied(member(self._all, m))
         return one
 
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
-        """``theta`` and its standard deviation of some valves (K, n)."""
+        """Return ``theta`` and its standard deviation of the given valves (K, n)."""
         return self._estimator.parameters_many(members(self._all, chosen))
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        """The newest change of some valves that was found."""
+        """Return the newest detected change of each given valve."""
         self._look_for_changes(chosen)
         return [self._changes[m] for m in chosen]
 
     def newest_changes(self, chosen: Times) -> NDArray[Any]:
-        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        """Return the newest changes as a `CHANGE` table (K,); zeros if none was detected."""
         self._look_for_changes(chosen)
         return self._newest_changes[chosen]
 
@@ -66,51 +66,51 @@ class Stacked:
         self._changed[chosen] = counts
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
-        """What shape some valves were found to have; None where that is not looked for."""
+        """Return the structures chosen for the given valves; None if the estimator has one only."""
         if isinstance(self._estimator, Auto):
             return self._estimator.describe_many(self._all, chosen)
         return [None] * len(chosen)
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
-        """Of U and Q of some valves, s; None where they are not looked for."""
+        """Return the lags of U and Q of the given valves, s; None if not estimated."""
         if isinstance(self._estimator, Auto):
             return self._estimator.lags_many(self._all, chosen)
         return [None] * len(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
-        """The larger of the two, s; NaN where they are not looked for (K,)."""
+        """Return the larger of the two lags, s; NaN if not estimated (K,)."""
         if isinstance(self._estimator, Auto):
             return self._estimator.largest_lags(self._all)[chosen]
         return np.full(len(chosen), np.nan)
 
     def adaptations(self, chosen: Times) -> Codes:
-        """What is made of the residuals of some valves (K,)."""
+        """Return the diagnosis of the residuals of the given valves (K,)."""
         return self._estimator.adaptation_many(members(self._all, chosen))
 
     def too_fast(self, M: int) -> Times:
-        """How many samples moved too fast for the lags of their signals (M,)."""
+        """Number of samples that moved too fast for the lags of their signals (M,)."""
         if isinstance(self._estimator, Auto):
             return self._estimator.too_fast(self._all)
         return np.zeros(M, np.int64)
 
     def began(self) -> Times:
-        """After how many samples each map began anew (M,)."""
+        """Sample count at the last restart of each map (M,)."""
         if isinstance(self._estimator, Auto):
             return self._estimator.began(self._all)
         return np.zeros_like(self._changed)
 
     def samples_since(self) -> Times:
-        """How many samples each map rests on, of those that may begin anew (M,)."""
+        """Number of samples since the last restart of each map (M,); 0 if maps never restart."""
         if isinstance(self._estimator, Auto):
             return self._estimator.samples_since(self._all)
         return np.zeros_like(self._changed)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """All states as named arrays, the first axis over valves."""
+        """Return all states as named arrays, the first axis over valves."""
         return {f.name: getattr(self._all, f.name) for f in fields(self._all)}
 
     def take_up(self, _written: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what was written of `columns`."""
+        """Note that the arrays of `columns` were written to."""
         self._changed[:] = -1
 
     def saved(self, members: Times) -> Restore:
@@ -124,21 +124,21 @@ class Stacked:
         return restore_all
 
     def put(self, m: int, state: State) -> None:
-        """Give valve ``m`` another state."""
+        """Replace the state of valve ``m``."""
         self._changed[m] = -1
         for f in fields(state):
             getattr(self._all, f.name)[m] = getattr(state, f.name)
 
 
 class Listed:
-    """One by one, for an estimator with much to do and to remember at each."""
+    """A list of states, for an estimator that updates one model at a time."""
 
     def __init__(self, estimator: AnyEstimator, M: int) -> None:
         self._estimator = estimator
         self._all: list[State] = [estimator.initial_state()] * M
 
     def update(self, samples: Samples, segments: Segments) -> Trace:
-        """Learn the samples of each segment's valve; what was made of each."""
+        """Update each segment's valve with its samples; return the trace."""
         N = len(samples)
         predicted, residual, early = np.empty((3, N))
         trace = Trace(predicted, residual, early, np.empty(N, np.uint8))
@@ -150,58 +150,58 @@ class Listed:
         return trace
 
     def get(self, m: int) -> State:
-        """The state of valve ``m``, a copy."""
+        """Return the state of valve ``m``; updates replace it by a new one."""
         return self._all[m]
 
     def parameters(self, chosen: Times) -> tuple[Floats, Floats]:
-        """``theta`` and its standard deviation of some valves (K, n)."""
+        """Return ``theta`` and its standard deviation of the given valves (K, n)."""
         found = [self._estimator.parameters(self._all[m]) for m in chosen]
         theta, std = zip(*found, strict=True)
         return np.stack(theta), np.stack(std)
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        """The newest change of some valves that was found."""
+        """Return None for each given valve: no changes are detected."""
         return [None] * len(chosen)
 
     def newest_changes(self, chosen: Times) -> NDArray[Any]:
-        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        """Return a `CHANGE` table (K,) of zeros."""
         return np.zeros(len(chosen), CHANGE)
 
     def structures(self, chosen: Times) -> Sequence[str | None]:
-        """What shape some valves were found to have; None where that is not looked for."""
+        """Return None for each given valve: the structure is fixed."""
         return [None] * len(chosen)
 
     def lags(self, chosen: Times) -> Sequence[tuple[float, float] | None]:
-        """Of U and Q of some valves, s; None where they are not looked for."""
+        """Return None for each given valve: lags are not estimated."""
         return [None] * len(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
-        """The larger of the two, s; NaN where they are not looked for (K,)."""
+        """Return NaN for each given valve (K,): lags are not estimated."""
         return np.full(len(chosen), np.nan)
 
     def adaptations(self, chosen: Times) -> Codes:
-        """What is made of the residuals of some valves (K,)."""
+        """Return the diagnosis of the residuals of the given valves (K,)."""
         return np.array([self._estimator.adaptation(self._all[m]) for m in chosen], np.uint8)
 
     def too_fast(self, M: int) -> Times:
-        """How many samples moved too fast for the lags of their signals (M,)."""
+        """Return zeros (M,)."""
         return np.zeros(M, np.int64)
 
     def began(self) -> Times:
-        """After how many samples each map began anew (M,)."""
+        """Return zeros (M,)."""
         return np.zeros(len(self._all), np.int64)
 
     def samples_since(self) -> Times:
-        """How many samples each map rests on, of those that may begin anew (M,)."""
+        """Return zeros (M,)."""
         return np.zeros(len(self._all), np.int64)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """All states as named arrays, the first axis over valves."""
+        """Return all states as named arrays, the first axis over valves."""
         stacked = stack(self._all)
         return {f.name: getattr(stacked, f.name) for f in fields(stacked)}
 
     def take_up(self, written: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what was written of `columns`."""
+        """Replace all states by the written arrays of `columns`."""
         stacked = type(self._all[0])(**written)
         self._all = [copied(member(stacked, m)) for m in range(len(self._all))]
 
@@ -216,5 +216,5 @@ class Listed:
         return restore
 
     def put(self, m: int, state: State) -> None:
-        """Give valve ``m`` another state."""
+        """Replace the state of valve ``m``."""
         self._all[m] = state

@@ -1,8 +1,9 @@
-"""Feed-forward that may be trusted: whether the answer to a demand is written to its valve. Pure.
+"""Guarded feed-forward: whether the answer to a demand is written to its valve. Pure.
 
-Once armed, the valve is led: first to where it stands, from there on by the answer, within range
-and slew. While the answer may not be written the configured fallback acts. The source sees a
-heartbeat as long as the valve is led; that it stands still, or is 0, hands the valve back.
+Once armed, the service leads the valve. The first command is the measured U; the next ones follow
+the answer, within range and slew. While the answer may not be written, the configured fallback
+applies. A heartbeat is written as long as the valve is led; if it stops, or is 0, the source takes
+the valve back.
 
 ::
 
@@ -18,17 +19,17 @@ from typing import Final, Self, assert_never
 
 from valvemap.vocabulary.statuses import FeedForwardStatus, InverseStatus, Status
 
-MOST_STEP_S: Final = 0.2  # of slew in one command, however long ago the last one was
-HEARTBEAT_S: Final = 0.08  # asked every 0.1 s, that is at least five in a second
-STALLED_S: Final = 0.4  # without a heartbeat of ours, the source may have dropped the command
-RETRY_S: Final = 0.08  # a refused command is written again; asked every 0.1 s
-GIVE_UP_S: Final = 0.2  # refused for so long, the fallback acts: 0.5 s later the source's own
-RESTART_S: Final = 2.0  # handed back because of a refusal, the valve is asked for again
+MOST_STEP_S: Final = 0.2  # s; longest interval for which one command may slew
+HEARTBEAT_S: Final = 0.08  # s; shortest interval: with steps every 0.1 s, at least five a second
+STALLED_S: Final = 0.4  # s without a heartbeat, after which the source may have dropped the command
+RETRY_S: Final = 0.08  # s until a refused command is repeated; steps are every 0.1 s
+GIVE_UP_S: Final = 0.2  # s of refusals until the fallback applies: 0.5 s later the source's own
+RESTART_S: Final = 2.0  # s after a hand-back because of refusals, until the valve is led again
 MOST_HEARTBEAT: Final = 2**32 - 1  # UInt32; 0 hands the valve back
 
 
 class Fallback(Enum):
-    """What is done while the answer may not be written."""
+    """Action while the answer may not be written."""
 
     HOLD = "hold"
     RAMP = "ramp"
@@ -37,23 +38,23 @@ class Fallback(Enum):
 
 @dataclass(frozen=True)
 class FeedForward:
-    """How one valve may be led.
+    """Settings of one valve's feed-forward.
 
     Attributes
     ----------
     U_range : (float, float)
-        What is ever written, %.
+        Range of commands, %.
     slew_percent_per_s : float
-        Fastest change of what is written.
+        Largest rate of change of commands.
     fallback : Fallback
-        HOLD keeps the last command, RAMP goes to ``fallback_U`` (%) at the slew, HAND_BACK writes
-        nothing and lets the heartbeat stand.
+        HOLD repeats the last command, RAMP moves to ``fallback_U`` (%) at the slew, HAND_BACK
+        writes nothing and stops the heartbeat.
     max_age_s : float
-        Oldest sample to go by: since it arrived, and by the clocks of source and service.
+        Largest age of a sample: since its arrival, and by the clocks of source and service.
     max_width_percent : float
-        Widest 95 % interval of the answer.
+        Largest width of the answer's 95 % interval.
     has_heartbeat : bool
-        Whether the source watches one.
+        Whether the source monitors a heartbeat.
     """
 
     U_range: tuple[float, float] = (0.0, 100.0)
@@ -67,10 +68,10 @@ class FeedForward:
 
 @dataclass(frozen=True)
 class Situation:
-    """What is known at one moment.
+    """Inputs of one step.
 
-    ``U`` (%) is what the newest sample shows, ``age_s`` its age, ``map`` what the estimator did
-    with it; ``required_U``, ``width`` (both %) and ``answer`` are the answer to the demand.
+    ``U`` (%) is that of the newest sample, ``age_s`` its age, ``map`` the estimator's status of it;
+    ``required_U``, ``width`` (both %) and ``answer`` are the answer to the demand.
     """
 
     armed: bool
@@ -85,26 +86,26 @@ class Situation:
 
 @dataclass(frozen=True)
 class Refusals:
-    """Since when a write has been refused without a break, and when last; s."""
+    """Times of the first and the last refusal in an unbroken series; s."""
 
     since: float = math.inf
     last: float = -math.inf
 
     def lasted(self, now: float) -> float:
-        """How long that has been, s; -inf where nothing is refused."""
+        """Duration of the series, s; -inf without one."""
         return now - self.since
 
     def again(self, now: float) -> Self:
-        """After another one."""
+        """Return the series extended by a refusal at ``now``."""
         return replace(self, since=min(self.since, now), last=now)
 
 
 @dataclass(frozen=True)
 class FeedForwardState:
-    """What is remembered of one valve.
+    """State of one valve's feed-forward.
 
-    ``U`` (%) is the command that the source has taken, NaN while the valve is not led; ``t`` when
-    it was last known to hold; ``heartbeat`` the last one that was taken, ``beaten`` when.
+    ``U`` (%) is the command that the source has accepted, NaN while the valve is not led; ``t``
+    when it was last valid; ``heartbeat`` the last accepted one, ``beaten`` its time.
     """
 
     status: FeedForwardStatus = FeedForwardStatus.DISARMED
@@ -117,11 +118,11 @@ class FeedForwardState:
 
     @property
     def is_led(self) -> bool:
-        """Whether the source goes by our command."""
+        """Whether a command of the service is in effect."""
         return not math.isnan(self.U)
 
     def has_stalled(self, now: float) -> bool:
-        """Whether the last heartbeat is so long ago that the source may have its valve back."""
+        """Whether the last heartbeat is so old that the source may have taken the valve back."""
         return math.isfinite(self.beaten) and now - self.beaten > STALLED_S
 
     def since_refusal(self, now: float) -> float:
@@ -131,7 +132,7 @@ class FeedForwardState:
 
 @dataclass(frozen=True)
 class Command:
-    """What is to be written now, ``U`` (%) before ``heartbeat``; None is nothing."""
+    """Values to write now, ``U`` (%) before ``heartbeat``; None: not written."""
 
     U: float | None = None
     heartbeat: int | None = None
@@ -140,9 +141,9 @@ class Command:
 def decide(
     settings: FeedForward, state: FeedForwardState, situation: Situation, now: float
 ) -> tuple[FeedForwardState, Command]:
-    """What is to be written at ``now`` (s); :func:`written` says afterwards what became of it.
+    """Decide what to write at ``now`` (s); pass the outcome to :func:`written`.
 
-    To be asked with every batch of samples, and at least every 0.1 s.
+    Call it with every batch of samples, and at least every 0.1 s.
 
     Examples
     --------
@@ -176,7 +177,7 @@ def decide(
     match settings.fallback:
         case Fallback.HAND_BACK if given_up or not writes:
             return _handed_back(state, status, connected=True)
-        case Fallback.RAMP if given_up:  # where no command is taken, no ramp is
+        case Fallback.RAMP if given_up:  # a refused command makes a ramp impossible
             return _handed_back(state, status, connected=True)
         case Fallback.RAMP:
             otherwise = settings.fallback_U
@@ -196,7 +197,7 @@ def written(
     U_refused: bool = False,
     heartbeat_refused: bool = False,
 ) -> FeedForwardState:
-    """What is remembered once the source has answered, at ``now`` (s)."""
+    """Return the state after the source's response to ``command`` at ``now`` (s)."""
     if command.U is not None:
         if U_refused:
             state = replace(state, refused_U=state.refused_U.again(now))
@@ -217,7 +218,7 @@ def written(
 def _led(
     settings: FeedForward, state: FeedForwardState, target: float, now: float
 ) -> tuple[FeedForwardState, Command]:
-    """One step towards ``target``, and the heartbeat when it is due."""
+    """Move one step towards ``target``, with a heartbeat if it is due."""
     most = settings.slew_percent_per_s * min(now - state.t, MOST_STEP_S)
     U = _clipped(target, (state.U - most, state.U + most))
     U = _clipped(U, settings.U_range)
@@ -235,7 +236,7 @@ def _led(
 def _handed_back(
     state: FeedForwardState, status: FeedForwardStatus, *, connected: bool
 ) -> tuple[FeedForwardState, Command]:
-    """The valve is the source's own again; said at once where a heartbeat was written."""
+    """Hand the valve back to the source, at once (heartbeat 0) if a heartbeat was written."""
     says = connected and math.isfinite(state.beaten)
     after = replace(state, status=status, U=math.nan, beaten=-math.inf)
     return after, Command(heartbeat=0 if says else None)
@@ -246,7 +247,7 @@ def _clipped(U: float, bounds: tuple[float, float]) -> float:
 
 
 def _reason(settings: FeedForward, situation: Situation) -> FeedForwardStatus:
-    """WRITING, or the first reason why not."""
+    """Return WRITING, or the first reason not to write."""
     low, high = settings.U_range
     bad = situation.map is Status.REJECTED or not math.isfinite(situation.U)
     of_answer = _OF_ANSWER[situation.answer]
@@ -270,10 +271,10 @@ _MAP_NOT_GOOD = {
     Status.WARMING_UP,
     Status.HELD,
     Status.FAILED,
-}  # UNEXCITED is: a constant flow teaches nothing
+}  # UNEXCITED is good: it only means a constant flow
 _OF_ANSWER = {
     InverseStatus.OK: FeedForwardStatus.WRITING,
-    InverseStatus.BELOW_REACH: FeedForwardStatus.WRITING,  # who demands nothing wants it closed
+    InverseStatus.BELOW_REACH: FeedForwardStatus.WRITING,  # a demand of no flow closes the valve
     InverseStatus.ABOVE_REACH: FeedForwardStatus.ABOVE_REACH,
     InverseStatus.NOT_MONOTONE: FeedForwardStatus.MAP_NOT_GOOD,
     InverseStatus.UNIDENTIFIED: FeedForwardStatus.MAP_NOT_GOOD,

@@ -1,9 +1,9 @@
-"""Valves of one plan in one call: their states are one structure of arrays, written in place.
+"""All valves with one plan: their states are one structure of arrays, updated in place.
 
-The plan's valves differ in nothing but their samples and what operators did to them. A batch is
-gated, learnt from and scored by one kernel call each, whatever the number of valves; one valve is
-a fleet of one. What is handed out (:class:`~valvemap.pipeline.valve_state.Lane`,
-:class:`~valvemap.pipeline.valve_state.ValveState`) are copies that later samples do not change.
+Valves with the same plan differ only in their samples and their operators' settings. One kernel
+call each gates, estimates and scores a batch for any number of valves; one valve is a fleet of one.
+:class:`~valvemap.pipeline.valve_state.Lane` and
+:class:`~valvemap.pipeline.valve_state.ValveState` are copies that later samples do not change.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -44,7 +44,7 @@ from valvemap.pipeline.valve_state import (
 )
 from valvemap.vocabulary.statuses import Quality
 
-MISFIT_EVERY_NS = 10_000_000_000  # an estimator's adaptation is asked for: it is slow itself
+MISFIT_EVERY_NS = 10_000_000_000  # interval at which the adaptation status is polled: it is slow
 
 COUNTER_NAMES = (*OF_GATE, "beyond_range", "too_fast_for_lag", "lane_failures")
 
@@ -55,11 +55,11 @@ class Fleet:
     Parameters
     ----------
     plan
-        Gate and estimators of each.
+        Gate and estimators of each valve.
     M
-        How many.
+        Number of valves.
     names, failures
-        Names of the valves, and the list of failures of their lanes.
+        Names of the valves, and the list that collects their lanes' failures.
     """
 
     def __init__(
@@ -89,11 +89,11 @@ class Fleet:
         self._misfit_due = np.zeros(M, np.int64)
 
     def take(self, samples: Samples, segments: Segments) -> tuple[Samples, Mapping[str, Trace]]:
-        """Take samples in; return them as the gate judged them, and what every estimator said.
+        """Gate samples and update the estimators; return the gated samples and the traces.
 
-        ``segments`` says which are whose, in the fleet's own numbers; none may be empty. If a step
-        raises, all are repeated valve by valve; then the lane of the step stops, or, outside of
-        any step, the valve.
+        ``segments`` assigns the samples to valves by the fleet's numbers; none may be empty. If a
+        step raises, all steps are repeated valve by valve. An error then stops the lane of the
+        step, or, outside of any lane, the valve.
         """
         judged = samples
         traces: Mapping[str, Trace] = {name: nothing_of(len(samples)) for name in self._lanes}
@@ -139,7 +139,7 @@ class Fleet:
         return judged, traces
 
     def stopped(self) -> NDArray[np.bool_]:
-        """At which valves (M,) all lanes have failed: nothing is done with their samples."""
+        """Mask (M,) of the valves whose lanes have all failed: their samples are not processed."""
         return np.asarray(np.all([lanes.failed for lanes in self._lanes.values()], axis=0))
 
     def has_failed(self, m: int, name: str) -> bool:
@@ -149,7 +149,7 @@ class Fleet:
     def stop(self, m: int, step: Step, name: str | None, error: Exception) -> None:
         """Stop one lane of a valve, or (None) all of them, because of an error in a step.
 
-        Lanes that stopped before stay as they are: an error is noted once.
+        Lanes that stopped before are unchanged: an error is noted once.
         """
         lanes = self._lanes.values() if name is None else [self._lanes[name]]
         if all(one.failed[m] for one in lanes):
@@ -162,7 +162,7 @@ class Fleet:
         self.show_stopped(m)
 
     def start_again(self, m: int) -> None:
-        """Resume all lanes, if a step of the whole valve has stopped them."""
+        """Resume all lanes, if an error in a step of the whole valve has stopped them."""
         if self.alarms.stopped_whole(m):
             for lanes in self._lanes.values():
                 lanes.start_again(m)
@@ -174,7 +174,7 @@ class Fleet:
         self.alarms.note_stopped(m, count, int(self._t[m]))
 
     def watch(self, chosen: Times, do: Callable[[NDArray[np.intp]], None]) -> None:
-        """Judge alarms of the given valves (K,); ``do`` takes rows of the K."""
+        """Judge the alarms of the given valves (K,); ``do`` is called with rows of the K."""
         running = np.flatnonzero(~self.stopped()[chosen])
         stop = partial(self._stop_at, None, Step.ALARMS)
         isolate(chosen[running], lambda rows: do(running[rows]), self._alarms_saved, stop)
@@ -183,7 +183,7 @@ class Fleet:
         self.stop(m, step, name, error)
 
     def _saved(self, members: Times) -> Restore:
-        """Copy the memory of the given valves; the result writes the copies back."""
+        """Copy the state of the given valves; the result writes the copies back."""
         own = saved((*self._gate_arrays, self._t, self._T), members)
         lanes = [lanes.saved(members) for lanes in self._lanes.values()]
         return all_of([own, *lanes, self._support.saved(members), self._alarms_saved(members)])
@@ -196,7 +196,7 @@ class Fleet:
         return all_of([self.alarms.saved(members), saved([self._misfit_due], members)])
 
     def _judged(self, samples: Samples, segments: Segments) -> Samples:
-        """The samples as the gate judges them; all are BAD of a valve that is stopped."""
+        """Return the gated samples; all samples of a stopped valve are BAD."""
         quality = np.full(len(samples), Quality.BAD, np.uint8)
         running = segments.of(~self.stopped()[segments.members])
 
@@ -226,7 +226,7 @@ class Fleet:
         isolate_last(segments.members[running], learn, self._support.saved, stop)
 
     def _note(self, chosen: Times) -> None:
-        """Take up for the alarms what estimators found in the last samples."""
+        """Update the alarms with the estimators' latest changes, lags and adaptation status."""
         if self._finder is not None:
             found = self._lanes[self._finder].newest_changes(chosen)
             self.alarms.note_changes(chosen, found["count"], found["t"], found["size"])
@@ -239,15 +239,15 @@ class Fleet:
             self.alarms.note_misfit(due, lanes.adaptations(due), lanes.recent_rmse(due))
 
     def lane(self, m: int, name: str) -> Lane:
-        """One estimator of one valve as it stands."""
+        """Return one estimator of one valve."""
         return self._lanes[name].get(m)
 
     def put(self, m: int, name: str, lane: Lane) -> None:
-        """Have it stand otherwise; its estimator is the plan's, but for ``lam``."""
+        """Replace a lane; its estimator must be the plan's, except for ``lam``."""
         self._lanes[name].put(m, lane)
 
     def state(self, m: int, names: Iterable[str] | None = None) -> ValveState:
-        """One valve as it stands, with all its estimators or with those named."""
+        """Return the state of one valve, with the named estimators or with all."""
         one = slice(m, m + 1)
         return ValveState(
             gate=self._gate.of(one),
@@ -259,32 +259,32 @@ class Fleet:
         )
 
     def remember(self, m: int, gate: GateState, t: int, T: float) -> None:
-        """Have the gate of one valve, and its last time and temperature, stand so."""
+        """Restore one valve's gate, last sample time and last temperature."""
         self._gate.put(m, gate)
         self._t[m], self._T[m] = t, T
 
     def beyond(self, m: int) -> Mapping[str, int]:
-        """Samples of one valve that an estimator could not describe."""
+        """Return, by estimator, the number of one valve's samples beyond its range."""
         return {name: int(lanes.beyond[m]) for name, lanes in self._lanes.items()}
 
     def count_beyond(self, m: int, name: str, count: int) -> None:
-        """Have it be so many."""
+        """Restore that number for one estimator."""
         self._lanes[name].beyond[m] = count
 
     def results(self, chosen: Times) -> Mapping[str, EstimatorResults]:
-        """What is published of the estimators of some valves; surveys are made elsewhere."""
+        """Return the estimators' results of the given valves, without surveys."""
         return {name: lanes.results(chosen) for name, lanes in self._lanes.items()}
 
     def unknown(self, m: int) -> Mapping[str, EstimatorResults]:
-        """Bad results of one valve, where the step that makes them raises."""
+        """Return Bad results of one valve, for use when `results` raises."""
         return {name: lanes.unknown(m) for name, lanes in self._lanes.items()}
 
     def demands(self, chosen: Times) -> Floats:
-        """Flow and pressure drop demanded of some valves (M, 2); NaN where none is."""
+        """Flow and pressure drop demanded of the given valves (K, 2); NaN without a demand."""
         return np.asarray(self._demand[chosen])
 
     def last_T(self, m: int) -> float:
-        """The last temperature measured at one valve, °C."""
+        """Last measured temperature of one valve, °C."""
         return float(self._T[m])
 
     def demand(self, m: int, Q: float, dp: float) -> None:
@@ -292,9 +292,9 @@ class Fleet:
         self._demand[m] = Q, dp
 
     def columns(self, valves: Sequence[str]) -> list[Columns]:
-        """All that the valves, whose names are given, remember; written to, it is to be taken up.
+        """Return the state of the valves as columns; call `take_up` after writing to them.
 
-        What is kept as an array with a row for each valve is that array, the rest are copies.
+        Arrays with a row for each valve are returned themselves, the others are copies.
         """
         gate = {f"gate_{name}": array for name, array in self._gate.memory._asdict().items()}
         own = {"bad_status": self._gate.bad_status, "t": self._t, "T": self._T}
@@ -306,7 +306,7 @@ class Fleet:
         ]
 
     def take_up(self, written: Sequence[Columns]) -> None:
-        """Somebody has written to what `columns` gave."""
+        """Update the fleet after the arrays of `columns` were written to."""
         _, _, *of_lanes = written
         for lanes, columns in zip(self._lanes.values(), of_lanes, strict=True):
             lanes.take_up(columns.arrays)
@@ -314,7 +314,7 @@ class Fleet:
             self.show_stopped(m)
 
     def rejections(self) -> Times:
-        """What was not learnt from since the start, (M, reasons): by the gate, by any estimator."""
+        """Counts (M, reasons) since the start: rejections by gate and estimators, lane failures."""
         beyond = np.max([lanes.beyond for lanes in self._lanes.values()], axis=0)
         too_fast = np.max([lanes.too_fast() for lanes in self._lanes.values()], axis=0)
         failed = self.alarms.failures()

@@ -1,7 +1,7 @@
-"""The service's model of the world: every valve's state, and what people may do to it.
+"""The state of all valves, and the operator's commands on it.
 
-Both the live service and the replay of recordings go through this one object; it knows neither
-time nor network.
+The live service and the replay of recordings both use this object; it reads no clock and does no
+I/O.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -44,19 +44,18 @@ from valvemap.vocabulary.statuses import FeedForwardStatus, Status
 
 
 class Identification:
-    """All valves of one service; fulfils :class:`valvemap.pipeline.ports.Operator`.
+    """All valves of one service; implements :class:`valvemap.pipeline.ports.Operator`.
 
-    It puts the parts together and hands everything on to the one whose it is.
+    A facade: it builds the parts and forwards each call to one of them.
 
     Parameters
     ----------
     plans
-        What is done with the samples of each valve.
+        Estimators, gate and settings of each valve.
     alignment, timing
-        How their signals find together, and how it is found in what way they come (None: it is
-        configured).
+        How the signals are aligned, and how their stamping is detected (None: it is configured).
     service_alarms
-        When each alarm of the service comes and goes.
+        Rules of the service's alarms.
     """
 
     def __init__(
@@ -80,94 +79,94 @@ class Identification:
         self.plans = valves.plans
 
     def stop(self, valve: int, step: Step, error: Exception, estimator: str | None = None) -> None:
-        """Stop a lane, or (None) all lanes of a valve: a step outside of this object raised."""
+        """Stop a lane, or (None) all lanes of a valve, after an error outside of this object."""
         self._valves.stop(valve, step, estimator, error)
 
     def new_failures(self) -> list[LaneFailure]:
-        """Lanes that stopped since the last call."""
+        """Return the lanes that stopped since the last call."""
         return self._valves.failures.take_new()
 
     def unknown(self, valve: int) -> Results:
-        """Bad results of one valve, where the step that makes them raises."""
+        """Return Bad results of one valve, for use when :meth:`results` raises."""
         return self._results.unknown(valve)
 
     def take(self, changes: DataChanges) -> ByValve:
-        """Take data changes in; return the samples they completed, by valve."""
+        """Align data changes and estimate; return the samples they completed, by valve."""
         return self._intake.take(changes)
 
     def learn(self, arrived: ByValve) -> ByValve:
-        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
+        """Estimate from aligned samples; return them, with implausible samples marked BAD."""
         return self._intake.learn(arrived)
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
-        """Take samples of one valve in; return them as judged, and what every estimator said."""
+        """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
         return self._intake.take_samples(valve, samples)
 
     def waits(self) -> NDArray[np.bool_]:
-        """Which valves have samples that wait for earlier ones."""
+        """Mask of the valves with samples in the reorder buffer."""
         return self._arrivals.waits()
 
     def pending(self) -> Times:
-        """How many samples of each valve wait for signals or for earlier samples."""
+        """Number of samples of each valve that wait for signals or for earlier samples."""
         return self._arrivals.pending()
 
     def wait_no_longer(self, valves: Times) -> ByValve:
-        """Take what waits for earlier samples without them; return it as `take` does."""
+        """Flush the reorder buffer of these valves; return the samples as `take` does."""
         return self._intake.wait_no_longer(valves)
 
     def begin_source_anew(self, valves: Times) -> ByValve:
-        """The source of some valves was restarted: its running numbers begin anew."""
+        """Reset the alignment of these valves: the running numbers of their source restart."""
         return self._intake.begin_source_anew(valves)
 
     def waited_for(self, valve: int) -> tuple[str, ...]:
-        """Which signals keep a valve's samples from being made, and what would help."""
+        """Return the signals that are missing for a valve's samples, and a remedy."""
         return self._arrivals.waited_for(valve, self.plans[valve].nodes)
 
     def timing(self, valve: int) -> tuple[str, ...]:
-        """How each of a valve's signals comes, in words."""
+        """Describe how each of a valve's signals is stamped."""
         return self._arrivals.how_signals_come(valve, self.plans[valve].nodes)
 
     def newly_timed(self) -> list[int]:
-        """Valves of which it was found since the last call that their signals come in scans."""
+        """Return the valves whose signals were newly found to have different timestamps."""
         return self._arrivals.timing.newly_found()
 
     def holds(self) -> NDArray[np.bool_]:
-        """Which valves have signals that come on change: silence is no loss of theirs."""
+        """Mask of the valves with on-change signals: their silence is no loss."""
         return self._arrivals.timing.holds
 
     def implausible(self) -> NDArray[np.bool_]:
-        """Which valves are not learnt from, because their signals cannot be what they are called.
+        """Mask of the valves whose samples are rejected as implausible.
 
-        Pressures that cannot be are refused until they have been right for ten times as many
-        samples; where flow and pressures contradict each other, until a restart.
+        Impossible pressures are rejected until ten times as many samples have been right;
+        inconsistent flow and pressures, until a restart.
         """
         return self._intake.implausible
 
     def findings(self, valve: int) -> list[Finding]:
-        """What speaks against a valve's signals being what they are called."""
+        """Return the reasons why a valve's signals are implausible."""
         return self._intake.findings(valve)
 
     def one_of_each_kind(self) -> list[int]:
-        """Return the first of the valves that are treated alike, for every kind there is."""
+        """Return the first valve of each group with the same plan."""
         return self._valves.one_of_each_kind()
 
     def lane(self, valve: str, estimator: str) -> Lane:
-        """One estimator as it stands."""
+        """Return one estimator of one valve."""
         return self._valves.lane(valve, estimator)
 
     def state(self, valve: int) -> ValveState:
-        """One valve as it stands."""
+        """Return the state of one valve."""
         return self._valves.state(valve)
 
     def refresh_maps(self, share: float = 1.0) -> None:
-        """Compute the next inverse tables and surveys anew; results show the newest of them.
+        """Compute the next due inverse tables and surveys; results contain the newest.
 
-        Or a ``share`` of those, for one whom others wait for.
+        ``share`` limits this call to a fraction of them, so that other work is not delayed.
         """
         self._maps.refresh(share)
 
     def refresh_all_maps(self) -> None:
-        """Compute every inverse table and survey anew."""
+        """Compute every inverse table and survey."""
         self._maps.refresh_all()
 
     def results(
@@ -176,23 +175,23 @@ class Identification:
         lost: NDArray[np.bool_] | None = None,
         old: NDArray[np.bool_] | None = None,
     ) -> Iterator[Results]:
-        """What is published of some valves, see :meth:`ResultTables.results`."""
+        """Return the results of the given valves, see :meth:`ResultTables.results`."""
         return self._results.results(valves, lost, old)
 
     def result(self, valve: int) -> ValveResult:
-        """The same of one valve."""
+        """Return the results of one valve."""
         return self._results.result(valve)
 
     def counters(self, valve: int) -> Mapping[str, int]:
-        """What was aligned, lost and rejected of one valve since the start."""
+        """Return the counts of one valve's aligned, lost and rejected samples since the start."""
         return self._results.counters(valve)
 
     def descriptions(self) -> tuple[ValveDescription, ...]:
-        """What a results server must know."""
+        """Return the descriptions of all valves for a results server."""
         return descriptions(self.plans)
 
     def reset(self, valve: str, estimator: str) -> None:
-        """Forget all samples; what the operator set stays set."""
+        """Reset the estimator; the operator's settings remain."""
         self._commands.reset(valve, estimator)
 
     def freeze(self, valve: str, estimator: str) -> None:
@@ -200,11 +199,11 @@ class Identification:
         self._commands.freeze(valve, estimator)
 
     def resume(self, valve: str, estimator: str) -> None:
-        """Adapt again."""
+        """Resume adaptation."""
         self._commands.resume(valve, estimator)
 
     def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> None:
-        """Use another forgetting factor from the next sample on."""
+        """Set the forgetting factor from the next sample on."""
         self._commands.set_forgetting_factor(valve, estimator, lam)
 
     def predict(
@@ -224,113 +223,113 @@ class Identification:
         return self._commands.invert(valve, Q, dp, T)
 
     def demand(self, valve: str, Q: float, dp: float) -> None:
-        """Set the standing demand; NaN takes it back."""
+        """Set the standing demand; NaN withdraws it."""
         self._commands.demand(valve, Q, dp)
 
     def required(self, valve: int) -> tuple[Required, Status]:
-        """The answer to a valve's standing demand, and how its estimator stands."""
+        """Return the answer to a valve's standing demand, and its estimator's status."""
         return self._commands.required(valve)
 
     def approve(self, valve: str) -> None:
-        """Keep what the estimators know as the valve's map when new."""
+        """Store the estimators' states as the valve's baseline, the map when new."""
         self._approved.approve(valve)
 
     def roll_back(self, valve: str) -> None:
-        """Have every estimator know what it knew when the baseline was approved."""
+        """Restore every estimator's state of the baseline."""
         self._approved.roll_back(valve)
 
     def replace_valve(self, valve: str) -> None:
-        """Another valve is there: nothing that was learnt holds, there is no baseline any more."""
+        """Note that the valve was replaced: reset its estimators and delete its baseline."""
         self._approved.replace_valve(valve)
 
     def compare(self, valve: str, estimator: str) -> Difference:
-        """By how much an estimator's map has moved away from the baseline's."""
+        """Return the difference of an estimator's map from the baseline's."""
         return self._approved.compare(valve, estimator)
 
     def baseline(self, valve: int) -> Baseline | None:
-        """The map that was approved as new, if one was."""
+        """Return the approved map, or None."""
         return self._approved.of(valve)
 
     def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        """Acknowledge an alarm of a valve or (None) of the service."""
         self._alarms.acknowledge(valve, alarm, remark)
 
     def confirm(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note that an alarm that was acknowledged was dealt with."""
+        """Confirm an acknowledged alarm."""
         self._alarms.confirm(valve, alarm, remark)
 
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> None:
-        """Note what somebody said of an alarm."""
+        """Store an operator's comment on an alarm."""
         self._alarms.remark(valve, alarm, remark)
 
     def alarmed(self) -> list[str]:
-        """The valves of which any alarm ever came."""
+        """Return the valves that have ever had an active alarm."""
         return self._alarms.alarmed()
 
     def alarms(self, valve: str | None) -> tuple[AlarmReport, ...]:
-        """How all alarms of a valve, or (None) of the service, stand."""
+        """Return the state of all alarms of a valve or (None) of the service."""
         return self._alarms.reports(valve)
 
     def was_away(self) -> None:
-        """Nobody has listened to the source: silence until now is no loss of the sensors."""
+        """Note an outage of the service: silence until now is no loss of the sensors."""
         self._alarms.was_away()
 
     def say_overdue(self, valves: Times, now: Times) -> list[int]:
-        """Some valves have sent nothing until ``now``; return those newly alarmed for that."""
+        """Note that these valves are silent until ``now``; return those with a new alarm."""
         return self._alarms.say_overdue(valves, now)
 
     def watch_service(
         self, now: int, checkpoint_age_s: float, days_left: float, load: float
     ) -> tuple[AlarmReport, ...]:
-        """Judge how the service itself stands: age of what is kept, certificate, share of time."""
+        """Update the service's alarms: age of the checkpoints, certificate, load."""
         return self._alarms.watch_service(now, checkpoint_age_s, days_left, load)
 
     def arm(self, valve: str) -> None:
-        """Have the answer to the standing demand written to the valve, while it may be."""
+        """Arm feed-forward: the answer to the standing demand is written to the valve."""
         self._armed.arm(valve)
 
     def disarm(self, valve: str) -> None:
-        """Write nothing to the valve any more."""
+        """Disarm feed-forward: nothing is written to the valve."""
         self._armed.disarm(valve)
 
     def is_armed(self, valve: int) -> bool:
-        """Whether somebody has armed the valve's feed-forward since the start."""
+        """Whether an operator has armed the valve's feed-forward since the start."""
         return self._armed.is_armed(valve)
 
     def feed_forward(self, valve: int) -> FeedForwardStatus:
-        """Whether the answer was written to the valve when last looked at."""
+        """Return the feed-forward status of the last step."""
         return self._armed.feed_forward(valve)
 
     def note_feed_forward(self, valve: int, status: FeedForwardStatus) -> None:
-        """Publish from now on that a valve's feed-forward stands so."""
+        """Set the feed-forward status to publish."""
         self._armed.note(valve, status)
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that is kept of some valves, or of all: `checkpoints` and `memories`."""
+        """Return `checkpoints` and `memories` of the given valves, or of all."""
         return self._kept.kept(valves)
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Every estimator's state as bytes, of some valves or of all."""
+        """Return every estimator's state as bytes, of the given valves or of all."""
         return self._kept.checkpoints(valves)
 
     def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that some valves, or all, remember beside their estimators' states."""
+        """Return the state beside the estimators as bytes, of the given valves or of all."""
         return self._kept.memories(valves)
 
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
-        """Take up what was kept, where it fits, see :meth:`KeptStates.restore`."""
+        """Restore the checkpoints that fit, see :meth:`KeptStates.restore`."""
         return self._kept.restore(checkpoints)
 
     def columns(self) -> list[Columns]:
-        """All that the valves remember of their samples; no baselines."""
+        """Return the state of all valves as columns, without baselines."""
         return self._columns.columns()
 
     def remember(
         self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
     ) -> set[tuple[str, str]]:
-        """Take up columns and baselines; return (key, valve) of what starts afresh."""
+        """Restore columns and baselines; return (key, valve) of the states that were reset."""
         return self._columns.remember(columns, baselines)
 
     def baselines(self) -> dict[str, bytes]:
-        """The approved maps, packed, by valve."""
+        """Return the approved maps, packed, by valve."""
         return self._columns.baselines()

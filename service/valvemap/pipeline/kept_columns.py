@@ -1,4 +1,4 @@
-"""What all valves remember as columns, given out and written back, and the maps people approved."""
+"""The state of all valves as columns, read and restored, and the approved maps."""
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
@@ -15,14 +15,14 @@ from valvemap.pipeline.valve_columns import Columns, copy_rows
 
 
 class KeptColumns:
-    """All valves at once, for whom samples are aligned before they arrive: none wait here.
+    """State of all valves for callers that align samples themselves: no alignment is included.
 
     Parameters
     ----------
     valves
-        Of these.
+        The valves.
     intake, approved
-        What is remembered beside what the fleets remember.
+        State beside the fleets'.
     """
 
     def __init__(self, valves: AllValves, intake: SampleIntake, approved: ApprovedMaps) -> None:
@@ -31,13 +31,13 @@ class KeptColumns:
         self._approved = approved
 
     def columns(self) -> list[Columns]:
-        """All that the valves remember of their samples; no baselines."""
+        """Return the state of all valves as columns, without baselines."""
         return [self._of_signals(), *chain.from_iterable(self._of_fleets())]
 
     def remember(
         self, columns: Sequence[Columns], baselines: Mapping[str, bytes]
     ) -> set[tuple[str, str]]:
-        """Take up columns and baselines; return (key, valve) of what starts afresh.
+        """Restore columns and baselines; return (key, valve) of the states that were reset.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class KeptColumns:
         return Columns("signals", names, every)
 
     def _of_fleets(self) -> list[list[Columns]]:
-        """Of each fleet, in their order."""
+        """Return the columns of each fleet, in the fleets' order."""
         plans = self._valves.plans
         return [
             fleet.columns([plans[valve].name for valve in own])

@@ -1,4 +1,4 @@
-"""What is kept of all valves as checkpoints, and taken up again where the configuration fits."""
+"""Checkpoints of all valves: packed for the store, and restored if the configuration fits."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,23 +19,23 @@ from valvemap.pipeline.valve_memory import ValveMemory
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
 
-MEMORY = "Diagnostics"  # no estimator is called so: what a valve remembers beside them
-TIMING = "Signals"  # nor so: how its signals come
-BASELINE = "Baseline"  # nor so: the map that was approved as new
-ALARMS = "Alarms"  # nor so: how its alarms stand
+MEMORY = "Diagnostics"  # a valve's state beside its estimators; no estimator has this name
+TIMING = "Signals"  # how its signals are stamped; likewise
+BASELINE = "Baseline"  # its approved map; likewise
+ALARMS = "Alarms"  # the state of its alarms; likewise
 
 
 class KeptStates:
-    """Packs what the parts know of valves, and gives it back to them.
+    """Packs the state of valves into checkpoints, and restores it.
 
     Parameters
     ----------
     valves
-        Of these.
+        The valves.
     arrivals, approved, alarms
-        What is kept beside the estimators' states.
+        State stored beside the estimators'.
     maps
-        Made anew of what is taken up.
+        Recomputed after a restore.
     """
 
     def __init__(
@@ -51,11 +51,11 @@ class KeptStates:
         self._approved = approved
         self._alarms = alarms
         self._maps = maps
-        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # a valve's fleet, T, numbers
-        self._timing_keys: dict[int, str] = {}  # both made when first asked for: 0.5 ms each
+        self._memory_keys: dict[tuple[int, bool, bool], str] = {}  # by fleet, has T, has numbers
+        self._timing_keys: dict[int, str] = {}  # both cached on first use: 0.5 ms each
 
     def kept(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that is kept of some valves, or of all: `checkpoints` and `memories`."""
+        """Return `checkpoints` and `memories` of the given valves, or of all."""
         estimators, beside = [], []
         for valve in self._chosen(valves):
             state = self._as_kept(valve)
@@ -64,23 +64,23 @@ class KeptStates:
         return [*estimators, *beside, *self._of_service()]
 
     def checkpoints(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """Every estimator's state as bytes, of some valves or of all."""
+        """Return every estimator's state as bytes, of the given valves or of all."""
         chosen = self._chosen(valves)
         return [c for valve in chosen for c in self._checkpoints_of(valve, self._as_kept(valve))]
 
     def memories(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that some valves, or all, remember beside their estimators' states."""
+        """Return the state beside the estimators as bytes, of the given valves or of all."""
         chosen = self._chosen(valves)
         found = [c for valve in chosen for c in self._memories_of(valve, self._as_kept(valve))]
         return found + self._of_service()
 
     def restore(self, checkpoints: Sequence[Checkpoint]) -> tuple[list[str], dict[str, str]]:
-        """Take up what was kept, where the configuration still fits.
+        """Restore the checkpoints that fit the configuration.
 
         Returns
         -------
         restored, refused
-            names ``<Valve>.<Estimator>``; what is refused starts afresh, and why.
+            names ``<Valve>.<Estimator>``; ``refused`` maps to the reason, and the state is reset.
         """
         restored: list[str] = []
         refused: dict[str, str] = {}
@@ -114,7 +114,7 @@ class KeptStates:
 
     def _as_kept(self, valve: int) -> ValveState:
         fleet, m = self._valves.at(valve)
-        return fleet.state(m)  # what sensors may be off by is not kept
+        return fleet.state(m)  # without systematic errors, which are not stored
 
     def _checkpoints_of(self, valve: int, state: ValveState) -> list[Checkpoint]:
         keys = self._valves.estimator_keys(valve)
@@ -150,7 +150,7 @@ class KeptStates:
         return [_beside(OF_SERVICE, ALARMS, alarms.to_bytes(), 0)] if alarms.version else []
 
     def _baseline_of(self, valve: int) -> Checkpoint:
-        """The baseline, or, as ``frozen``, that there is none any more."""
+        """Return the baseline; after its deletion, an empty one with ``frozen`` set."""
         found = self._approved.of(valve)
         kept = found or Baseline.none(int(self._approved.counts[valve]))
         name = self._valves.plans[valve].name
@@ -178,7 +178,7 @@ class KeptStates:
         for name, notes in memory.notes.items():
             known = name in fleet.plan.estimators and notes.status in (-1, *Status)
             if not known or not (lane := fleet.lane(m, name)).t:
-                continue  # it starts afresh
+                continue  # the estimator was reset
             status = None if notes.status < 0 else Status(notes.status)
             said = replace(lane, predicted=notes.predicted, residual=notes.residual, status=status)
             fleet.put(m, name, said)
@@ -223,21 +223,21 @@ class KeptStates:
         return self._timing_keys[valve]
 
     def _has(self, valve: int) -> tuple[bool, bool]:
-        """Whether a valve has a temperature, and running numbers."""
+        """Whether a valve has a temperature sensor, and a running number."""
         alignment = self._arrivals.alignment
         numbered = bool(alignment.has_sequence) and alignment.has_sequence[valve]
         return alignment.has_T[valve], numbered
 
 
 def _beside(valve: str, name: str, state: bytes, t: int, key: str = "") -> Checkpoint:
-    """What is kept of a valve beside its estimators' states."""
+    """Return a checkpoint of state beside the estimators."""
     return Checkpoint(valve, name, key, t, state, lam=None, frozen=False)
 
 
-# A key hashes its class's name as well: were one renamed, all that was kept would be refused.
+# A key also hashes its class's name: renaming a class would reject all stored checkpoints.
 @dataclass(frozen=True)
 class _Through:
-    """What a valve's samples go through before they are learnt from."""
+    """The steps between a valve's data changes and its estimators."""
 
     gate: QualityGate
     alignment: AlignmentSettings
@@ -247,7 +247,7 @@ class _Through:
 
 @dataclass(frozen=True)
 class _Comes:
-    """What it depends on how a valve's signals come."""
+    """The configuration that timing detection depends on."""
 
     settings: TimingSettings
     nodes: Mapping[str, str]

@@ -1,4 +1,4 @@
-"""Limits on the arrays of samples that wait for their signals, checked when they are restored."""
+"""Permitted content of the alignment's arrays, checked when they are restored."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Bulkheads: an exception in one lane (valve and estimator) stops that lane alone. Pure.
+"""Bulkheads: an exception in one lane (valve and estimator) stops only that lane. Pure.
 
 A step works on many valves in one call. If it raises, its writes are undone and it is repeated
 valve by valve. The valve at which it raises keeps its previous state and stops; all others get
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from valvemap.model.samples import Times
 
-MOST_WAITING: Final = 100  # failures that wait to be logged; of more each is counted alone
+MOST_WAITING: Final = 100  # failures kept until they are logged; further ones are only counted
 MOST_OF_A_REASON: Final = 200  # characters
 
 Restore = Callable[[], None]
@@ -42,7 +42,7 @@ class Step(StrEnum):
 
 @dataclass(frozen=True)
 class LaneFailure:
-    """Why a lane stopped; ``estimator`` is None where all lanes of the valve did."""
+    """Why a lane stopped; ``estimator`` is None if all lanes of the valve stopped."""
 
     valve: str
     estimator: str | None
@@ -59,7 +59,7 @@ class LaneFailure:
 
 
 class LaneFailures:
-    """Failures that are not logged yet.
+    """Failures that are not yet logged.
 
     Attributes
     ----------
@@ -72,13 +72,13 @@ class LaneFailures:
         self._waiting: list[LaneFailure] = []
 
     def note(self, failure: LaneFailure) -> None:
-        """Keep a failure until it is taken; beyond MOST_WAITING count it alone."""
+        """Store a failure until it is taken; beyond MOST_WAITING only count it."""
         self.count += 1
         if len(self._waiting) < MOST_WAITING:
             self._waiting.append(failure)
 
     def take_new(self) -> list[LaneFailure]:
-        """Take the failures noted since the last call."""
+        """Return and remove the stored failures."""
         taken, self._waiting = self._waiting, []
         return taken
 
@@ -89,18 +89,18 @@ def isolate(
     save: Callable[[Times], Restore],
     stop: Callable[[int, Exception], None],
 ) -> None:
-    """Do something for K valves in one call, or valve by valve where that raises.
+    """Call ``do`` for K valves together, or, if that raises, valve by valve.
 
     Parameters
     ----------
     members
         The valves (K,).
     do
-        Takes which of the K; writes in place.
+        Called with rows of the K valves; writes in place.
     save
-        Copies what `do` may write of the given valves; its result writes the copies back.
+        Copies the arrays that `do` writes, for the given valves; its result writes them back.
     stop
-        Takes a valve at which `do` raises, with the exception, after it was written back.
+        Called with a valve for which `do` raises, and the exception, after it was restored.
 
     Examples
     --------
@@ -120,7 +120,7 @@ def isolate(
     restore = save(members)
     try:
         do(every)
-    except Exception as error:  # noqa: BLE001 - a bulkhead: the other lanes must not notice
+    except Exception as error:  # noqa: BLE001 - a bulkhead: other lanes are not affected
         restore()
         if len(members) == 1:
             stop(int(members[0]), error)
@@ -142,7 +142,7 @@ def isolate_last(
     save: Callable[[Times], Restore],
     stop: Callable[[int, Exception], None],
 ) -> None:
-    """Do something within `isolate`: one valve as there; of several the outer call finds which."""
+    """As `isolate` for one valve; for several, re-raise: the outer `isolate` finds the valve."""
     if len(members) == 1:
         isolate(members, do, save, stop)
     elif len(members):
@@ -161,7 +161,7 @@ def saved(arrays: Iterable[NDArray[Any]], members: Times) -> Restore:
 
 
 def all_of(restores: Sequence[Restore]) -> Restore:
-    """One that does all of them."""
+    """Return one function that calls all of them."""
 
     def restore() -> None:
         for one in restores:

@@ -1,7 +1,7 @@
-"""Lanes: one estimator on M valves, with what was made of its residuals and what its maps rest on.
+"""Lanes: one estimator on M valves, with its residuals' statistics and its maps' support.
 
-A lane whose estimator an operator froze, or gave another ``lam``, goes its own way, one valve at a
-time; all others learn in one call.
+Lanes that an operator froze or gave another ``lam`` are updated one valve at a time; all others in
+one call.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ from valvemap.pipeline.valve_columns import Columns
 from valvemap.pipeline.valve_state import AnyEstimator, Forgetful, Lane, with_forgetting
 from valvemap.vocabulary.statuses import Quality, Status
 
-ABOUT_CLOSED = 5.0  # %: a sensor may read that much beside the range
+ABOUT_CLOSED = 5.0  # %; tolerance of U beyond the estimator's range, for sensor offset
 
 
 class Lanes:
@@ -39,13 +39,13 @@ class Lanes:
     Parameters
     ----------
     estimator
-        The plan's.
+        The plan's estimator.
     M
-        How many valves.
+        Number of valves.
     rests
-        Where its maps' samples lay.
+        Support of the maps: the cells in which their samples lie.
     accuracy
-        Of the valves' sensors.
+        Accuracy of the valves' sensors.
     """
 
     def __init__(
@@ -58,17 +58,17 @@ class Lanes:
         self._rests = rests
         self._accuracy = accuracy
         self._key = key_of(_LaneKey(key_of(estimator), accuracy))
-        self.beyond = np.zeros(M, np.int64)  # samples whose U the estimator cannot describe
+        self.beyond = np.zeros(M, np.int64)  # samples with U beyond the estimator's range
         self._frozen = np.zeros(M, bool)
-        self._lam = np.full(M, np.nan)  # what an operator set
+        self._lam = np.full(M, np.nan)  # set by an operator; NaN: as configured
         self._notes = kernel.nothing(M)
 
     def take(
         self, samples: Samples, segments: Segments, stop: Callable[[int, Exception], None]
     ) -> tuple[Trace, Segments]:
-        """Learn; what was made of samples, and on which of them the maps rest.
+        """Update the lanes; return the trace, and the segments of samples in the present maps.
 
-        Lanes that failed learn nothing; ``stop`` takes those at which learning raises.
+        Failed lanes are skipped; ``stop`` is called with each lane whose update raises.
         """
         running = ~self.failed[segments.members]
         trace, starts = nothing_of(len(samples)), segments.starts.copy()
@@ -87,20 +87,20 @@ class Lanes:
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Which lanes (M,) stopped at an error."""
+        """Mask (M,) of the lanes that stopped at an error."""
         return np.asarray(self._notes.status == Status.FAILED)
 
     def fail(self, m: int) -> None:
-        """Stop the lane of valve ``m``; its state stays."""
+        """Stop the lane of valve ``m``; its state remains."""
         self._notes.status[m] = Status.FAILED
 
     def start_again(self, m: int) -> None:
-        """Resume a lane that stopped, from its last state."""
+        """Resume a stopped lane from its last state."""
         if self.failed[m]:
             self._notes.status[m] = NO_STATUS
 
     def saved(self, members: Times) -> Restore:
-        """Copy the memory of the given valves' lanes; the result writes the copies back."""
+        """Copy the state of the given valves' lanes; the result writes the copies back."""
         spread = self._spread
         arrays = (self._scores, spread.cells, spread.stamps, spread.ages, spread.overall)
         own = saved((*arrays, self.beyond, *self._notes), members)
@@ -120,7 +120,7 @@ class Lanes:
         return trace, self._of_this_map(began, trace.status, segments)
 
     def columns(self, name: str, valves: tuple[str, ...]) -> Columns:
-        """What is remembered, as named arrays over valves."""
+        """Return the state of all lanes as named arrays over valves."""
         spread = self._spread
         return Columns(
             f"{name} {self._key}",
@@ -141,39 +141,39 @@ class Lanes:
         )
 
     def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what was written of `columns`."""
+        """Restore all lanes from the written arrays of `columns`."""
         self._states.take_up({n[6:]: a for n, a in arrays.items() if n.startswith("state_")})
         self._rests.take_up(arrays)
         for m in np.flatnonzero(np.isfinite(self._lam)).tolist():
             if not _allows(self._estimator, float(self._lam[m])):
-                self._lam[m] = np.nan  # set when less was allowed: as configured again
+                self._lam[m] = np.nan  # no longer permitted: use the configured value
 
     def changes(self, chosen: Times) -> Sequence[Change | None]:
-        """The newest change of some valves that was found."""
+        """Return the newest detected change of each given valve."""
         return self._states.changes(chosen)
 
     def newest_changes(self, chosen: Times) -> NDArray[Any]:
-        """The same as a table, see `CHANGE` (K,); all 0 where none was found."""
+        """Return the newest changes as a `CHANGE` table (K,); zeros if none was detected."""
         return self._states.newest_changes(chosen)
 
     def largest_lags(self, chosen: Times) -> Floats:
-        """The larger of the two lags that were found at some valves, s."""
+        """Return the larger of the two estimated lags of the given valves, s."""
         return self._states.largest_lags(chosen)
 
     def adaptations(self, chosen: Times) -> Codes:
-        """What the estimator makes of its residuals at some valves."""
+        """Return the estimator's diagnosis of its residuals for the given valves."""
         return self._states.adaptations(chosen)
 
     def recent_rmse(self, chosen: Times) -> Floats:
-        """Root mean square of the last residuals of some valves, l/min."""
+        """Return the root mean square of recent residuals of the given valves, l/min."""
         return recent_rmse(self._scores[chosen])
 
     def too_fast(self) -> Times:
-        """How many samples moved too fast for the lags of their signals (M,)."""
+        """Number of samples that moved too fast for the lags of their signals (M,)."""
         return self._states.too_fast(len(self.beyond))
 
     def _beyond_range(self, samples: Samples, segments: Segments) -> NDArray[np.bool_] | None:
-        """Which samples have a U that the estimator cannot describe (N,); they are counted."""
+        """Mask the samples (N,) whose U is beyond the estimator's range, and count them."""
         low, high = U_range_of(self._estimator)
         beyond = (low - ABOUT_CLOSED > samples.U) | (high + ABOUT_CLOSED < samples.U)
         beyond &= samples.quality != Quality.BAD
@@ -184,9 +184,9 @@ class Lanes:
         return beyond
 
     def _of_this_map(self, before: Times, status: Codes, segments: Segments) -> Segments:
-        """From where on the samples are those that the maps rest on; ``before``: `began` then.
+        """Return the segments of samples in the present maps; ``before``: `began` at the start.
 
-        Where a map began anew meanwhile, the places of the one before are forgotten.
+        If a map has restarted since, its support is reset.
         """
         anew = np.flatnonzero((self._states.began() != before)[segments.members])
         if not len(anew):
@@ -210,7 +210,7 @@ class Lanes:
         return trace
 
     def get(self, m: int) -> Lane:
-        """All about valve ``m``, a copy."""
+        """Return a copy of the lane of valve ``m``."""
         count, t, predicted, residual, status = (array[m] for array in self._notes)
         lane = Lane(
             estimator=self._estimator,
@@ -230,7 +230,7 @@ class Lanes:
         return lane if np.isnan(lam) else with_forgetting(lane, lam)
 
     def results(self, chosen: Times) -> EstimatorResults:
-        """What is published of some valves."""
+        """Return the results of the given valves."""
         notes, said = self._notes, self._notes.status[chosen]
         theta, std = self._states.parameters(chosen)
         status = np.where(said == NO_STATUS, Status.WARMING_UP, said).astype(np.uint8)
@@ -254,7 +254,7 @@ class Lanes:
         )
 
     def unknown(self, m: int) -> EstimatorResults:
-        """Bad results of valve ``m``, where the step that makes them raises."""
+        """Return Bad results of valve ``m``, for use when `results` raises."""
         n = len(self._estimator.parameter_names)
         nothing, t = np.full(1, np.nan), np.maximum(self._notes.t[m : m + 1], 1)
         return EstimatorResults(
@@ -277,7 +277,7 @@ class Lanes:
         )
 
     def put(self, m: int, lane: Lane) -> None:
-        """Have valve ``m`` go on from another lane."""
+        """Replace the lane of valve ``m``."""
         self._states.put(m, lane.state)
         self._scores[m] = lane.score.sums
         self._spread.put(m, lane.spread)
@@ -300,31 +300,31 @@ class Lanes:
 
 @dataclass(frozen=True)
 class SharedRests:
-    """What one estimator's maps rest on: its part of what all share."""
+    """The support of one estimator's maps, a view of the support shared by all estimators."""
 
     shared: SharedSupport
     number: int
 
     def one(self, m: int) -> Support:
-        """What the map of valve ``m`` rests on, a copy."""
+        """Return a copy of the support of valve ``m``."""
         return self.shared.one(self.number, m)
 
     def put(self, m: int, support: Support) -> None:
-        """Have the map of valve ``m`` rest on other samples."""
+        """Replace the support of valve ``m``."""
         self.shared.put(self.number, m, support)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """The same of all valves, as named arrays."""
+        """Return the support of all valves as named arrays."""
         return self.shared.columns(self.number)
 
     def take_up(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on from what was written of `columns`."""
+        """Restore the support from the written arrays of `columns`."""
         self.shared.take_up(self.number, arrays)
 
 
 @dataclass(frozen=True)
 class _LaneKey:
-    """What a lane's memory belongs to."""
+    """The configuration that a lane's state is bound to."""
 
     estimator: str
     accuracy: SensorAccuracy
@@ -345,13 +345,13 @@ for _status, _quality in {
 
 
 def nothing_of(N: int) -> Trace:
-    """What lanes that failed say of N samples."""
+    """Return the trace of N samples in failed lanes."""
     predicted, residual, early = np.full((3, N), np.nan)
     return Trace(predicted, residual, early, np.full(N, Status.FAILED, np.uint8))
 
 
 def _allows(estimator: AnyEstimator, lam: float) -> bool:
-    """Whether an operator may set a forgetting factor."""
+    """Whether the estimator accepts ``lam``."""
     if not isinstance(estimator, Forgetful):
         return False
     try:

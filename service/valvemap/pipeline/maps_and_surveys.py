@@ -1,4 +1,4 @@
-"""Inverse tables of all valves and surveys of all maps: computed in turns, for they are slow."""
+"""Inverse tables of all valves and surveys of all maps, computed in turns because they are slow."""
 
 import math
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from valvemap.pipeline.all_valves import AllValves
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.sample_intake import SampleIntake
 
-MAPS_AT_ONCE = 100  # 2 ms each
-SURVEYS_AT_ONCE = 40  # half a millisecond each: a fleet is surveyed in turns
+MAPS_AT_ONCE = 100  # tables per refresh, 2 ms each
+SURVEYS_AT_ONCE = 40  # surveys per refresh, 0.5 ms each
 
 
 class MapsAndSurveys:
@@ -22,16 +22,16 @@ class MapsAndSurveys:
     Parameters
     ----------
     valves
-        Whose.
+        The valves.
     intake
-        Judges a valve's signals anew whenever its table is made anew.
+        Judges a valve's signals whenever its table is recomputed.
 
     Attributes
     ----------
     tables : list
-        Of each valve the voltage, %, of shape (len(map_Q), len(map_dp)).
+        For each valve, U in %, of shape (len(map_Q), len(map_dp)).
     surveys : list
-        Of each valve its surveys, by estimator; none before the first `refresh`.
+        For each valve, its surveys by estimator; empty before the first `refresh`.
     """
 
     def __init__(self, valves: AllValves, intake: SampleIntake) -> None:
@@ -43,7 +43,7 @@ class MapsAndSurveys:
         self._next_survey = self._next_map = 0
 
     def refresh(self, share: float = 1.0) -> None:
-        """Compute the next tables and surveys anew, or a ``share`` of as many."""
+        """Compute the next tables and surveys, or a ``share`` of them."""
         V = len(self._valves.plans)
         for _ in range(math.ceil(share * min(MAPS_AT_ONCE, V))):
             self.tabulate(self._next_map % V)
@@ -54,7 +54,7 @@ class MapsAndSurveys:
             self._next_survey += 1
 
     def refresh_all(self) -> None:
-        """Compute every table and survey anew."""
+        """Compute every table and survey."""
         for valve in range(len(self._valves.plans)):
             self.tabulate(valve)
         for valve, name in self._all_lanes():
@@ -69,7 +69,7 @@ class MapsAndSurveys:
                 self._intake.judge(valve)
 
     def _tabulate_first(self) -> None:
-        """Tables before the first sample: the same for valves treated alike."""
+        """Compute the tables before the first sample: equal for valves with the same plan."""
         found: dict[tuple[object, ...], Floats] = {}
         for valve, plan in enumerate(self._valves.plans):
             key = (self._valves.kind(valve), plan.inverse, plan.map_Q, plan.map_dp)

@@ -1,11 +1,11 @@
-"""What is said of a valve itself, beside what is measured: its maker's plate, its plant's tag."""
+"""Nameplate of a valve: manufacturer's data and the plant's tag."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Nameplate:
-    """Who made a valve, which one it is, and what its plant calls it; empty: nobody said so.
+    """Manufacturer, identification and tag of a valve; empty: not configured.
 
     >>> Nameplate(manufacturer="Muster AG").serial_number
     ''

@@ -1,8 +1,8 @@
-"""Which variables of a foreign server are a valve's signals: judged by unit, name and place. Pure.
+"""Assignment of a foreign server's variables to a valve's signals, by unit, name and path. Pure.
 
-Plants call things in their own language and by their own scheme: folders per valve, flat tags,
-names of data blocks, KKS codes. A unit says what is measured, a name which of two it is, and where
-it stands whose it is. What remains open is said, not guessed.
+Plants name signals in their own language and by their own scheme: folders per valve, flat tags,
+names of data blocks, KKS codes. The unit gives the quantity, the name which of two signals it is,
+the path the valve. Ambiguities are reported, not guessed.
 """
 
 import re
@@ -75,7 +75,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ValveProposal:
-    """The nodes of one valve; ``open`` says what has to be decided, and between which nodes."""
+    """The nodes of one valve; ``open`` lists the ambiguous signals and their candidate nodes."""
 
     name: str
     nodes: Mapping[str, Candidate]
@@ -83,7 +83,7 @@ class ValveProposal:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Signals for which no node was found."""
+        """Signals without a node."""
         return tuple(role for role in REQUIRED if role not in self.nodes)
 
 
@@ -91,7 +91,7 @@ class ValveProposal:
 class _Judged:
     candidate: Candidate
     role: str  # U, p, Q, T
-    side: int  # of a pressure: -1 before, 1 behind, 0 unknown
+    side: int  # of a pressure: -1 upstream, 1 downstream, 0 unknown
     weight: float
     rest: tuple[str, ...] = field(default=())
 
@@ -126,7 +126,7 @@ def propose(candidates: Iterable[Candidate]) -> list[ValveProposal]:
 
 
 def _of_all(judged: Sequence[_Judged]) -> list[ValveProposal]:
-    """Signals that stand in several folders: by their numbers, else as one valve."""
+    """Group signals from several folders: by their numbers, else as one valve."""
     for key in (_by_code, _by_number):
         whole = {k: own for k, own in _grouped(judged, key).items() if _is_whole(own)}
         if whole:
@@ -162,10 +162,10 @@ def _judge(candidate: Candidate) -> _Judged | None:
 
 
 def _weight(role: str, words: Sequence[str], said: Sequence[str], candidate: Candidate) -> float:
-    """How much speaks for a role."""
+    """Return the weight of the evidence for a role."""
     known, weight = set(_WORDS[role].split()), 0.0
     weight += _BY_NAME * sum(_match(word, known) for word in words)
-    weight *= 1.5 if len(words) == 1 else 1.0  # nothing but that
+    weight *= 1.5 if len(words) == 1 else 1.0  # the whole name
     weight += 0.25 * _BY_NAME * sum(_match(word, known) for word in said)
     unit, code = candidate.unit, _KKS.search(candidate.path[-1].upper())
     if unit is not None and _ROLE_OF_QUANTITY.get(unit.quantity) == role:
@@ -180,7 +180,7 @@ def _weight(role: str, words: Sequence[str], said: Sequence[str], candidate: Can
 
 
 def _numbered_side(words: Sequence[str]) -> int:
-    """P 1, Druck_2: a number right behind the word for a pressure."""
+    """Side by number, as in P 1, Druck_2: a number that follows a word for pressure."""
     pressures = {*_PRESSURE.split()}
     for word, following in pairwise(words):
         if _match(word, pressures) and following in {"1", "2"}:
@@ -195,7 +195,7 @@ def _side(words: Sequence[str]) -> int:
 
 
 def _match(word: str, known: Collection[str]) -> float:
-    """1 if a token is one of some words, 0.7 if it is a compound that holds a long one, else 0."""
+    """1 if a token is one of ``known``, 0.7 if it is a compound with a long one of them, else 0."""
     if word in known:
         return 1.0
     is_han = any("\u4e00" <= letter <= "\u9fff" for letter in word)
@@ -225,25 +225,25 @@ def _tokens(text: str) -> list[str]:
 
 
 def _by_folder(judged: _Judged) -> tuple[str, ...]:
-    """Where it stands: its folder, or the part of a tag before its last name."""
+    """Group by path: the folder, or the part of a tag before its last name."""
     path = judged.candidate.path
     tag = re.split(r'"?\."?|/|\\|:', path[-1].strip('"'))
     return (*path[:-1], *tag[:-1])
 
 
 def _by_code(judged: _Judged) -> tuple[str, ...]:
-    """The system of a KKS code."""
+    """Group by the system of a KKS code."""
     match = _KKS_VALVE.search(judged.candidate.path[-1].upper())
     return ("?",) if match is None else (match[1],)
 
 
 def _by_number(judged: _Judged) -> tuple[str, ...]:
-    """The number of the loop, as in PT-101."""
+    """Group by the number of the loop, as in PT-101."""
     return tuple(word for word in judged.rest if word.isdigit() and len(word) > 1)
 
 
 def _by_rest(judged: _Judged) -> tuple[str, ...]:
-    """What is left of a flat tag without the words that say what it is."""
+    """Group by the words of a flat tag that do not describe the signal."""
     return judged.rest or ("",)
 
 
@@ -289,7 +289,7 @@ def _listed(own: Sequence[_Judged]) -> str:
 
 
 def _short_names(places: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], str]:
-    """A name for each place: its last part, with those before it where that is not enough."""
+    """Return a unique name for each path: its last part, with as many before it as necessary."""
     depths = range(1, max(map(len, places)) + 1)
     at_depth = [[_name("_".join(place[-depth:])) for place in places] for depth in depths]
     for names in at_depth:

@@ -1,8 +1,9 @@
-"""Whether a valve's signals can be what they are called: before anything is learnt from them.
+"""Plausibility of a valve's signals, checked before they reach the estimators.
 
-Swapped pressures, psi taken for bar, a flow meter of another pipe: each teaches a map with an R² of
-0.99, and a controller would follow it. What cannot be is refused until somebody insists, what may
-be is a hint. Pure; samples are counted, so it does not matter how they are cut into batches.
+Swapped pressures, psi taken for bar, a flow meter of another pipe: each gives a map with an R² of
+0.99, which a controller would follow. Impossible data are rejected unless ``insist`` is configured;
+possible but suspicious data give a hint. Pure; samples are counted, so the result does not depend
+on how they are cut into batches.
 """
 
 from collections.abc import Iterator
@@ -17,21 +18,21 @@ from valvemap.model.samples import Floats, Samples, Segments, Times
 from valvemap.pipeline.kernels import plausibility as kernel
 from valvemap.vocabulary.statuses import Quality
 
-SOME_BACKWARD: Final = 0.01  # share of samples: a clock steps now and then
+SOME_BACKWARD: Final = 0.01  # share of samples; fewer backward times are clock steps
 ENOUGH: Final = 2_000  # samples before a slope is judged
-LEAST_SPREAD_S: Final = 0.5  # √bar, of √dp at a given U: less shows no slope
+LEAST_SPREAD_S: Final = 0.5  # √bar, of √dp at a given U; less gives no slope
 FALLING: Final = -0.2  # correlation of Q with √dp at a given U
-NOT_RISING: Final = 0.02  # the same; noise alone shows that much
-LEAST_FLOW: Final = 5.0  # l/min: what a closed valve leaks says nothing
+NOT_RISING: Final = 0.02  # the same; noise alone gives this much
+LEAST_FLOW: Final = 5.0  # l/min; a smaller flow is leakage and is ignored
 CLIPPED: Final = 5  # samples at the very end of a range
 _SPANS: Final = ((0.0, 10.0, "V"), (4.0, 20.0, "mA"))
 _ROUNDING: Final = 1e-3  # of a span
-_STILL: Final = 1e-9  # %²: U that varies by less stands still
-_PASCALS_FROM, _KILOPASCALS_FROM = 2e5, 1e4  # what a hydraulic pressure, taken for bar, reaches
+_STILL: Final = 1e-9  # %²; with a smaller variance U is at rest
+_PASCALS_FROM, _KILOPASCALS_FROM = 2e5, 1e4  # hydraulic pressures in Pa and kPa, read as bar
 
 
 class Kind(Enum):
-    """How much weight a finding has."""
+    """Severity of a finding."""
 
     REFUSED = "refused"
     HINT = "hint"
@@ -39,14 +40,14 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """What speaks against a valve's signals; ``sentence`` says what, and what to do."""
+    """A reason why a valve's signals are implausible; ``sentence`` gives it, and a remedy."""
 
     kind: Kind
     sentence: str
 
 
 class Plausibility:
-    """Counts of M valves, written in place.
+    """Statistics of M valves, updated in place.
 
     Examples
     --------
@@ -64,15 +65,15 @@ class Plausibility:
         self._sums: Floats = np.zeros((M, kernel.CELLS, kernel.SUMS))
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All counts, each (M, …): the arrays themselves."""
+        """Return all statistics, each (M, …), not copied."""
         return {"counts": self._counts, "times": self._times, "sums": self._sums}
 
     def count(self, samples: Samples, segments: Segments) -> NDArray[np.bool_]:
-        """Count N samples in, as they come from the sensors; return which are refused, (N,).
+        """Add N raw samples to the statistics; return the mask of rejected ones, (N,).
 
-        From the first on whose pressures cannot be, until they have been right for ten times as
-        many samples as they were wrong: a sensor that failed for seconds is no reason to learn
-        nothing for good, pressures in psi that are high in each cycle are.
+        Rejection starts at the first sample with impossible pressures and ends once ten times as
+        many samples have been right. So a sensor that failed for seconds does not reject all later
+        samples, while pressures in psi that are too high in each cycle are rejected throughout.
         """
         columns = np.stack([samples.U, samples.p1, samples.p2, samples.Q, samples.T], axis=1)
         refused = np.empty(len(samples), np.bool_)
@@ -81,15 +82,15 @@ class Plausibility:
         return refused
 
     def refused(self) -> NDArray[np.bool_]:
-        """Whose newest sample is refused, (M,)."""
+        """Mask (M,) of the valves whose newest sample is rejected."""
         return np.asarray(self._counts[:, kernel.REFUSED] != kernel.NOT_REFUSED)
 
     def is_refuted(self, m: int) -> bool:
-        """Whether flow and pressures of one valve, or its times, contradict each other."""
+        """Whether one valve's flow and pressures, or its times, are inconsistent."""
         return any((*_of_slope(self._sums[m]), *_of_times(self._counts[m])))
 
     def findings(self, m: int) -> list[Finding]:
-        """What speaks against one valve's signals, the weightiest first."""
+        """Return the reasons why one valve's signals are implausible, the most severe first."""
         own, sums = self._counts[m], self._sums[m]
         refused = [*(list(_of_pressures(own)) or _of_slope(sums)), *_of_times(own)]
         hints = [*_of_opening(own, sums), *_of_temperature(own), *_of_repeated_times(own)]
@@ -100,7 +101,7 @@ class Plausibility:
 
 
 def refuse(samples: Samples, refused: NDArray[np.bool_]) -> Samples:
-    """The same N samples, those that are refused (N,) BAD."""
+    """Return the N samples, with the rejected ones (N,) marked BAD."""
     if not refused.any():
         return samples
     quality = np.where(refused, np.uint8(Quality.BAD), samples.quality)
@@ -125,7 +126,7 @@ def _likely_unit(highest: float) -> str:
 
 
 def _of_slope(sums: Floats) -> Iterator[str]:
-    """Q against √dp at a given U: partial correlation within cells of U, pooled."""
+    """Judge Q against √dp at a given U: partial correlation within cells of U, pooled."""
     rows = sums[sums[:, kernel.N] >= kernel.FEW]
     n, U, s, Q, UU, US, UQ, SS, SQ, QQ = rows.T
     U_U, U_s, U_Q = UU - U * U / n, US - U * s / n, UQ - U * Q / n
@@ -167,7 +168,7 @@ def _of_repeated_times(own: Floats) -> Iterator[str]:
 
 
 def _of_opening(own: Floats, sums: Floats) -> Iterator[str]:
-    """U that fills a span of volts or mA from end to end, the middle included."""
+    """Judge U that covers a span of volts or mA from end to end, including the middle."""
     low, high = own[kernel.LOWEST_U], own[kernel.HIGHEST_U]
     clipped = min(own[kernel.AT_LOWEST], own[kernel.AT_HIGHEST]) >= CLIPPED
     for least, most, symbol in _SPANS:

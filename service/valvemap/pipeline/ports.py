@@ -1,7 +1,7 @@
-"""What streaming asks of the world outside; adapters fulfil it, ``app`` hands them in.
+"""Ports of the pipeline to the outside; adapters implement them, ``app`` connects them.
 
-No adapter retries and none logs what it raises: it raises one of the typed errors of
-:mod:`valvemap.errors`, and the supervisor decides.
+An adapter neither retries nor logs an error that it raises. It raises one of the typed errors of
+:mod:`valvemap.errors`; the supervisor retries.
 """
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ from valvemap.vocabulary.statuses import Adaptation, FeedForwardStatus, Quality,
 
 @dataclass(frozen=True)
 class SourceCounters:
-    """What the source adapter saw since it was made, over all connections."""
+    """Counters of the source adapter since its creation, over all connections."""
 
     notifications: int = 0
     publish_responses: int = 0
@@ -34,7 +34,7 @@ class SourceCounters:
 
 
 class Upstream(Protocol):
-    """What is asked of a source, or of several together, by who does not mind connections."""
+    """Interface of one source, or of several as one, without the connection."""
 
     async def write_required_U(self, valve: int, U: float) -> None:
         """Write the feed-forward voltage (%) of one valve to its node at the source.
@@ -53,33 +53,33 @@ class Upstream(Protocol):
         """
 
     @property
-    def mark(self) -> Any:  # noqa: ANN401 - the source's own
-        """How far changes have been handed out; None: none were."""
+    def mark(self) -> Any:  # noqa: ANN401 - the source's private type
+        """Mark of the last changes returned; None: none yet."""
 
     def hold_back(self) -> None:
-        """Let the source keep what is handed out until `commit` says that it is safe."""
+        """From now on, keep returned changes unacknowledged until `commit`."""
 
     def commit(self, mark: Any) -> None:  # noqa: ANN401
-        """What was handed out up to a mark is safe: the source need not keep it any more."""
+        """Acknowledge changes up to ``mark``: they are safe, and the source may drop them."""
 
     def position(self, mark: Any) -> bytes:  # noqa: ANN401
-        """What `resume_at` goes on from after a restart."""
+        """Return the position of ``mark``, as accepted by `resume_at` after a restart."""
 
     def resume_at(self, position: bytes) -> bool:
-        """Go on from a position that was kept, if the source still can; before `connect`.
+        """Resume from a saved position, if the source still can; call before `connect`.
 
-        False: it cannot be one of this source, and is forgotten.
+        Returns False if it is not a position of this source; it is then ignored.
         """
 
     @property
     def counters(self) -> SourceCounters:
-        """What was seen so far."""
+        """Counters since the creation of the adapter."""
 
     @property
     def clock_offset_s(self) -> float | Floats:
-        """By how much the source's clock is ahead of ours; 0 if it did not say.
+        """Offset of the source's clock from ours, s, positive if ahead; 0 if unknown.
 
-        Where there are several sources, by valve.
+        With several sources, an array by valve.
         """
 
 
@@ -88,15 +88,15 @@ class AllSources(Upstream, Protocol):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """A line for each source: whether it is there, and what was lost of it."""
+        """One line for each source: its connection, and its losses."""
 
 
 class Source(Upstream, Protocol):
-    """Where data changes come from.
+    """A source of data changes.
 
     Order of calls: ``connect``, then ``receive`` and ``write`` in any order, then ``close``;
     after ``close`` or a :class:`~valvemap.errors.SourceLost`, ``connect`` may be called again.
-    Cancelling ``receive`` loses nothing: what has arrived is handed out by the next call.
+    Cancelling ``receive`` loses nothing: the next call returns the changes that have arrived.
     """
 
     async def connect(self) -> None:
@@ -105,9 +105,9 @@ class Source(Upstream, Protocol):
         Raises
         ------
         SourceLost
-            if the server cannot be reached: worth another try.
+            if the server cannot be reached: retry.
         SourceRejected
-            if it refuses certificate, user or node: names the node and what is allowed.
+            if it refuses certificate, user or node: names the node and the permitted values.
         """
 
     async def receive(self) -> DataChanges:
@@ -120,23 +120,23 @@ class Source(Upstream, Protocol):
         """
 
     async def drop(self) -> None:
-        """Leave a connection that is lost: what the source holds for us is there at `connect`."""
+        """Abandon a lost connection; the source's queue for this client remains for `connect`."""
 
     @property
     def is_held(self) -> bool:
-        """Whether the source may still hold for us what we have not heard."""
+        """Whether the source may still queue changes for this client."""
 
     async def close(self) -> None:
-        """Disconnect for good; safe to call twice, and after a loss."""
+        """Disconnect for good; may be called twice, and after a loss."""
 
     @property
     def started(self) -> int:
-        """When the source was started, UTC ns, as it said at `connect`; 0 if it did not."""
+        """Start time of the source, UTC ns, read at `connect`; 0 if unknown."""
 
 
 @dataclass(frozen=True)
 class EstimatorDescription:
-    """What a results server must know of one estimator to publish it."""
+    """The properties of an estimator that a results server publishes."""
 
     name: str
     description: str
@@ -145,12 +145,12 @@ class EstimatorDescription:
     finds_changes: bool = False
     chooses_structure: bool = False
     finds_lags: bool = False
-    has_named_parameters: bool = False  # few, each with a meaning of its own
+    has_named_parameters: bool = False  # few parameters, each with a physical meaning
 
 
 @dataclass(frozen=True)
 class ValveDescription:
-    """What a results server must know of one valve; ranges are (low, high)."""
+    """The properties of a valve that a results server publishes; ranges are (low, high)."""
 
     name: str
     estimators: tuple[EstimatorDescription, ...]
@@ -164,15 +164,15 @@ class ValveDescription:
 
 @dataclass(frozen=True)
 class EstimatorResult:
-    """One estimator's state of knowledge after one sample.
+    """Result of one estimator after one sample.
 
-    ``t`` is the source time (UTC ns) of the sample behind it, ``quality`` becomes the OPC UA
-    severity: UNCERTAIN while the parameters are not determined or excitation is poor, BAD when
-    the sensors are lost. ``survey`` is made anew with the inverse map; None before the first.
-    ``change`` is the last change of the valve that was found, ``structure`` what was chosen,
-    ``lags`` those of U's effect and of the flow meter, s; ``systematic_std`` what the sensors'
-    errors make of the flow at the newest sample, l/min, NaN where nothing is said of them;
-    ``adaptation`` what the estimator makes of its residuals.
+    ``t`` is the source time (UTC ns) of the sample. ``quality`` becomes the OPC UA severity:
+    UNCERTAIN while the parameters are not determined or excitation is poor, BAD when the sensors
+    are lost. ``survey`` is computed with the inverse map; None before the first. ``change`` is the
+    last detected change of the valve, ``structure`` the chosen model structure. ``lags`` are the
+    lags of U's effect and of the flow meter, s. ``systematic_std`` is the flow's standard deviation
+    due to sensor errors at the newest sample, l/min; NaN if they are not configured.
+    ``adaptation`` is the estimator's diagnosis of its residuals.
     """
 
     t: int
@@ -198,7 +198,7 @@ class InverseResult:
     """Answer to the standing demand (FlowDemand, PressureDrop), and the map as a table.
 
     ``map_U`` has shape (len(map_Q), len(map_dp)), %; NaN where the valve cannot deliver. ``armed``
-    and ``feed_forward`` say whether the answer is written to the valve.
+    and ``feed_forward`` give the state of feed-forward: whether the answer is written to the valve.
     """
 
     t: int
@@ -212,7 +212,7 @@ class InverseResult:
 
 @dataclass(frozen=True)
 class ValveResult:
-    """All that is known of one valve at once."""
+    """All results of one valve."""
 
     valve: int
     estimators: Mapping[str, EstimatorResult]
@@ -224,7 +224,8 @@ class ValveResult:
 class EstimatorResults:
     """One estimator on M valves: the fields of :class:`EstimatorResult`, all of length M.
 
-    ``theta`` and ``std`` are of shape (M, n); ``old`` says whose newest sample is, None: nobody's.
+    ``theta`` and ``std`` have shape (M, n). ``old`` masks the valves whose newest sample is old;
+    None: no valve.
     """
 
     t: Times
@@ -264,10 +265,10 @@ SIGNALS = ("U", "p1", "p2", "Q", "dp", "T")
 
 @dataclass(frozen=True)
 class SignalResults:
-    """The newest sample of each of M valves, as it came, in our units.
+    """The newest sample of each of M valves as received, in the service's units.
 
-    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN is what is not there. ``quality`` (M,) is the
-    source's, BAD where the sensors are lost; ``t`` (M,) is 0 before the first sample.
+    ``values`` (M, 6) are U, p1, p2, Q, dp and T; NaN if absent. ``quality`` (M,) is the source's,
+    BAD if the sensors are lost; ``t`` (M,) is 0 before the first sample.
     """
 
     t: Times
@@ -277,13 +278,13 @@ class SignalResults:
 
 @dataclass(frozen=True)
 class AlarmReport:
-    """How one alarm stands.
+    """State of one alarm.
 
-    ``since`` is when it came last, ``at`` when it last came, went or was acknowledged, both UTC ns,
-    0 if it never did; ``count`` is how often it came; ``text`` says what was measured, since when,
-    and what it may be. ``confirmed`` is False from when it was acknowledged until somebody says
-    that it was dealt with; ``limit`` is what it is judged by; ``comment`` is what was said of it
-    last, by whom, and when (UTC ns; 0: never).
+    ``since`` is the time of the last activation, ``at`` that of the last activation, deactivation
+    or acknowledgement, both UTC ns, 0: never. ``count`` is the number of activations. ``text``
+    gives the measured value, its beginning and possible causes. ``confirmed`` is False between
+    acknowledgement and confirmation; ``limit`` is the alarm's limit. ``comment``, ``commented_by``
+    and ``commented`` are the last comment, its author and its time (UTC ns; 0: none).
     """
 
     name: str
@@ -303,7 +304,7 @@ class AlarmReport:
 
 @dataclass(frozen=True)
 class Remark:
-    """What somebody says of an alarm when he does something about it: text, who, when (UTC ns)."""
+    """An operator's comment on an alarm: text, author, time (UTC ns)."""
 
     text: str
     by: str
@@ -312,9 +313,10 @@ class Remark:
 
 @dataclass(frozen=True)
 class AlarmChange:
-    """One change of an alarm, to be kept.
+    """One change of an alarm, for the history.
 
-    Whose it is (a valve's name, or the service's), when it changed (UTC ns), how it stood then.
+    ``owner`` is a valve's name or the service's, ``t`` the time of the change (UTC ns), ``report``
+    the state after it.
     """
 
     owner: str
@@ -326,8 +328,8 @@ class AlarmChange:
 class AlarmResults:
     """The alarms of M valves.
 
-    ``version`` (M,) grows with whatever changes of any of a valve's alarms; ``reports`` says how
-    all of the m-th one's stand, and is asked before anything else is done.
+    ``version`` (M,) increases with each change of any alarm of a valve; ``reports(m)`` returns the
+    state of all alarms of the m-th valve, and must be called before the next update.
     """
 
     version: Times
@@ -335,7 +337,7 @@ class AlarmResults:
 
 
 class Version(Protocol):
-    """An approved map: its name, source time of the newest sample behind it (UTC ns), its hash."""
+    """An approved map: its name, source time of its newest sample (UTC ns), its hash."""
 
     @property
     def version(self) -> str:
@@ -351,36 +353,36 @@ class Version(Protocol):
 
 
 class Compared(Protocol):
-    """A map against the approved one: now less then, l/min."""
+    """A map minus the approved one, l/min."""
 
     @property
     def mean(self) -> float:
-        """Over all points."""
+        """Mean difference over all points."""
 
     @property
     def largest(self) -> float:
-        """With its sign."""
+        """Largest difference by magnitude, signed."""
 
     @property
     def U(self) -> float:
-        """Where that is, %."""
+        """U of the largest difference, %."""
 
     @property
     def dp(self) -> float:
-        """Where that is, bar."""
+        """Pressure drop of the largest difference, bar."""
 
     @property
     def points(self) -> int:
-        """How many could be compared."""
+        """Number of compared points."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """All that is published of M valves that are treated alike.
+    """All published results of M valves with the same plan.
 
-    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``;
-    ``waiting`` says of each why nothing is learnt from it, ``timing`` how its signals come,
-    ``baselines`` names the approved map that its results build on, ``alarms`` how those stand.
+    ``valves`` (M,) are their numbers; ``counters`` have a column for each of ``counter_names``.
+    For each valve, ``waiting`` gives the reasons why its samples are not used, ``timing`` how its
+    signals are stamped, ``baselines`` its approved map, ``alarms`` the state of its alarms.
     """
 
     valves: Times
@@ -395,7 +397,7 @@ class Results:
     alarms: AlarmResults | None = None
 
     def one(self, m: int) -> ValveResult:
-        """What there is of the m-th of them."""
+        """Return the results of the m-th valve."""
         return ValveResult(
             valve=int(self.valves[m]),
             estimators={
@@ -439,25 +441,24 @@ class PastCounters:
 
 @dataclass(frozen=True)
 class Health:
-    """How fresh the data are, and whether what is learnt is safe; arrays over all valves.
+    """Freshness of the data and state of the checkpoints; arrays over all valves.
 
     Attributes
     ----------
     age_s : float64
-        By how much the newest sample is behind the source's clock, s; NaN before the first.
+        Age of the newest sample by the source's clock, s; NaN before the first.
     waiting : int64
-        Samples that wait for signals of theirs, or for earlier samples.
+        Samples that wait for signals or for earlier samples.
     source, source_states
-        What was seen of all sources; a line on each.
+        Counters summed over all sources; one line for each source.
     checkpoint_age_s : float
-        Since the states were last kept; NaN before.
+        Time since the last save of states, s; NaN before the first.
     checkpoint_failures, checkpoint_bytes, checkpoints_refused : int
-        How often they could not be, how much room they take, and how many were found at the start
-        that could not be used.
+        Saves that failed, size of the store, and checkpoints rejected at the start.
     alarms
-        How those of the service stand.
+        State of the service's alarms.
     history
-        How the history stands.
+        Counters of the history.
     """
 
     age_s: Floats
@@ -473,16 +474,16 @@ class Health:
 
 
 class ResultSink(Protocol):
-    """Where results go; ``publish`` never waits for a reader."""
+    """Receiver of results; ``publish`` never waits for a reader."""
 
     async def publish(self, results: Results) -> None:
-        """Show results; a later call for the same valve replaces the earlier one."""
+        """Publish results; a later call for the same valve replaces the earlier one."""
 
     async def doubt(self, valves: Times) -> None:
-        """Have what is shown of some valves be at best Uncertain at once: it has become old."""
+        """Set the published results of these valves to Uncertain or worse: they are old."""
 
     async def show_health(self, health: Health) -> None:
-        """Show how the service itself stands."""
+        """Publish the service's health."""
 
 
 T = TypeVar("T")
@@ -490,23 +491,23 @@ Answer: TypeAlias = T | Awaitable[T]
 
 
 class Operator(Protocol):
-    """What a results server lets people do; it answers at once, or once somebody else has.
+    """Commands and queries of a results server's clients; they return at once or are awaitable.
 
-    ``valve`` and ``estimator`` are names that the server was built with. A command that cannot be
-    carried out raises :class:`~valvemap.errors.CommandRejected` with a sentence.
+    ``valve`` and ``estimator`` are names that the server was built with. A command that is refused
+    raises :class:`~valvemap.errors.CommandRejected` with a sentence.
     """
 
     def reset(self, valve: str, estimator: str) -> Answer[None]:
-        """Forget all samples."""
+        """Reset the estimator."""
 
     def freeze(self, valve: str, estimator: str) -> Answer[None]:
         """Stop adaptation: predict only."""
 
     def resume(self, valve: str, estimator: str) -> Answer[None]:
-        """Adapt again."""
+        """Resume adaptation."""
 
     def set_forgetting_factor(self, valve: str, estimator: str, lam: float) -> Answer[None]:
-        """Use another forgetting factor, 0 < lam <= 1, from the next sample on."""
+        """Set the forgetting factor, 0 < lam <= 1, from the next sample on."""
 
     def predict(
         self, valve: str, estimator: str, U: float, dp: float, T: float
@@ -522,50 +523,50 @@ class Operator(Protocol):
         """U for a demanded flow at a pressure drop; arrays of shape (1,)."""
 
     def demand(self, valve: str, Q: float, dp: float) -> Answer[None]:
-        """Set the standing demand; NaN takes it back."""
+        """Set the standing demand; NaN withdraws it."""
 
     def approve(self, valve: str) -> Answer[None]:
-        """Keep what is known of a valve as its map when new: its baseline."""
+        """Store the valve's present state as its baseline, the map when new."""
 
     def roll_back(self, valve: str) -> Answer[None]:
-        """Go back to the baseline."""
+        """Restore the estimators' states of the baseline."""
 
     def replace_valve(self, valve: str) -> Answer[None]:
-        """Another valve is there: forget all, the baseline too."""
+        """Note that the valve was replaced: reset its estimators and delete its baseline."""
 
     def compare(self, valve: str, estimator: str) -> Answer[Compared]:
-        """By how much an estimator's map has moved away from the baseline."""
+        """Return the difference of an estimator's map from the baseline."""
 
     def baseline(self, valve: int) -> Version | None:
-        """The baseline of a valve, by its number."""
+        """Return the baseline of a valve, by its number."""
 
     def arm(self, valve: str) -> Answer[None]:
-        """Have the answer to the standing demand written to the valve, while it may be."""
+        """Arm feed-forward: the answer to the standing demand is written to the valve."""
 
     def disarm(self, valve: str) -> Answer[None]:
-        """Write nothing to the valve any more."""
+        """Disarm feed-forward: nothing is written to the valve."""
 
     def acknowledge(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note that somebody has seen an alarm, of a valve or (None) of the service."""
+        """Acknowledge an alarm of a valve or (None) of the service."""
 
     def confirm(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note that an alarm that was acknowledged was dealt with."""
+        """Confirm an acknowledged alarm."""
 
     def remark(self, valve: str | None, alarm: str, remark: Remark) -> Answer[None]:
-        """Note what somebody said of an alarm."""
+        """Add an operator's comment to an alarm."""
 
     def alarmed(self) -> Iterable[str]:
-        """The valves of which any alarm ever came."""
+        """Return the valves that have ever had an active alarm."""
 
     def alarms(self, valve: str | None) -> Sequence[AlarmReport]:
-        """How all alarms of a valve, or (None) of the service, stand."""
+        """Return the state of all alarms of a valve or (None) of the service."""
 
 
 class CheckpointStore(Protocol):
-    """Keeps the newest state of every estimator over restarts."""
+    """Stores the newest state of every estimator over restarts."""
 
     def save(self, checkpoints: Sequence["Checkpoint"]) -> None:
-        """Keep all of them or none.
+        """Save all of them or none.
 
         Raises
         ------
@@ -574,20 +575,20 @@ class CheckpointStore(Protocol):
         """
 
     def load(self) -> Sequence["Checkpoint"]:
-        """All that is kept, newest of each (valve, estimator)."""
+        """Return the newest checkpoint of each (valve, estimator)."""
 
     @property
     def size(self) -> int:
-        """Bytes that all of it takes."""
+        """Size in bytes."""
 
     @property
     def damaged(self) -> Sequence[str]:
-        """``<Valve>.<Estimator>`` whose newest state could not be believed at `load`."""
+        """``<Valve>.<Estimator>`` whose newest state was damaged at `load`."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One estimator's state as bytes, and what the operator had changed."""
+    """One estimator's state as bytes, and the operator's settings."""
 
     valve: str
     estimator: str
@@ -600,7 +601,7 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class Piece:
-    """Successive rows of one series, to be kept.
+    """Successive rows of one series, for the history.
 
     Times ``t`` (n,) in UTC ns, OPC UA status ``codes`` (n,), and columns (n,) by name.
     """
@@ -613,7 +614,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Past:
-    """What one column of a series was: times (n,) in UTC ns, values (n,), status codes (n,)."""
+    """History of one column of a series: times (n,) in UTC ns, values (n,), status codes (n,)."""
 
     t: Times
     values: Floats
@@ -624,18 +625,18 @@ class Past:
 
 
 class PastStore(Protocol):
-    """Keeps what signals and results were, and gives it back; from any thread, one at a time.
+    """Stores and returns the history of signals and results; from any thread, one at a time.
 
     Attributes
     ----------
     lost : int
-        Rows that damage took.
+        Rows lost by damage to the file.
     """
 
     lost: int
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Keep all pieces or none; return how many values were left out as not newer.
+        """Save all pieces or none; return the number of values skipped as not newer.
 
         Raises
         ------
@@ -644,7 +645,7 @@ class PastStore(Protocol):
         """
 
     def forget(self, now: int) -> int:
-        """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
+        """Drop blocks too old at ``now`` (UTC ns) or over the size limit; return their number."""
 
     def read(
         self,
@@ -657,10 +658,10 @@ class PastStore(Protocol):
         skip: int = 0,
         most: int,
     ) -> Past:
-        """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+        """Return rows from ``low`` to ``high`` (UTC ns, inclusive), without the first ``skip``."""
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
-        """Keep changes of alarms; those that are kept already are not kept twice.
+        """Save changes of alarms; a change that is stored already is skipped.
 
         Raises
         ------
@@ -678,11 +679,11 @@ class PastStore(Protocol):
         skip: int = 0,
         most: int,
     ) -> Sequence[AlarmChange]:
-        """Changes of an owner's alarms (None: of all), see :meth:`read`."""
+        """Return changes of an owner's alarms (None: all owners), see :meth:`read`."""
 
     def take_notes(self) -> Sequence[str]:
-        """Sentences about damage since they were last taken."""
+        """Return the messages about damage since the last call."""
 
     @property
     def size(self) -> int:
-        """Bytes that all of it takes."""
+        """Size in bytes."""

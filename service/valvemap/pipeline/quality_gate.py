@@ -1,4 +1,4 @@
-"""The quality gate: which samples may teach the estimators."""
+"""The quality gate: which samples the estimators may use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from valvemap.pipeline.kernels.gate import Limits, Memory
 COUNTER_NAMES = ("bad_status", "not_finite", "out_of_range", "frozen", "too_fast", "spike")
 SENSORS = (Signal.U, Signal.P1, Signal.P2, Signal.Q, Signal.T)
 
-# Beyond these no valve's sensor can be: what is outside is a broken number, not a measurement.
+# Physical bounds of all sensors: a value outside is not a measurement.
 PLAUSIBLE: Mapping[Signal, tuple[float, float]] = {
     Signal.U: (-1_000.0, 1_000.0),
     Signal.P1: (-10.0, 10_000.0),
@@ -31,9 +31,9 @@ class SignalLimits:
     Attributes
     ----------
     low, high : float
-        Range outside of which a value is no measurement.
+        Range outside of which a value is not a measurement.
     frozen_s : float
-        A value that stays the same, to the last bit, for longer is a dead sensor; 0 = off.
+        A value that is bitwise constant for longer is that of a frozen sensor; 0 = off.
     max_rate_per_s : float
         Steepest change from one sample to the next; inf = off.
     spike : float
@@ -49,18 +49,18 @@ class SignalLimits:
 
 @dataclass(frozen=True)
 class GateState:
-    """What the gate remembers of M valves; all arrays of constant size, ``bad_status`` (M,)."""
+    """State of the gate for M valves; all arrays of constant size, ``bad_status`` (M,)."""
 
     memory: Memory
     bad_status: Times
 
     def of(self, valves: slice) -> "GateState":
-        """Copies of what is remembered of some valves."""
+        """Return copies of the state of the given valves."""
         memory = Memory._make(array[valves].copy() for array in self.memory)
         return GateState(memory, self.bad_status[valves].copy())
 
     def put(self, m: int, other: "GateState") -> None:
-        """Remember of valve ``m`` what is remembered of another's first."""
+        """Replace the state of valve ``m`` by that of the first valve of ``other``."""
         for own, array in zip(self.memory, other.memory, strict=True):
             own[m] = array[0]
         self.bad_status[m] = other.bad_status[0]
@@ -71,16 +71,16 @@ class GateState:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """The same of the first valve by name, for who has only one."""
+        """Rejections of the first valve by reason."""
         return dict(zip(COUNTER_NAMES, self.counts()[0].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class QualityGate:
-    """Judges the samples of valves: status, NaN and inf, range; frozen, rate, spike on demand.
+    """Judges the samples of valves: status, NaN and inf, range; optionally frozen, rate, spike.
 
-    Samples of UNCERTAIN status pass as they are where ``use_uncertain``, else they become BAD. A
-    temperature that is NaN is no reading rather than a wrong one: maps without T do not mind.
+    Samples of UNCERTAIN status pass if ``use_uncertain``, else they become BAD. A temperature of
+    NaN is an absent reading, not a fault: maps without T are not affected.
 
     Examples
     --------
@@ -99,7 +99,7 @@ class QualityGate:
     use_uncertain: bool = False
 
     def initial_state(self, valves: int = 1) -> GateState:
-        """No sample seen yet."""
+        """Return the state before the first sample."""
         n = valves, kernel.SIGNALS
         return GateState(
             Memory(
@@ -113,12 +113,12 @@ class QualityGate:
         )
 
     def update(self, state: GateState, samples: Samples) -> tuple[GateState, Samples]:
-        """Judge N samples of one valve; nothing but their quality changes."""
+        """Judge N samples of one valve; only their quality changes."""
         after = state.of(slice(None))
         return after, self.judge(after, samples, Segments.one(len(samples)))
 
     def judge(self, state: GateState, samples: Samples, segments: Segments) -> Samples:
-        """Judge N samples of many valves; ``state`` is written in place."""
+        """Judge N samples of many valves; ``state`` is updated in place."""
         quality = samples.quality.copy()
         kernel.judge_samples(
             samples.t,

@@ -1,4 +1,4 @@
-"""What is published of valves: arrays over those treated alike, and what they are called."""
+"""Results to publish, as arrays over valves with the same plan, and the valves' descriptions."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -42,22 +42,22 @@ _GUESSED = InverseStatus.EXTRAPOLATING, InverseStatus.OUTSIDE
 
 
 class ResultTables:
-    """Gathers results from all parts that have some.
+    """Collects the results of all parts.
 
     Parameters
     ----------
     valves
-        Of these.
+        The valves.
     arrivals, intake
-        What is made of their signals.
+        Alignment and newest samples.
     maps
-        Tables and surveys, as they were made last.
+        Inverse tables and surveys, as computed last.
     approved
-        What their results build on.
+        The valves' baselines.
     armed
-        How their feed-forward stands.
+        State of their feed-forward.
     commands
-        Answer their standing demands.
+        Computes the answers to their standing demands.
     """
 
     def __init__(
@@ -84,10 +84,10 @@ class ResultTables:
         lost: NDArray[np.bool_] | None = None,
         old: NDArray[np.bool_] | None = None,
     ) -> Iterator[Results]:
-        """What is published of some valves, those treated alike together.
+        """Yield the results of the given valves, one for each group with the same plan.
 
-        All of it is BAD where ``lost``, an array over all valves, says that the sensors are, and
-        at best UNCERTAIN where ``old`` says that the newest sample is.
+        ``lost`` and ``old`` are masks over all valves. Results of valves with lost sensors are BAD;
+        those with an old newest sample are UNCERTAIN or worse.
         """
         chosen = np.array(valves, np.int64)
         for fleet, rows in self._valves.by_fleet(chosen):
@@ -100,25 +100,25 @@ class ResultTables:
             yield from self._isolated(fleet, own, at_best)
 
     def result(self, valve: int) -> ValveResult:
-        """The same of one valve."""
+        """Return the results of one valve."""
         (results,) = self.results([valve])
         return results.one(0)
 
     def counters(self, valve: int) -> Mapping[str, int]:
-        """What was aligned, lost and rejected of one valve since the start."""
+        """Return the counts of one valve's aligned, lost and rejected samples since the start."""
         fleet, _ = self._valves.at(valve)
         (counts,) = self._counts(fleet, np.array([valve])).tolist()
         return dict(zip(COUNTERS, counts, strict=True))
 
     def _isolated(self, fleet: Fleet, valves: Times, at_best: Codes) -> list[Results]:
-        """Results of the given valves; stopped ones one by one, all one by one if they raise."""
+        """Results of the given valves; stopped valves are separate, and all if one raises."""
         stopped = fleet.stopped()[self._valves.places[valves]]
         running, found = np.flatnonzero(~stopped), []
         alone = np.flatnonzero(stopped)
         try:
             if len(running):
                 found.append(self._of_fleet(fleet, valves[running], at_best[running]))
-        except Exception:  # noqa: BLE001 - a bulkhead: the valve is found below
+        except Exception:  # noqa: BLE001 - a bulkhead: the failing valve is found below
             alone = np.arange(len(valves))
         for k in alone:
             valve, one = int(valves[k]), slice(k, k + 1)
@@ -130,7 +130,7 @@ class ResultTables:
         return found
 
     def unknown(self, valve: int) -> Results:
-        """Bad results of one valve, where the step that makes them raises."""
+        """Return Bad results of one valve, for use when `results` raises."""
         fleet, m = self._valves.at(valve)
         one, plan = np.array([valve]), self._valves.plans[valve]
         bad, nothing = np.full(1, Quality.BAD, np.uint8), np.full(1, np.nan)
@@ -190,7 +190,7 @@ class ResultTables:
         )
 
     def _waiting(self, valves: Times, at_best: Codes) -> list[tuple[str, ...]]:
-        """Why nothing is learnt of some valves (M,); of others, which signals stand still."""
+        """Reasons why given valves' (M,) samples are not used; else their signals at rest."""
         plans, idle = self._valves.plans, at_best == Quality.BAD
         idle |= self._intake.implausible[valves]
         return [
@@ -206,7 +206,7 @@ class ResultTables:
         return self._arrivals.waited_for(valve, self._valves.plans[valve].nodes)
 
     def _systematic_std(self, fleet: Fleet, valves: Times, name: str) -> Floats:
-        """What the sensors' errors make of the flow at the newest sample of each valve, l/min."""
+        """Flow's standard deviation due to sensor errors at each valve's newest sample, l/min."""
         found = np.full(len(valves), np.nan)
         stated, timing = fleet.plan.accuracy.is_stated, self._arrivals.timing
         for k, valve in enumerate(valves):
@@ -253,7 +253,7 @@ class ResultTables:
 
 
 def descriptions(plans: Sequence[ValvePlan]) -> tuple[ValveDescription, ...]:
-    """What a results server must know of valves before it can show results of theirs."""
+    """Return the descriptions of valves for a results server."""
     described = once_each(_description)
     return tuple(
         ValveDescription(

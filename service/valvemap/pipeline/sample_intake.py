@@ -1,4 +1,4 @@
-"""Samples on their way to what learns from them: the newest are noted, impossible ones refused."""
+"""Feeds samples to the estimators: stores the newest, and rejects implausible ones."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,29 +18,29 @@ from valvemap.pipeline.ports import SIGNALS, SignalResults
 _CONTRADICTED = (
     "U, p1 - p2 and Q contradicted each other: once that is mended, a restart has the valve learnt"
 )
-VALVES_AT_ONCE = 256  # 20 MB of states, which are kept until all have learnt
+VALVES_AT_ONCE = 256  # valves per update: 20 MB of saved states, kept until all are updated
 _LOST = [COUNTER_NAMES.index(name) for name in ("missing", "gaps", "lost_by_time")]
 _ALIGNED = COUNTER_NAMES.index("aligned")
 
 
 class SampleIntake:
-    """Has all valves learn from what arrives.
+    """Updates all valves with the samples that arrive.
 
     Parameters
     ----------
     valves
-        Who learns.
+        The valves.
     arrivals
-        Makes samples of data changes.
+        Converts data changes into samples.
 
     Attributes
     ----------
     newest : SignalResults
-        The newest sample of each of the V valves, as it came.
+        The newest sample of each of the V valves, as received.
     refuted : bool
-        Which valves' signals (V,) contradict each other: not learnt from until a restart.
+        Mask (V,) of the valves with inconsistent signals: rejected until a restart.
     plausibility : Plausibility
-        What was seen that speaks for or against that.
+        Evidence for and against plausible signals.
     """
 
     def __init__(self, valves: AllValves, arrivals: Arrivals) -> None:
@@ -57,19 +57,19 @@ class SampleIntake:
         self._insists = np.array([plan.insist for plan in valves.plans], np.bool_)
 
     def take(self, changes: DataChanges) -> ByValve:
-        """Take data changes in; return the samples they completed, by valve."""
+        """Align data changes and estimate; return the samples they completed, by valve."""
         return self.learn(self._arrivals.take(changes))
 
     def wait_no_longer(self, valves: Times) -> ByValve:
-        """Take what waits for earlier samples without them; return it as `take` does."""
+        """Flush the reorder buffer of these valves; return the samples as `take` does."""
         return self.learn(self._arrivals.wait_no_longer(valves))
 
     def begin_source_anew(self, valves: Times) -> ByValve:
-        """The source of some valves was restarted: its running numbers begin anew."""
+        """Reset the alignment of these valves: the running numbers of their source restart."""
         return self.learn(self._arrivals.begin_source_anew(valves))
 
     def learn(self, arrived: ByValve) -> ByValve:
-        """Take aligned samples in; return them, those that cannot be what they are called BAD."""
+        """Estimate from aligned samples; return them, with implausible samples marked BAD."""
         self._note_newest(arrived)
         arrived = self._without_implausible(arrived)
         valves, starts, stops = arrived.segments
@@ -83,7 +83,7 @@ class SampleIntake:
         return arrived
 
     def take_samples(self, valve: int, samples: Samples) -> tuple[Samples, Mapping[str, Trace]]:
-        """Take samples of one valve in; return them as judged, and what every estimator said."""
+        """Estimate from one valve's samples; return them as gated, and each estimator's trace."""
         if len(samples) == 0:
             return samples, {}
         fleet, m = self._valves.at(valve)
@@ -91,22 +91,22 @@ class SampleIntake:
 
     @property
     def implausible(self) -> NDArray[np.bool_]:
-        """Which valves (V,) are not learnt from: their signals cannot be what they are called."""
+        """Mask (V,) of the valves whose samples are rejected as implausible."""
         return self.refuted | (self.plausibility.refused() & ~self._insists)
 
     def findings(self, valve: int) -> list[Finding]:
-        """What speaks against a valve's signals being what they are called."""
+        """Return the reasons why a valve's signals are implausible."""
         found = self.plausibility.findings(valve)
         if self.refuted[valve] and all(finding.kind is Kind.HINT for finding in found):
             return [Finding(Kind.REFUSED, _CONTRADICTED), *found]
         return found
 
     def judge(self, valve: int) -> None:
-        """Refuse a valve's samples from now on if its signals contradict each other."""
+        """Reject a valve's samples from now on if its signals are inconsistent."""
         self.refuted[valve] |= not self._insists[valve] and self.plausibility.is_refuted(valve)
 
     def signals(self, valves: Times, at_best: Codes) -> SignalResults:
-        """The newest sample of some valves (M,), of a quality no better than ``at_best`` (M,)."""
+        """Newest sample of the given valves (M,), of a quality no better than ``at_best`` (M,)."""
         newest = self.newest
         quality = np.maximum(newest.quality[valves], at_best)
         return SignalResults(newest.t[valves], quality, newest.values[valves])
@@ -119,7 +119,7 @@ class SampleIntake:
         newest.values[valves] = np.stack(list(columns), axis=1)
 
     def _without_implausible(self, arrived: ByValve) -> ByValve:
-        """The same samples; those that cannot be what they are called are BAD."""
+        """Return the samples, with implausible ones marked BAD."""
         refused = self.plausibility.count(arrived.samples, arrived.segments)
         valves, starts, stops = arrived.segments
         for k in np.flatnonzero(self._insists[valves]):
@@ -141,7 +141,7 @@ class SampleIntake:
 
 
 def _rows(starts: Times, stops: Times) -> tuple[slice | NDArray[np.int64], Times, Times]:
-    """Which rows the segments have, and where the segments are among those alone."""
+    """Return the rows of the segments, and the segments' bounds within those rows."""
     if (starts[1:] == stops[:-1]).all():
         return slice(starts[0], stops[-1]), starts - starts[0], stops - starts[0]
     rows = np.concatenate([np.arange(*pair) for pair in zip(starts, stops, strict=True)])

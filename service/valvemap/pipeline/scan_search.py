@@ -1,8 +1,8 @@
-"""How a source writes a valve's signals, found from the first of them. Pure.
+"""Detection of how a source stamps a valve's signals, from their first changes. Pure.
 
-A source may stamp all signals of a scan alike, one after the other, or write a signal only when it
-changes. No signal is written twice in a scan, so the shortest usual step of the liveliest signal is
-the scan's period, and what lies within half of it was written in one scan.
+A source may give all signals of a scan the same timestamp, stagger them, or write a signal only on
+change. No signal is written twice in a scan. So the shortest usual step of the fastest signal is
+the scan's period, and changes within half a period belong to one scan.
 """
 
 from dataclasses import dataclass, field
@@ -16,43 +16,43 @@ from valvemap.model.samples import Floats, Times
 from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
 from valvemap.pipeline.kernels.scans import NEVER, Changed
 
-FEWEST_SCANS: Final = 4  # of fewer nothing is said
-OFTEN: Final = 0.98  # share of scans in which a signal comes that does not come on change
-ALIKE: Final = 0.5  # share of scans stamped alike that makes a source one that stamps so …
-BESIDE: Final = 0.1  # … and most that are whole but stamped one after the other
-SPREAD_MARGIN: Final = 1.5  # by how much a scan may take longer than nearly all that were seen
+FEWEST_SCANS: Final = 4  # scans; with fewer nothing is detected
+OFTEN: Final = 0.98  # share of scans that contain a signal; below, it is written on change
+ALIKE: Final = 0.5  # least share of scans with one timestamp, for a source that stamps so …
+BESIDE: Final = 0.1  # … and largest share of complete but staggered scans
+SPREAD_MARGIN: Final = 1.5  # ratio of the window to the 98 % quantile of the scans' duration
 SHORTEST_WINDOW_NS: Final = 2_000_000  # stamps in ms differ by one within an instant
-HALF_THE_NOISE: Final = 0.5  # what a signal may move within its distance from the instant …
-RESOLUTION: Final = 1e-3  # … or this share of its range, where it has no noise
-STEPS_OF_NOISE: Final = 5.0  # standard deviations: longer steps are not of noise alone
-CLEARLY: Final = 0.9  # by so much the flow must fit better to signals that are not interpolated
-STEPS_OF_A_DEADBAND: Final = 8  # of fewer steps nothing is said
-ABOUT_AS_SMALL: Final = 2.0  # times the smallest step, …
-MOST_STEPS: Final = 0.5  # … which so large a share of steps must be no larger than
-_MEASURED: Final = (Signal.P1, Signal.P2, Signal.Q, Signal.T)  # U, a command, is what it says
-_ENOUGH: Final = 24  # scans: of fewer the flow says nothing
+HALF_THE_NOISE: Final = 0.5  # of the noise; tolerated move within the offset of a signal …
+RESOLUTION: Final = 1e-3  # … or this share of its range, without noise
+STEPS_OF_NOISE: Final = 5.0  # standard deviations; longer steps are not noise alone
+CLEARLY: Final = 0.9  # ratio of misfits below which signals are used without interpolation
+STEPS_OF_A_DEADBAND: Final = 8  # steps; with fewer no deadband is detected
+ABOUT_AS_SMALL: Final = 2.0  # times the smallest step; steps within this are of the deadband …
+MOST_STEPS: Final = 0.5  # … if at least this share of all steps is
+_MEASURED: Final = (Signal.P1, Signal.P2, Signal.Q, Signal.T)  # U is a command: no deadband
+_ENOUGH: Final = 24  # scans; with fewer the flow is not compared
 _TINY: Final = 1e-12
 _NOISE_OF_SECOND_DIFFERENCES: Final = 0.6745 * 6.0**0.5  # their median, for unit white noise
 
 
 class Comes(IntEnum):
-    """How one signal comes."""
+    """How one signal is stamped."""
 
     ABSENT = 0  # the valve has none
     WITH_THE_SCAN = 1
     INTERPOLATED = 2
-    AS_IT_IS = 3  # of the scan's first instant all the same: the flow says so
+    AS_IT_IS = 3  # stamped late, but measured at the scan's first instant, as the flow shows
     HELD = 4
 
 
 @dataclass(frozen=True)
 class Found:
-    """How the signals of one valve come; arrays (6,), times in ns.
+    """Timing of the signals of one valve; arrays (6,), times in ns.
 
-    ``comes`` holds a :class:`Comes` for each signal, ``offset`` how late it is usually stamped
-    after the first of its scan, ``limit`` what it may move within that to be interpolated,
-    ``jitter`` what of a step from scan to scan may be noise, both in its unit. ``deadband`` is
-    within what a measured signal that comes on change may move unseen; 0: none shows.
+    ``comes`` holds a :class:`Comes` for each signal, ``offset`` its usual delay after the first
+    stamp of its scan, ``limit`` the largest move within that for interpolation, ``jitter`` the
+    largest step between scans due to noise, both in the signal's unit. ``deadband`` is that of a
+    measured on-change signal; 0: none detected.
     """
 
     comes: NDArray[np.int64]
@@ -65,7 +65,7 @@ class Found:
 
 
 def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
-    """Whether the signals of a sample carry one time, as far as these changes show."""
+    """Whether the signals of a sample have one timestamp, as far as these changes show."""
     scans = _scans(changes, there)
     if scans is None:
         return False
@@ -80,19 +80,19 @@ def is_stamped_alike(changes: Changed, there: NDArray[np.bool_]) -> bool:
 
 
 def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
-    """Find out how signals come that do not carry one time; None: too little has come to say.
+    """Detect the timing of signals with several timestamps; None: too few changes.
 
     Parameters
     ----------
     changes
-        Of one valve, in the order of their arrival.
+        Changes of one valve, in the order of their arrival.
     there : (6,)
-        Which signals the valve has.
+        Mask of the valve's signals.
     """
     scans = _scans(changes, there)
     if scans is None:
         return None
-    times, values = scans[0][1:-1], scans[1][1:-1]  # the first and the last may be half ones
+    times, values = scans[0][1:-1], scans[1][1:-1]  # the first and the last may be incomplete
     if len(times) < FEWEST_SCANS:
         return None
     has = times != NEVER
@@ -138,7 +138,7 @@ def find_scans(changes: Changed, there: NDArray[np.bool_]) -> Found | None:
 
 
 def _deadband(changes: Changed, j: int) -> float:
-    """The smallest step of a signal, if its steps are about as small: 0 where they are not."""
+    """Return the smallest step of a signal if most steps are about as small, else 0."""
     own = changes.signal == j
     x = changes.value[own][np.argsort(changes.time[own], kind="stable")]
     steps = np.abs(np.diff(x))
@@ -150,7 +150,7 @@ def _deadband(changes: Changed, j: int) -> float:
 
 
 def _scans(changes: Changed, there: NDArray[np.bool_]) -> tuple[Times, Floats] | None:
-    """Times and values (S, 6) of S scans; a time is NEVER where a signal does not come."""
+    """Times and values (S, 6) of S scans; the time of an absent signal is NEVER."""
     for j in np.flatnonzero(there):
         if not (changes.signal == j).any():
             return None
@@ -174,7 +174,7 @@ def _scans(changes: Changed, there: NDArray[np.bool_]) -> tuple[Times, Floats] |
 
 
 def _began(changes: Changed) -> int:
-    """When signals began to come anew: a first value may be as old as it likes."""
+    """Time of the first change after initial values, which may be arbitrarily old."""
     starts = []
     for j in range(SIGNALS_PER_VALVE):
         own = np.unique(changes.time[changes.signal == j])
@@ -184,7 +184,7 @@ def _began(changes: Changed) -> int:
 
 
 def _period(changes: Changed) -> int:
-    """Shortest usual step of the signal that comes most often, ns; 0: none can be told."""
+    """Shortest usual step of the most frequent signal, ns; 0: unknown."""
     steps = []
     for j in range(SIGNALS_PER_VALVE):
         own = np.unique(changes.time[changes.signal == j])[1:]
@@ -196,14 +196,14 @@ def _period(changes: Changed) -> int:
 def _are_of_one_instant(
     values: Floats, shifted: Floats, base: Floats, fast: NDArray[np.bool_]
 ) -> bool:
-    """Whether the flow fits better to the signals as they are than to interpolated ones."""
+    """Whether the flow fits the signals better as they are than interpolated."""
     slow = ~fast if (~fast).sum() >= _ENOUGH else np.arange(len(fast)) > 0
     as_they_are, otherwise = (_misfit(_filled(x, base)[slow]) for x in (values, shifted))
     return bool(as_they_are < CLEARLY * otherwise)
 
 
 def _filled(values: Floats, base: Floats) -> Floats:
-    """Each signal's value from before, where a scan has none."""
+    """Fill absent values with the signal's last value."""
     filled = np.concatenate([base[None], values])
     for k in range(1, len(filled)):
         filled[k] = np.where(np.isnan(filled[k]), filled[k - 1], filled[k])
@@ -211,7 +211,7 @@ def _filled(values: Floats, base: Floats) -> Floats:
 
 
 def _misfit(values: Floats) -> float:
-    """How badly Q is a smooth function of U and dp, (l/min)²; 0 where too little tells."""
+    """Sum of squares of Q's fit by a smooth function of U and dp, (l/min)²; 0: too few scans."""
     U, p1, p2, Q = (values[:, j] for j in (Signal.U, Signal.P1, Signal.P2, Signal.Q))
     s = np.sqrt(np.maximum(p1 - p2, 0.0))
     X = np.stack([np.ones_like(U), U, s, U * s, U * U * s, s * s], axis=1)
@@ -229,6 +229,6 @@ def _first_value(changes: Changed, signal: int) -> float:
 
 
 def _noise(x: Floats) -> float:
-    """Standard deviation of what does not go on from scan to scan."""
+    """Standard deviation of the white noise in ``x``, from its second differences."""
     second = np.abs(np.diff(x[np.isfinite(x)], n=2))
     return float(np.median(second)) / _NOISE_OF_SECOND_DIFFERENCES if len(second) else 0.0

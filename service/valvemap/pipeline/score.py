@@ -1,4 +1,4 @@
-"""How well an estimator predicted each sample before it learnt from it."""
+"""One-step-ahead prediction error of an estimator: each sample is predicted before its update."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ class Score:
 
     @classmethod
     def none(cls) -> "Score":
-        """Nothing predicted yet."""
+        """Return the score before the first prediction."""
         sums = np.zeros(kernel.FIELDS)
         sums[kernel.LOWEST_Q], sums[kernel.HIGHEST_Q] = np.inf, -np.inf
         return cls(sums)
 
     @classmethod
     def merged(cls, scores: Sequence["Score"]) -> "Score":
-        """One score of several sets of samples (Chan's formula); ``recent_rmse`` is the last's."""
+        """Merge scores of several sets of samples (Chan); ``recent_rmse`` is that of the last."""
         merged = cls.none().sums
         for score in scores:
             n = merged[kernel.N] + score.n
@@ -52,7 +52,7 @@ class Score:
         return cls(merged)
 
     def add(self, samples: Samples, trace: Trace) -> "Score":
-        """Take in what was predicted of N samples; NaN residuals count nowhere."""
+        """Add the predictions of N samples; NaN residuals are ignored."""
         sums = self.sums.copy()
         one = Segments.one(len(samples))
         kernel.accumulate(trace.residual, samples.Q, sums[None], one)
@@ -60,7 +60,7 @@ class Score:
 
     @property
     def n(self) -> int:
-        """Samples that were predicted."""
+        """Number of predicted samples."""
         return int(self.sums[kernel.N])
 
     @property
@@ -80,13 +80,13 @@ class Score:
 
     @property
     def nrmse(self) -> float:
-        """``rmse`` over the range of Q; NaN where Q did not move."""
+        """``rmse`` over the range of Q; NaN if Q is constant."""
         span = self.sums[kernel.HIGHEST_Q] - self.sums[kernel.LOWEST_Q]
         return float(self.rmse / span) if span > 0 else np.nan
 
     @property
     def r2(self) -> float:
-        """Share of the scatter of Q that was predicted; NaN where Q did not move."""
+        """Coefficient of determination R² of the predictions; NaN if Q is constant."""
         scatter = self.sums[kernel.SCATTER_Q]
         return float(1.0 - self.sums[kernel.SQUARES] / scatter) if scatter > 0 else np.nan
 

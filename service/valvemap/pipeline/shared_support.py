@@ -1,9 +1,9 @@
-"""What the maps of a valve's estimators rest on: kept once for all that have learnt the same.
+"""Support of the maps of a valve's estimators, stored once for estimators with the same samples.
 
-Samples lie where they lie, whoever learns from them. So a valve's estimators share one memory of
-that, until one of them learns from other samples, is reset, or goes on from another state: then it
-has one of its own. That is found by what was learnt and by the bits that are kept, so it changes
-none of them.
+Support records in which cells samples lie, independently of the estimator. A valve's estimators
+share one row of it until one of them uses other samples, is reset, or is restored from another
+state; it then gets a row of its copy. Rows are separated by comparing the samples used and the
+stored bits, so sharing changes no result.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,18 +18,18 @@ from valvemap.model.support import Support, SupportOfMany
 from valvemap.pipeline.lane_failures import Restore
 from valvemap.vocabulary.statuses import Status
 
-SPARE = 8  # one row more for so many, where all are taken
+SPARE = 8  # if no row is free, one row is added for every 8
 
 
 class SharedSupport:
-    """What the maps of E estimators of M valves rest on.
+    """Support of the maps of E estimators of M valves.
 
     Parameters
     ----------
     nothing
-        What all of them rest on before the first sample.
+        The support before the first sample.
     E, M
-        How many estimators and valves.
+        Number of estimators and valves.
 
     Examples
     --------
@@ -48,29 +48,29 @@ class SharedSupport:
 
     def __init__(self, nothing: Support, E: int, M: int) -> None:
         self._kept = nothing.of_many(M)
-        self._of = np.tile(np.arange(M), (E, 1))  # in which row each is, (E, M)
-        self._users = np.full(M, E)  # of each row
-        self._free: list[int] = []  # rows that nobody uses
+        self._of = np.tile(np.arange(M), (E, 1))  # row of each estimator and valve, (E, M)
+        self._users = np.full(M, E)  # number of estimators that use each row
+        self._free: list[int] = []  # unused rows
 
     @property
     def rows(self) -> int:
-        """How many differ."""
+        """Number of rows in use."""
         return len(self._users) - len(self._free)
 
     def learn(
         self, samples: Samples, said: Sequence[tuple[Codes, Segments]], segments: Segments
     ) -> None:
-        """Take in where samples lay, as far as they were learnt from.
+        """Add samples to the support of each estimator that used them.
 
         Parameters
         ----------
         samples
             N samples.
         said
-            Of each estimator, what it did with each of them (N,), and those its maps rest on:
-            ``segments``, of which some may begin later.
+            For each estimator, the status of each sample (N,) and the segments of samples in its
+            present maps: ``segments``, some with a later start.
         segments
-            Whose samples are whose.
+            Assignment of the samples to valves.
         """
         if len(said) > 1:
             learnt = np.stack([_learnt(status, own, segments) for status, own in said])
@@ -99,11 +99,11 @@ class SharedSupport:
         return [getattr(self._kept, field.name) for field in fields(SupportOfMany)]
 
     def one(self, e: int, m: int) -> Support:
-        """A copy of what one estimator's map rests on."""
+        """Return a copy of the support of one estimator's map."""
         return self._kept.one(self._of[e, m])
 
     def put(self, e: int, m: int, support: Support) -> None:
-        """Have it be otherwise."""
+        """Replace the support of one estimator's map."""
         others = np.delete(self._of[:, m], e)
         for row in others.tolist():
             if _is_same(self._kept.one(row), support):
@@ -114,18 +114,18 @@ class SharedSupport:
         self._kept.put(self._of[e, m], support)
 
     def columns(self, e: int) -> Mapping[str, NDArray[Any]]:
-        """Copies of what one estimator's maps rest on, (M, …)."""
+        """Return copies of the support of one estimator's maps, (M, …)."""
         kept, rows = self._kept, self._of[e]
         return {"seen": kept.cells[rows], "fit": kept.fit[rows], "ranges": kept.ranges[rows]}
 
     def take_up(self, e: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Have one estimator's maps rest on what somebody has written into such columns."""
+        """Restore the support of one estimator's maps from written columns."""
         every = SupportOfMany(columns["seen"], columns["fit"], columns["ranges"])
         for m in range(self._of.shape[1]):
             self.put(e, m, every.one(m))
 
     def _part(self, learnt: Flags, segments: Segments) -> None:
-        """Have those that shared a row, and learnt (E, N) other samples now, share it no more."""
+        """Separate estimators that share a row but used different samples, ``learnt`` (E, N)."""
         differ = np.concatenate([[0], np.cumsum((learnt != learnt[0]).any(axis=0))])
         apart = differ[segments.stops] > differ[segments.starts]
         for m, start, stop in zip(*segments.of(apart), strict=True):
@@ -141,7 +141,7 @@ class SharedSupport:
                     self._kept.put(spare, copied)
 
     def _spare_row(self) -> int:
-        """Take a row that nobody uses; there is always one more to be had."""
+        """Return an unused row, adding rows if there is none."""
         if not self._free:
             size = len(self._users)
             more = size // SPARE + 1
@@ -153,7 +153,7 @@ class SharedSupport:
         return self._free.pop()
 
     def _move(self, e: int, m: int, row: int) -> None:
-        """Have one estimator of a valve use another row, which is taken already."""
+        """Assign one estimator of a valve to another row, which is already in use or reserved."""
         before = self._of[e, m]
         self._of[e, m] = row
         self._users[row] += 1
@@ -163,7 +163,7 @@ class SharedSupport:
 
 
 def _learnt(status: Codes, own: Segments, segments: Segments) -> Flags:
-    """Which samples (N,) a map rests on from now on."""
+    """Mask of the samples (N,) that are added to a map's support."""
     learnt = status <= Status.UNEXCITED
     for k in np.flatnonzero(own.starts > segments.starts):
         learnt[segments.starts[k] : own.starts[k]] = False
@@ -171,7 +171,7 @@ def _learnt(status: Codes, own: Segments, segments: Segments) -> Flags:
 
 
 def _is_same(one: Support, other: Support) -> bool:
-    """Whether two are the same to the bit."""
+    """Whether two supports are bitwise equal."""
     pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(Support))
     return all(a.tobytes() == np.asarray(b, a.dtype).tobytes() for a, b in pairs)
 

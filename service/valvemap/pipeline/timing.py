@@ -1,4 +1,4 @@
-"""Timing: a source's way of writing, found at the start and fixed; before all alignment."""
+"""Timing of signals: detected at the start and then fixed; the step before alignment."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +23,7 @@ __all__ = ["Timing", "TimingSettings", "TimingState"]
 
 
 class Timing:
-    """How the signals of V valves come; ``fixed`` ones are taken as they are stamped.
+    """Timing of V valves' signals; if ``fixed``, their timestamps are used as they are.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class Timing:
                 valve.stands = ALIKE
 
     def take(self, changes: DataChanges) -> DataChanges:
-        """Take changes in; return what may be aligned now."""
+        """Process changes; return those that are due for alignment."""
         if not self._special.any() or not len(changes):
             return changes
         valve = changes.item // SIGNALS_PER_VALVE
@@ -78,7 +78,7 @@ class Timing:
         return DataChanges.concatenate(parts)
 
     def flush(self, valves: Times) -> DataChanges:
-        """Have what waits to become scans leave as it is."""
+        """Flush the changes buffered for scans."""
         parts = [
             _as_changes(number, self.valves[number].take(NOTHING, flush=True))
             for number in valves.tolist()
@@ -88,26 +88,26 @@ class Timing:
 
     @property
     def pending(self) -> Times:
-        """Changes of each valve on their way into scans, (V,)."""
+        """Number of changes of each valve that are buffered for scans, (V,)."""
         if not self._special.any():
             return np.zeros(len(self.valves), np.int64)
         return np.array([valve.pending for valve in self.valves], np.int64)
 
     def not_made(self, valves: Times) -> Times:
-        """Scans of some valves that were no sample, (M,)."""
+        """Number of scans of the given valves that gave no sample, (M,)."""
         found = np.zeros(len(valves), np.int64)
         for k in np.flatnonzero(self._special[valves]):
             found[k] = self.valves[valves[k]].not_made
         return found
 
     def newly_found(self) -> list[int]:
-        """Valves that were found to come in scans since the last call."""
+        """Return the valves whose signals were newly found to have different timestamps."""
         new, self._new = self._new, []
         return new
 
     @property
     def holds(self) -> NDArray[np.bool_]:
-        """Which valves (V,) have signals that come on change: silence is no loss of theirs."""
+        """Mask (V,) of the valves with on-change signals: their silence is no loss."""
         held = np.zeros(len(self.valves), np.bool_)
         for number in np.flatnonzero(self._special).tolist():
             found = self.valves[number].found
@@ -115,7 +115,7 @@ class Timing:
         return held
 
     def found_by(self, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """What was found of the valves, by name, whose signals carry no common time."""
+        """Return the detected timing, by valve name, of valves without a common timestamp."""
         return {
             name: {
                 "signals": valve.words.sentences({}),
@@ -128,7 +128,7 @@ class Timing:
         }
 
     def put(self, valve: int, state: TimingState) -> None:
-        """Have one valve go on from a state that was kept.
+        """Restore the timing of one valve from a stored state.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What there is to say of how a valve's signals come. Pure."""
+"""Descriptions of the timing of a valve's signals. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from valvemap.pipeline.kernels.scans import NEVER, NEWEST, Scans
 from valvemap.pipeline.scan_search import Comes, Found
 from valvemap.pipeline.units import READ
 
-STILL_NS: Final = 30_000_000_000  # a held signal that has not moved for so long is named
+STILL_NS: Final = 30_000_000_000  # time at rest after which an on-change signal is named
 
 
 @dataclass(frozen=True)
 class Words:
-    """``found`` is None where the signals carry one time; ``there`` (6,) says which there are."""
+    """``found`` is None if the signals have one timestamp; ``there`` (6,) masks those present."""
 
     found: Found | None
     there: NDArray[np.bool_]
@@ -25,7 +25,7 @@ class Words:
     is_found: bool = True
 
     def sentences(self, labels: Mapping[str, str]) -> tuple[str, ...]:
-        """How each signal comes, in words; ``labels`` says what to call U and the others."""
+        """Describe how each signal is stamped; ``labels`` are the names of U and the others."""
         if not self.is_found:
             return ("not found yet",)
         if self.found is None:
@@ -45,7 +45,7 @@ class Words:
         return tuple(said)
 
     def losses(self, labels: Mapping[str, str]) -> tuple[str, ...]:
-        """Why scans were no samples: signal, reason, setting."""
+        """Return why scans gave no sample: signal, reason, setting."""
         said = []
         for j in np.flatnonzero(self.there):
             name = labels.get(READ[j], READ[j])
@@ -65,7 +65,7 @@ class Words:
         return tuple(said)
 
     def still(self, labels: Mapping[str, str]) -> tuple[str, ...]:
-        """Which held signals have not moved for long."""
+        """Return the on-change signals that have not changed for long."""
         if self.found is None:
             return ()
         newest, said = int(self.scans.course[NEWEST]), []

@@ -1,7 +1,7 @@
-"""Units of measurement: one table, by which everything that comes in becomes %, bar, l/min and °C.
+"""Units of measurement: one table that converts all inputs into %, bar, l/min and °C.
 
-A plant's numbers are turned once, at the door; behind it nothing knows of psi or mA. The codes are
-those of UNECE Recommendation 20, in which OPC UA numbers engineering units (Part 8, 5.6.3).
+A plant's numbers are converted once, on input; the other modules use these four units only. Codes
+are those of UNECE Recommendation 20, by which OPC UA numbers engineering units (Part 8, 5.6.3).
 """
 
 import re
@@ -17,7 +17,7 @@ UNECE: Final = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 
 class Quantity(Enum):
-    """What a unit measures; the unit that is used inside."""
+    """A measured quantity; its value is the internal unit."""
 
     OPENING = "%"
     PRESSURE = "bar"
@@ -48,7 +48,7 @@ QUANTITY_OF: Final = {
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: ``inside = factor · value + offset`` in the unit that is used inside."""
+    """A unit: ``inside = factor · value + offset`` in the internal unit."""
 
     symbol: str
     code: str
@@ -132,7 +132,7 @@ _ALIKE = str.maketrans({"³": "3", "²": "2", "º": "°", "˚": "°", "∙": "",
 
 
 def _plain(text: str) -> str:
-    """Fold a name of a unit: neither case nor spaces nor the look of a degree sign count."""
+    """Normalise a unit's name: ignore case, spaces and variants of the degree sign."""
     text = text.strip().casefold().translate(_ALIKE).replace("^", "").replace("**", "")
     return re.sub(r"\s+", "", text).replace("°", "").replace("deg", "")
 
@@ -142,7 +142,7 @@ _BY_NUMBER = {unit.number: unit for unit in UNITS}
 
 
 def unit_of(text: str) -> Unit | None:
-    """The unit of that name, None where there is none; neither case nor spaces count.
+    """Return the unit of this name, or None; case and spaces are ignored.
 
     >>> unit_of("US gal/min").symbol, unit_of("degF").symbol, unit_of("kg/cm^2").symbol
     ('gpm', '°F', 'kgf/cm²')
@@ -151,12 +151,12 @@ def unit_of(text: str) -> Unit | None:
 
 
 def unit_by_number(number: int) -> Unit | None:
-    """The unit that OPC UA numbers so, None where it is not in the table."""
+    """Return the unit with this OPC UA unitId, or None."""
     return _BY_NUMBER.get(number)
 
 
 def inside(quantity: Quantity) -> Unit:
-    """The unit that is used inside for a quantity."""
+    """Return the internal unit of a quantity."""
     return next(unit for unit in UNITS if unit.symbol == quantity.value)
 
 
@@ -169,17 +169,17 @@ class Scaling:
 
     @property
     def is_identity(self) -> bool:
-        """Whether every number stays what it is, to the last bit."""
+        """Whether values are unchanged, bitwise."""
         return self.gain == 1.0 and self.offset == 0.0
 
     def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Numbers in the unit that is used inside; the very same ones where nothing changes."""
+        """Return values in the internal unit; the same array if the scaling is the identity."""
         if self.is_identity:
             return values
         return np.asarray(values * self.gain + self.offset)
 
     def back(self, value: float) -> float:
-        """The number that means ``value`` outside."""
+        """Return the external value of an internal one."""
         return (value - self.offset) / self.gain
 
 
@@ -188,14 +188,14 @@ def scaling_of(
     raw: tuple[float, float] | None = None,
     scaled: tuple[float, float] | None = None,
 ) -> Scaling:
-    """From a signal's own numbers to the unit that is used inside.
+    """Return the scaling from a signal's raw numbers to the internal unit.
 
     Parameters
     ----------
     unit
-        Of ``scaled``, or of the numbers themselves where nothing is scaled.
+        Unit of ``scaled``, or of the numbers themselves without ``scaled``.
     raw, scaled
-        Two raw numbers, such as 4 and 20 mA, and what they mean in ``unit``.
+        Two raw numbers, such as 4 and 20 mA, and their values in ``unit``.
 
     Examples
     --------
@@ -213,17 +213,17 @@ def scaling_of(
 
 @dataclass(frozen=True)
 class Measure:
-    """What is known of one signal beforehand.
+    """Unit and scaling of one signal.
 
     Attributes
     ----------
     column
-        Its column in a recording; None: the one of its own name.
+        Column in a recording; None: named as the signal.
     unit
-        Of its numbers, or of ``scaled``; None: as the source itself says, else the unit that is
-        used inside.
+        Unit of the numbers, or of ``scaled``; None: that given by the source, else the internal
+        unit.
     raw, scaled
-        Two raw numbers and what they mean.
+        Two raw numbers and their values.
     """
 
     column: str | None = None
@@ -232,5 +232,5 @@ class Measure:
     scaled: tuple[float, float] | None = None
 
     def scaling(self, signal: str) -> Scaling:
-        """From the numbers of a signal as they come to the unit that is used inside."""
+        """Return the scaling from a signal's numbers to the internal unit."""
         return scaling_of(self.unit or inside(QUANTITY_OF[signal]), self.raw, self.scaled)

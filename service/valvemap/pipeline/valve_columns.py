@@ -1,7 +1,7 @@
-"""All that valves remember, as columns: arrays whose first axis is valves. Pure.
+"""The state of valves as columns: arrays whose first axis is valves. Pure.
 
-Valves of equal key keep things of equal shape and meaning, whoever their neighbours are: so a
-valve's row can move to where another configuration has it.
+Columns with the same key have the same layout and meaning, independent of the other valves. So a
+valve's row can be copied into the columns of another configuration.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Columns:
-    """What some valves remember under one key.
+    """State of several valves under one key.
 
     Attributes
     ----------
     key
-        What it is, and the hash of the hyper-parameters that it belongs to.
+        Name of the part, and the hash of its hyper-parameters.
     valves
         Names, one for each row.
     arrays
-        By name, each (len(valves), …); written in place by who owns them.
+        By name, each (len(valves), …); updated in place by their owner.
     """
 
     key: str
@@ -31,19 +31,19 @@ class Columns:
 
 
 def copy_rows(kept: Iterable[Columns], own: Sequence[Columns]) -> set[tuple[str, str]]:
-    """Copy the row of each valve that has one under the same key; return who has none.
+    """Copy the row of each valve that has one under the same key; return those that have none.
 
     Parameters
     ----------
     kept
-        What was known before.
+        The previous columns.
     own
-        What is known now: written in place.
+        The present columns, updated in place.
 
     Returns
     -------
     set of (key, valve)
-        of ``own``, where nothing was kept, or nothing of the same shapes and types.
+        of ``own`` without a previous row of the same shapes and types.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""All that a valve remembers beside its estimators' states, as bytes: gate, alignment, demand."""
+"""A valve's state beside its estimators', as bytes: gate, alignment, demand."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from valvemap.pipeline.quality_gate import GateState, QualityGate
 from valvemap.pipeline.valve_state import ValveState
 from valvemap.vocabulary.statuses import Status
 
-_MOST_SAMPLES = 2.0**53  # that a float counts exactly
+_MOST_SAMPLES = 2.0**53  # largest count that a float represents exactly
 
 
 @dataclass(frozen=True)
 class _Kept(State):
-    """As it goes into a checkpoint; ``lanes`` (E, 4) has a row for each of ``names``."""
+    """The state as stored in a checkpoint; ``lanes`` (E, 4) has a row for each of ``names``."""
 
     last: Any
     last_time: Any
@@ -48,7 +48,7 @@ class _Kept(State):
 
     @classmethod
     def like(cls, other: Self, gate: QualityGate, alignment: Alignment) -> Self:
-        """Of a valve that has seen nothing, with as many samples and estimators as another."""
+        """Return an initial state with as many samples and estimators as ``other``."""
         waiting = alignment.nothing(1, _length(other.slots, 1))
         waiting.order[0, slots.SIZE] = _length(other.slots, 1)
         memory, names = gate.initial_state(1), np.asarray(other.names)
@@ -65,7 +65,7 @@ class _Kept(State):
         )
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them; ``order`` says that all that is kept waits."""
+        """Return the permitted content; ``order`` must count all stored samples."""
         waiting = Waiting(*(getattr(self, name) for name in Waiting._fields))
         found = contents_of_waiting(waiting)
         for name in ("last", "window", "T", "demand"):
@@ -77,7 +77,7 @@ class _Kept(State):
         return {**found, "lanes": lanes}
 
 
-def _length(array: Any, axis: int) -> int:  # noqa: ANN401 - whatever was kept
+def _length(array: Any, axis: int) -> int:  # noqa: ANN401 - unchecked content of a checkpoint
     shape: tuple[int, ...] = np.shape(array)
     if len(shape) <= axis:
         raise StateMismatchError("an array of another shape")
@@ -86,7 +86,7 @@ def _length(array: Any, axis: int) -> int:  # noqa: ANN401 - whatever was kept
 
 @dataclass(frozen=True)
 class LaneNotes:
-    """What is noted of one estimator's last sample; ``status`` is -1 before the first."""
+    """Results of one estimator's last sample; ``status`` is -1 before the first."""
 
     beyond: int
     predicted: float
@@ -96,7 +96,7 @@ class LaneNotes:
 
 @dataclass(frozen=True)
 class ValveMemory:
-    """What one valve remembers; gate and waiting are those of one valve, (1, …)."""
+    """State of one valve beside its estimators'; gate and waiting have one row, (1, …)."""
 
     gate: GateState
     waiting: Waiting
@@ -107,7 +107,7 @@ class ValveMemory:
 
     @classmethod
     def of(cls, state: ValveState, waiting: Waiting, beyond: dict[str, int]) -> "ValveMemory":
-        """Of a valve as it stands."""
+        """Build it from the state of a valve."""
         return cls(
             gate=state.gate,
             waiting=waiting,
@@ -126,7 +126,7 @@ class ValveMemory:
         )
 
     def to_bytes(self, key: str) -> bytes:
-        """Pack it; ``key`` names what the valve's samples go through."""
+        """Pack it; ``key`` is the hash of the valve's gate and alignment settings."""
         memory = self.gate.memory
         notes = [
             (note.beyond, note.predicted, note.residual, note.status)
@@ -151,13 +151,13 @@ class ValveMemory:
     def from_bytes(
         cls, data: bytes, key: str, gate: QualityGate, alignment: Alignment
     ) -> "ValveMemory":
-        """Unpack it; ``gate`` and ``alignment`` are what the valve's samples go through.
+        """Unpack it; ``gate`` and ``alignment`` are those of the valve.
 
         Raises
         ------
         StateMismatchError
-            if the bytes are damaged, belong to a valve whose samples go through something else, or
-            hold what cannot be.
+            if the bytes are damaged, belong to another gate or alignment, or have invalid
+            content.
         """
         kept = _Kept.from_bytes(data, key)
         kept.check(_Kept.like(kept, gate, alignment))

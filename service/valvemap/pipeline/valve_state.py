@@ -1,4 +1,4 @@
-"""One valve: what is done with it, how it stands, and what follows from that. Pure."""
+"""One valve: its plan, its state, and functions of both. Pure."""
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
@@ -34,7 +34,7 @@ from valvemap.vocabulary.statuses import InverseStatus, Status
 
 AnyEstimator = Estimator[Any]
 
-WIDEST = 1e9  # times its root mean square that an interval can be: what is off moves both
+WIDEST = 1e9  # largest ratio of an interval to its root mean square: outliers raise both
 
 _OF_SCORE = [  # never negative
     *(of_score.N, of_score.SQUARES, of_score.SCATTER_Q),
@@ -51,15 +51,15 @@ class Forgetful(Protocol):
         """The forgetting factor, 0 < lam <= 1."""
 
     def with_forgetting(self, lam: float) -> Self:
-        """The same estimator with another forgetting factor; its states fit."""
+        """Return a copy with another forgetting factor; its states are compatible."""
 
 
 @runtime_checkable
 class PathDependent(Protocol):
-    """An estimator whose flow depends on where U comes from (hysteresis)."""
+    """An estimator whose flow depends on the direction of U (hysteresis)."""
 
-    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - its own state
-        """Direction of U (N,) along a path of its own."""
+    def directions(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401 - the estimator's state
+        """Direction of U (N,) along a path without a previous U."""
 
     def predict_along(
         self,
@@ -72,18 +72,18 @@ class PathDependent(Protocol):
         """Flow and standard deviation, l/min, at N points of given directions."""
 
     def approached(self, state: Any, U: Floats) -> Floats:  # noqa: ANN401
-        """U (N,) that brings the valve from where it is to where U holds it."""
+        """U (N,) that moves the valve from its present position to the one that ``U`` holds."""
 
 
 @dataclass(frozen=True)
 class ValvePlan:
-    """What is done with one valve's samples.
+    """Configuration of one valve: gate, estimators, inverse and alarms.
 
     ``inverse`` names the estimator whose map is inverted; ``map_Q`` (l/min) and ``map_dp`` (bar)
-    are the axes of the published table; ``feed_forward`` says how its answer may be written to the
-    valve, if at all; with ``insist`` it is learnt from data that cannot be what they are called;
-    ``accuracy`` is that of its sensors, ``nodes`` says what to call them where one is missing,
-    ``alarms`` when each comes and goes; ``nameplate`` is for those who look.
+    are the axes of the published table. ``feed_forward`` is None if the answer is never written to
+    the valve. ``insist`` estimates from implausible data, too. ``accuracy`` is that of the sensors,
+    ``nodes`` are their names in messages about missing signals, ``alarms`` the rules of the alarms;
+    ``nameplate`` is published only.
     """
 
     name: str
@@ -103,7 +103,7 @@ class ValvePlan:
 
 @dataclass(frozen=True)
 class Lane:
-    """One estimator on one valve, with its state and what the operator changed."""
+    """One estimator on one valve, with its state and the operator's settings."""
 
     estimator: AnyEstimator
     state: State
@@ -122,7 +122,7 @@ class Lane:
 
 @dataclass(frozen=True)
 class ValveState:
-    """All that one valve's pipeline remembers."""
+    """The whole state of one valve."""
 
     gate: GateState
     lanes: Mapping[str, Lane]
@@ -133,26 +133,26 @@ class ValveState:
 
 
 def fresh_lane(estimator: AnyEstimator, support: Support | None = None) -> Lane:
-    """An estimator that has seen nothing; ``support`` is as empty, and knows the valve's ranges."""
+    """Return an estimator in its initial state; ``support`` is empty, with the valve's ranges."""
     return Lane(
         estimator, estimator.initial_state(), Score.none(), support=support or Support.none()
     )
 
 
 def nothing_seen(plan: ValvePlan) -> Support:
-    """What an estimator's map rests on before the first sample."""
+    """Return the support of a map before the first sample."""
     return Support.none(plan.U_range, (min(0.0, *plan.map_dp), max(plan.map_dp)), max(plan.map_Q))
 
 
 def finds_changes(estimator: AnyEstimator) -> bool:
-    """Whether an estimator looks for abrupt changes of the valve and tells of them."""
+    """Whether an estimator detects and reports abrupt changes of the valve."""
     if isinstance(estimator, RecursiveLeastSquares):
         return isinstance(estimator.forgetting, Adaptive)
     return isinstance(estimator, FindsChanges)
 
 
 def survey_of(plan: ValvePlan, state: ValveState, name: str) -> Survey:
-    """What an estimator's map knows and does not know, at the last temperature."""
+    """Return the survey of an estimator's map, at the last temperature."""
     lane = state.lanes[name]
     dp_max, Q_max = max(plan.map_dp), max(plan.map_Q)
     return survey(
@@ -179,7 +179,7 @@ NOTHING_REQUIRED = Required(np.nan, np.nan, InverseStatus.NOT_FINITE)
 
 
 def required(plan: ValvePlan, state: ValveState) -> Required:
-    """U for the standing demand, hysteresis passed through."""
+    """Return U for the standing demand, approached so that hysteresis is passed through."""
     if np.isnan(state.demand_Q) or np.isnan(state.demand_dp):
         return NOTHING_REQUIRED
     answer = demanded(plan, state, state.demand_Q, state.demand_dp, np.nan)
@@ -192,7 +192,7 @@ def required(plan: ValvePlan, state: ValveState) -> Required:
 
 
 def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) -> Inversion:
-    """U for one demand; where T is NaN the last measured temperature serves."""
+    """Return U for one demand; if T is NaN, at the last measured temperature."""
     lane = state.lanes[plan.inverse]
     T = state.T if np.isnan(T) else T
     return invert(
@@ -201,17 +201,17 @@ def demanded(plan: ValvePlan, state: ValveState, Q: float, dp: float, T: float) 
 
 
 def predicted(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
-    """Q and its standard deviation at N points, and how far they can be trusted, all (N,).
+    """Q, its standard deviation and the status at N points, all (N,).
 
-    What the sensors may be off by is in the standard deviation. The status is that of the
-    estimator, or EXTRAPOLATING where nothing was measured near.
+    The standard deviation includes the sensors' systematic errors. The status is that of the
+    estimator, or EXTRAPOLATING if no sample lies near.
     """
     Q, std, status = _as_measured(lane, U, dp, T)
     return Q, np.hypot(std, systematic(lane, U, dp, T)), status
 
 
 def systematic(lane: Lane, U: Floats, dp: Floats, T: Floats) -> Floats:
-    """What the sensors' errors make of the flow at N points, one standard deviation, l/min (N,)."""
+    """Standard deviation of the flow due to sensor errors at N points, l/min (N,)."""
     if not lane.accuracy.is_stated:
         return np.zeros(len(U))
 
@@ -222,11 +222,11 @@ def systematic(lane: Lane, U: Floats, dp: Floats, T: Floats) -> Floats:
 
 
 def _as_measured(lane: Lane, U: Floats, dp: Floats, T: Floats) -> tuple[Floats, Floats, Codes]:
-    """The same, as the sensors would show it."""
+    """As `predicted`, without the sensors' systematic errors."""
     Q, std = lane.estimator.predict(lane.state, U, dp, T)
     std, guessed = trusted(lane.estimator, lane.state, lane.support, (U, dp, T), Q, std)
     own = Status.WARMING_UP if lane.status is None else lane.status
-    if own in (Status.WARMING_UP, Status.FAILED):  # less than a guess
+    if own in (Status.WARMING_UP, Status.FAILED):  # these statuses take precedence
         guessed = np.zeros_like(guessed)
     return Q, std, np.where(guessed, np.uint8(Status.EXTRAPOLATING), np.uint8(own))
 
@@ -236,13 +236,13 @@ def predicted_measurement(
 ) -> tuple[Floats, Floats, Codes]:
     """Q̂, half the 95 % interval of a new measurement, l/min, and status (N,); NaN if unknown.
 
-    The sensors that will measure it are off as they were before.
+    Assumes that the new measurement has the same systematic errors as the samples.
     """
     _, own = lane.estimator.predict(lane.state, U, dp, T)
     Q, std, status = _as_measured(lane, U, dp, T)
     with np.errstate(invalid="ignore"):
         beyond = np.where(status == Status.EXTRAPOLATING, np.maximum(std**2 - own**2, 0.0), 0.0)
-        # the spread of the residuals holds the misfit already, and the network's own std, too
+        # the spread of the residuals includes the misfit and the network's own std
         known = 0.0 * own if isinstance(lane.estimator, RbfNetwork) else own
         half = lane.spread.half_width(U, dp, np.sqrt(known**2 + beyond))
     if isinstance(lane.estimator, PathDependent):  # U may come from either side
@@ -255,7 +255,7 @@ def predicted_measurement(
 
 
 def predicted_along(lane: Lane, samples: Samples) -> Floats:
-    """Q̂ (N,) along a path of samples that nothing is learnt from; hysteresis follows the path."""
+    """Q̂ (N,) along a path of samples, without an update; hysteresis follows the path."""
     U, dp, T = samples.U, samples.dp, samples.T
     if isinstance(lane.estimator, PathDependent):
         directions = lane.estimator.directions(lane.state, U)
@@ -267,9 +267,9 @@ def predicted_along(lane: Lane, samples: Samples) -> Floats:
 
 @dataclass(frozen=True)
 class _Kept(State):
-    """A lane as it goes into a checkpoint."""
+    """A lane as stored in a checkpoint."""
 
-    state_version: ClassVar[int] = 3  # 2: kept its residuals in double precision
+    state_version: ClassVar[int] = 3  # 2 stored residuals in double precision
 
     estimator: Any
     score: Any
@@ -284,7 +284,7 @@ class _Kept(State):
 
     @classmethod
     def of(cls, lane: Lane, packed: bytes) -> Self:
-        """A lane, and its estimator's state as bytes."""
+        """Build it from a lane, and its estimator's state as bytes."""
         spread, support = lane.spread, lane.support
         return cls(
             estimator=np.frombuffer(packed, np.uint8),
@@ -300,7 +300,7 @@ class _Kept(State):
         )
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them."""
+        """Return the permitted content."""
         score = Contents(self.score).within(0.0, where=_OF_SCORE)
         score.or_infinite([of_score.LOWEST_Q, of_score.HIGHEST_Q])
         overall = Contents(self.overall).within(0.0)
@@ -314,13 +314,13 @@ class _Kept(State):
         }
 
     def is_coherent(self) -> bool:
-        """Whether the ranges are some."""
+        """Whether each range is non-empty."""
         U_low, U_high, dp_low, dp_high, Q_max = self.ranges.tolist()
         return bool(U_low < U_high and dp_low < dp_high and Q_max > 0.0)
 
 
 def lane_to_bytes(lane: Lane, key: str) -> bytes:
-    """Pack a lane; ``key`` is that of the estimator as configured, whatever operators changed."""
+    """Pack a lane; ``key`` is that of the configured estimator, without operators' settings."""
     return _Kept.of(lane, lane.state.to_bytes(key)).to_bytes(key)
 
 
@@ -332,8 +332,8 @@ def lane_from_bytes(
     Raises
     ------
     StateMismatchError
-        if the bytes belong to another estimator or other hyper-parameters, or hold what cannot
-        have been learnt.
+        if the bytes belong to another estimator or other hyper-parameters, or their content is
+        invalid.
     """
     key, kind, of_state, of_lane = _templates(cast("Hashable", configured))
     kept = _Kept.from_bytes(data, key)
@@ -356,7 +356,7 @@ def lane_from_bytes(
 
 @lru_cache(maxsize=64)
 def _templates(configured: Hashable) -> tuple[str, type[State], Template, Template]:
-    """Hash of an estimator, type of its states, and by what they and its lanes are judged."""
+    """Return the estimator's hash, the type of its states, and templates to check them against."""
     estimator = cast("AnyEstimator", configured)
     key, fresh = key_of(estimator), fresh_lane(estimator)
     packed = _Kept.of(fresh, fresh.state.to_bytes(key))
@@ -364,6 +364,6 @@ def _templates(configured: Hashable) -> tuple[str, type[State], Template, Templa
 
 
 def with_forgetting(lane: Lane, lam: float) -> Lane:
-    """The lane with another forgetting factor; the estimator must be Forgetful."""
+    """Return the lane with another forgetting factor; the estimator must be Forgetful."""
     assert isinstance(lane.estimator, Forgetful)  # noqa: S101 - callers check
     return replace(lane, estimator=lane.estimator.with_forgetting(lam), lam=lam)

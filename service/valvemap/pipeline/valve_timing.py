@@ -1,9 +1,9 @@
-"""How the signals of one valve come: found from the first of them, then fixed.
+"""Timing of one valve's signals: detected from the first changes, then fixed.
 
-Signals that carry one time pass unchanged. Others are held back until it is found how they come
-(:mod:`valvemap.pipeline.scan_search`), then made into scans of one time each
-(:mod:`valvemap.pipeline.kernels.scans`), those held back first. Nothing depends on how the changes
-are cut into batches.
+Signals with the same timestamp pass unchanged. Others are held back until their timing is detected
+(:mod:`valvemap.pipeline.scan_search`), then converted into scans of one time each
+(:mod:`valvemap.pipeline.kernels.scans`), the held-back changes first. The result does not depend on
+how the changes are cut into batches.
 """
 
 from collections.abc import Mapping
@@ -21,25 +21,25 @@ from valvemap.pipeline.kernels.scans import NEVER, Changed, ScanRules, Scans
 from valvemap.pipeline.scan_search import Comes, Found, find_scans, is_stamped_alike
 from valvemap.pipeline.timing_words import Words
 
-LISTEN_NS: Final = 5_000_000_000  # to a source whose signals do not come together …
-LISTEN_VALUES: Final = 25  # … and to so many values of its liveliest signal, …
-LISTEN_LONGEST_NS: Final = 60_000_000_000  # … or for so long …
-LISTEN_FEWEST: Final = 8  # … and to so many
-ENOUGH_PER_SIGNAL: Final = 20  # values, after which a source that stamps alike is believed
-MOST_HELD_BACK: Final = 8192  # changes of a valve
-_PENDING: Final = 1024  # changes of a valve on their way into scans
-_AGAIN: Final = 1.25  # by so much more has to be held back before it is looked at again
+LISTEN_NS: Final = 5_000_000_000  # detection of the timing needs this long …
+LISTEN_VALUES: Final = 25  # … and this many values of the fastest signal, …
+LISTEN_LONGEST_NS: Final = 60_000_000_000  # … or this time …
+LISTEN_FEWEST: Final = 8  # … and this many values
+ENOUGH_PER_SIGNAL: Final = 20  # values until a source is accepted as using one timestamp
+MOST_HELD_BACK: Final = 8192  # changes held back per valve
+_PENDING: Final = 1024  # changes of a valve buffered for scans
+_AGAIN: Final = 1.25  # growth of the held-back changes between two attempts at detection
 _BACK: Final = ("back_signal", "back_value", "back_status", "back_time")
 _OF_SIGNALS: Final = ("comes", "offset", "limit", "jitter", "deadband")
 
-LISTENING, DOUBTFUL, ALIKE, IN_SCANS = range(4)  # how a valve stands
+LISTENING, DOUBTFUL, ALIKE, IN_SCANS = range(4)  # state of the detection
 
 
 @dataclass(frozen=True)
 class TimingSettings:
-    """When a scan is finished; ns.
+    """When a scan is complete; ns.
 
-    ``horizon_ns``: what has not come once others are newer by this much comes no more.
+    ``horizon_ns``: a value is missing once other signals are newer by this much.
     ``max_wait_ns``: a source time that steps back by more is a step of the source's clock.
     """
 
@@ -49,11 +49,11 @@ class TimingSettings:
 
 @dataclass(frozen=True)
 class TimingState(State):
-    """How one valve's signals come, as far as it is found, and what is on its way into scans.
+    """State of the detection of one valve's timing, and the changes buffered for scans.
 
-    ``stands`` () is one of LISTENING, DOUBTFUL, ALIKE, IN_SCANS; ``comes``, ``offset``, ``limit``,
-    ``jitter``, ``deadband`` (6,), ``period`` and ``window`` () are those of `Found`; what begins
-    with ``back_`` (N,) is held back; the rest are the arrays of `Scans`.
+    ``stands`` () is LISTENING, DOUBTFUL, ALIKE or IN_SCANS; ``comes``, ``offset``, ``limit``,
+    ``jitter``, ``deadband`` (6,), ``period`` and ``window`` () are those of `Found`; arrays named
+    ``back_…`` (N,) hold the held-back changes; the rest are the arrays of `Scans`.
     """
 
     stands: Any
@@ -82,7 +82,7 @@ class TimingState(State):
     course: Any
 
     def contents(self) -> Mapping[str, Contents]:
-        """What may stand in them; ``course`` says that all that is kept is on its way."""
+        """Return the permitted content; ``course`` must count all buffered changes."""
         times = ("offset", "back_time", "time", "now_time", "seen", "course")
         found = {name: Contents(getattr(self, name)).any_time() for name in times}
         raw = ("limit", "jitter", "back_value", "value", "now_value", "now_rate")
@@ -101,7 +101,7 @@ class TimingState(State):
 
 
 class ValveTiming:
-    """One valve's signals."""
+    """Timing of one valve's signals."""
 
     def __init__(self, settings: TimingSettings, *, has_T: bool, has_sequence: bool) -> None:
         self._settings = settings
@@ -111,10 +111,10 @@ class ValveTiming:
         self.found: Found | None = None
         self._back = NOTHING
         self._looked_at = 0
-        self._scans = _no_scans(0)  # most valves never need room for any
+        self._scans = _no_scans(0)  # most valves need no scans
 
     def take(self, changes: Changed, *, flush: bool = False) -> Changed:
-        """Take changes in; return what may go on, in the order of scans where there are such."""
+        """Process changes; return those that are due, in the order of scans if there are any."""
         if self.stands == ALIKE:
             return changes
         if self.stands == IN_SCANS:
@@ -143,7 +143,7 @@ class ValveTiming:
         return NOTHING
 
     def _doubt(self, passed: Changed) -> Changed:
-        """Some samples are stamped alike: are most? Until that is known all goes on as it comes."""
+        """Decide whether most samples have one timestamp; until then changes pass unchanged."""
         back = self._back
         enough = ENOUGH_PER_SIGNAL * int(self._there.sum())
         if len(back.time) < enough:
@@ -179,7 +179,7 @@ class ValveTiming:
         return True
 
     def _end(self) -> int:
-        """How many changes have to come before it is said how signals come; -1: not yet all."""
+        """Number of changes needed to detect the timing; -1: not yet reached."""
         newest = np.maximum.accumulate(self._back.time)
         second, counted, few = (
             self._first_with(number) for number in (2, LISTEN_VALUES, LISTEN_FEWEST)
@@ -193,7 +193,7 @@ class ValveTiming:
         return end + 1 if end < len(newest) else -1
 
     def _first_with(self, number: int) -> int:
-        """Place of the change that is the first of any signal's to be its n-th."""
+        """Index of the change at which a signal first has ``number`` values."""
         signal = self._back.signal
         places = (np.flatnonzero(signal == j) for j in np.flatnonzero(self._there))
         return min(
@@ -223,12 +223,12 @@ class ValveTiming:
 
     @property
     def pending(self) -> int:
-        """Changes on their way into scans."""
+        """Number of changes buffered for scans."""
         return int(self._scans.course[kernel.SIZE])
 
     @property
     def not_made(self) -> int:
-        """Scans that were no sample."""
+        """Number of scans that gave no sample."""
         return int(self._scans.lacking.sum() + self._scans.moved.sum())
 
     @property
@@ -243,14 +243,14 @@ class ValveTiming:
 
     @property
     def words(self) -> Words:
-        """What there is to say of it."""
+        """Data for the description of the timing."""
         if self.stands == LISTENING:
             return Words(None, self._there, self._scans, is_found=False)
         return Words(self.found, self._there, self._scans)
 
     @property
     def state(self) -> TimingState:
-        """All that is remembered; cut off behind what waits."""
+        """The whole state; buffers are trimmed to the part in use."""
         found = self.found or _NOT_FOUND
         size = self.pending
         arrays = self._scans._asdict()
@@ -273,12 +273,12 @@ class ValveTiming:
         )
 
     def put(self, state: TimingState) -> None:
-        """Go on from a state that was kept.
+        """Restore a stored state.
 
         Raises
         ------
         StateMismatchError
-            if it is of another shape, or holds what cannot be.
+            if its shapes or contents are invalid.
         """
         state.check(_like(state))
         stands = int(state.stands)
@@ -298,7 +298,7 @@ class ValveTiming:
 
 
 def make_one_scan() -> None:
-    """Have the loop compiled that makes scans."""
+    """Compile the loop that makes scans."""
     valve = ValveTiming(TimingSettings(), has_T=False, has_sequence=False)
     valve.put(replace(valve.state, stands=np.array(IN_SCANS)))
     valve.take(NOTHING, flush=True)
@@ -316,7 +316,7 @@ _NOT_FOUND = Found(
 
 
 def _like(state: TimingState) -> TimingState:
-    """Of a valve that has seen nothing, with as many changes on their way as another."""
+    """Return an initial state with as many buffered changes as ``state``."""
     waiting, back = (np.size(array) for array in (state.time, state.back_time))
     if waiting > (_PENDING if np.all(state.stands == IN_SCANS) else 0):
         raise StateMismatchError("more is on its way than can be")
@@ -355,7 +355,7 @@ def _part(changes: Changed, start: int, stop: int) -> Changed:
 
 
 def _without_first(changes: Changed, count: int) -> Changed:
-    """Without the oldest, but for the newest of each signal among them."""
+    """Drop the oldest ``count`` changes, except the newest of each signal among them."""
     signal = changes.signal[:count]
     last = [int(own[-1]) for j in np.unique(signal) if len(own := np.flatnonzero(signal == j))]
     rows = np.array([*sorted(last), *range(count, len(changes.signal))], np.int64)

@@ -1,4 +1,4 @@
-"""Why no sample is made of a valve's signals: which is waited for, and what would help. Pure."""
+"""Messages about the signals that are missing for a valve's samples, with a remedy. Pure."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from valvemap.pipeline.kernels.waiting import NEVER
 
 SENSORS: Final = ((Signal.U, "U"), (Signal.P1, "p1"), (Signal.P2, "p2"), (Signal.Q, "Q"))
 TEMPERATURE: Final = (Signal.T, "T")
-SELDOM_NS: Final = 500_000_000  # behind the others by more: it comes on change, or no more
+SELDOM_NS: Final = 500_000_000  # delay beyond which a signal is on-change or has stopped
 
 
 def waited_for(
@@ -21,18 +21,18 @@ def waited_for(
     has_T: bool,
     nodes: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[str, ...]:
-    """A sentence for each signal that keeps samples from being made.
+    """Return a sentence for each signal whose absence prevents samples.
 
     Parameters
     ----------
     newest : (5,)
         Source time of each signal's newest value, UTC ns; ``NEVER`` before the first.
     settings
-        How the signals find together.
+        The alignment's settings.
     has_T
         Whether there is a temperature sensor.
     nodes
-        What to call the signals: name and node, where that is known.
+        Names of the signals in messages: name and node, if known.
 
     Examples
     --------

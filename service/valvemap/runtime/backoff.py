@@ -1,15 +1,15 @@
-"""How long to wait before the next try: a pure iterator, so that no test need sleep."""
+"""Pauses between connection attempts, as a pure iterator: tests need no sleep."""
 
 from collections.abc import Iterator
 from itertools import chain, repeat, takewhile
 
-CEILING_S = 5.0  # a source that is back is heard within 9 s, however long it was away
+CEILING_S = 5.0  # s; longest pause: a source that returns is reconnected within 9 s
 
 
 def backoff(
     first_s: float = 0.5, factor: float = 2.0, ceiling_s: float = CEILING_S
 ) -> Iterator[float]:
-    """Pauses in s, growing by ``factor`` up to ``ceiling_s``, for ever.
+    """Yield pauses in s, growing by ``factor`` up to ``ceiling_s``, without end.
 
     >>> from itertools import islice
     >>> list(islice(backoff(1.0, 2.0, 5.0), 5))

@@ -1,4 +1,4 @@
-"""A lane's failure in the log: once, with its traceback."""
+"""Logging of a lane's failure, once, with its traceback."""
 
 import structlog
 
@@ -8,7 +8,7 @@ log = structlog.get_logger(__name__)
 
 
 def log_failure(failure: LaneFailure) -> None:
-    """Log why a lane stopped, and what starts it again."""
+    """Log why a lane stopped, and how to restart it."""
     log.error(
         "lane failed",
         valve=failure.valve,

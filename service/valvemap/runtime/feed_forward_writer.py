@@ -1,4 +1,4 @@
-"""The answers to standing demands, written to the valves that are armed for it."""
+"""Writes the required U of standing demands to the valves armed for feed-forward."""
 
 import asyncio
 import math
@@ -17,26 +17,26 @@ from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources
 from valvemap.vocabulary.statuses import FeedForwardStatus
 
-AGAIN_S = 0.05  # it goes on without samples; with them it has just been asked
+AGAIN_S = 0.05  # s; interval of steps without new samples: each batch of samples makes a step
 
 log = structlog.get_logger(__name__)
 
 
 class FeedForwardWriter:
-    """Leads each valve that is configured for it a step on, and says when its status changes.
+    """Advances feed-forward of each configured valve by one step, and logs changes of its status.
 
     Parameters
     ----------
     identification
-        Knows the answers, and which valves are armed.
+        Provides the required U and the armed valves.
     source
-        Is written to.
+        The server that receives the writes.
     clock
-        Of the steps.
+        Time of the steps.
     situation
-        How a valve and its newest sample stand.
+        Returns the connection, sample age and map status of a valve.
     note_new
-        Takes the valves that have something new to be published.
+        Called with the valves that have new results to publish.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class FeedForwardWriter:
         }
 
     def are_due(self, valves: Times, now: float) -> NDArray[np.bool_]:
-        """Which of these valves nobody has looked at for so long that it is their turn."""
+        """Return a mask of the valves whose last step is at least AGAIN_S old."""
         return now - self._written_at[valves] >= AGAIN_S
 
     async def write(self, valves: Times) -> None:
-        """Lead each of these valves that is configured for it a step on, all at once."""
+        """Advance each configured valve among ``valves`` by one step, concurrently."""
         self._written_at[valves] = self._clock.monotonic()
         chosen = set(valves.tolist()) & self._states.keys() if self._states else set()
         led = [valve for valve in self._states if valve in chosen]

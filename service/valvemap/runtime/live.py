@@ -35,18 +35,18 @@ from valvemap.runtime.past import PastKeeper
 from valvemap.runtime.publishing_turns import PublishingTurns
 from valvemap.runtime.state_keeper import POSITION, StateKeeper
 
-OLD = 2.0  # by so many times `stale_after_s` a sample may be old until it is worth nothing
-LEARN_S = 0.05  # of learning at once: what has gathered for long is learnt in pieces
-FEWEST_AT_ONCE = 600  # changes, 100 samples, 0.1 s where Auto fits all: less costs more for each
-FIRST_AT_ONCE = 3_000  # changes, before it is known how long they take
-QUICKER = 0.05  # of a pace that is quicker is believed with each piece: fits come all at once
-LAST_S = 0.3  # an end may go on learning what has come
-MAPS_IN_ONE_GO = 10  # of the maps that are computed anew in an interval: 25 ms
-HEALTH_EVERY_S = 0.5  # the service's own condition is shown
-LONGEST_TICK_S = 0.5  # of more, the rest was our own standstill
+OLD = 2.0  # times `stale_after_s`; a sample older than this makes results Bad
+LEARN_S = 0.05  # s; target duration of one piece when a backlog is estimated
+FEWEST_AT_ONCE = 600  # changes: 100 samples, 0.1 s if Auto fits all; smaller pieces cost more each
+FIRST_AT_ONCE = 3_000  # changes; size of the first piece, before the pace is measured
+QUICKER = 0.05  # weight of a piece that is quicker than the estimated pace: fits come in bursts
+LAST_S = 0.3  # s; after a request to end, how long incoming changes are still estimated
+MAPS_IN_ONE_GO = 10  # inverse tables computed per refresh: 25 ms
+HEALTH_EVERY_S = 0.5  # s; interval at which the service's health is published
+LONGEST_TICK_S = 0.5  # s; a longer tick is a stall of this process and is cut to this
 DAY_NS = 86_400_000_000_000
-FAREWELL_S = 4.2  # longest that an end takes from when it is asked for: some want it within 5
-NAMED = 8  # valves and estimators in one line, until the rest are counted
+FAREWELL_S = 4.2  # s; longest shutdown: some service managers kill after 5 s
+NAMED = 8  # valves and estimators named in one log line; the rest are counted
 
 log = structlog.get_logger(__name__)
 
@@ -58,24 +58,23 @@ class LiveSettings:
     Attributes
     ----------
     stale_after_s : float
-        Without a sample for this long a valve's sensors count as lost and its results as bad. Once
-        the newest sample is older than this by the source's clock, results are uncertain; once it
-        is OLD times as old, bad.
+        Without a sample for this long, a valve's sensors are lost and its results Bad. If the
+        newest sample is older than this by the source's clock, results are Uncertain; if it is OLD
+        times as old, Bad.
     reorder_s : float
-        A sample that waits for earlier ones waits no longer than this, should no more samples come
-        that it could be seen by.
+        Longest time that a sample waits in the reorder buffer for earlier samples.
     checkpoint_interval_s, map_interval_s : float
-        How often states are kept at least (few valves: every second), and how often the inverse
-        tables are computed anew.
+        Longest interval between checkpoints of a valve (few valves: every second), and interval
+        at which the inverse tables are recomputed.
     publish_budget_s : float
-        How long publishing may hold up the next batch. Valves that find no time are first next
-        time, with their newest results.
+        Longest time that publishing may delay the next batch. Valves that exceed the budget are
+        published first next time, with their newest results.
     publish_share : float
-        Most of the time that goes into publishing as long as there is more to publish than that:
-        samples that come in go before results that go out. See
+        Largest share of the time spent on publishing while results wait: incoming samples have
+        priority over outgoing results. See
         :class:`~valvemap.runtime.publishing_turns.PublishingTurns`.
     certificate_until_ns : int
-        End of the service's own certificate, UTC ns; 0: it has none that lasts.
+        Expiry of the service's certificate, UTC ns; 0: no persistent certificate.
     """
 
     stale_after_s: float = 2.0
@@ -88,7 +87,7 @@ class LiveSettings:
 
 
 class LiveService:
-    """Fulfils :class:`valvemap.runtime.supervisor.Consumer`."""
+    """Implements :class:`valvemap.runtime.supervisor.Consumer`."""
 
     def __init__(
         self,
@@ -112,16 +111,16 @@ class LiveService:
         self._numbers = {plan.name: n for n, plan in enumerate(identification.plans)}
         now = clock.monotonic()
         self._last_sample = np.full(len(identification.plans), now)
-        self._held_s = np.zeros(len(identification.plans))  # how long samples have waited
+        self._held_s = np.zeros(len(identification.plans))  # time in the reorder buffer, s
         self._held_until = now
-        self._heard_at = np.full(len(identification.plans), now)  # anything of their source
+        self._heard_at = np.full(len(identification.plans), now)  # last change of their source
         self._source_started = np.zeros(len(identification.plans), np.int64)
         self._lost = np.zeros(len(identification.plans), np.bool_)
-        self._doubted = np.zeros(len(identification.plans), np.bool_)  # and said so
+        self._doubted = np.zeros(len(identification.plans), np.bool_)  # implausible, and logged
         self._old = np.zeros(len(identification.plans), np.bool_)
         self._health_due = now
         self._worked_s, self._worked_since = 0.0, now
-        self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # that are learnt
+        self._changes_per_s = FIRST_AT_ONCE / LEARN_S  # estimated pace
         self._end_by = math.inf
         self._refused = 0
         self._to_publish = PublishingTurns(settings.publish_share, settings.stale_after_s)
@@ -139,9 +138,9 @@ class LiveService:
         )
 
     async def start(self, known: Sequence[Checkpoint] = ()) -> None:
-        """Take up what was kept before, and show that nothing is known of the present yet.
+        """Restore the checkpoints and publish all sensors as lost until samples arrive.
 
-        ``known`` is newer than what was kept, if there is something.
+        ``known``, if not empty, replaces the stored checkpoints.
         """
         kept, lost_place = [], False
         for one in known or self._store.load():
@@ -155,7 +154,7 @@ class LiveService:
             refused[".".join(POSITION)] = "not a position at this source: samples may be missing"
         self.identification.was_away()
         self._refused = len({*refused, *self._store.damaged})
-        self._lost[:] = True  # nothing is known of the present
+        self._lost[:] = True  # no sample has arrived yet
         if self._store.damaged:
             log.warning(
                 "states damaged, those before them taken", estimators=_named(self._store.damaged)
@@ -165,12 +164,12 @@ class LiveService:
         if refused:
             log.warning("states left aside, these start afresh", why=_by_reason(refused))
         self._note_new(range(len(self._lost)))
-        while len(self._to_publish):  # in turns: clients are answered meanwhile
+        while len(self._to_publish):  # in turns, so that clients are served in between
             await self._publish_until(self._clock.monotonic())
             await asyncio.sleep(0.0)
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
-        """A source is there; if it was restarted, its samples are counted anew."""
+        """Note the connection; if the source was restarted, restart its alignment."""
         own = self._own(valves)
         before = self._source_started[own]
         self._source_started[own] = source_started
@@ -179,7 +178,7 @@ class LiveService:
             await self._use(self.identification.begin_source_anew(own), own)
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
-        """Identify, publish, feed forward; what is much, in pieces: others are served between."""
+        """Identify, publish and feed forward; a backlog in pieces, with other tasks in between."""
         own = self._own(valves)
         self._connected[own] = True
         self._heard_at[own] = self._clock.monotonic()
@@ -187,7 +186,7 @@ class LiveService:
         while len(rest):
             began = self._clock.monotonic()
             if began > self._end_by - FAREWELL_S + LAST_S:
-                return  # nor is it noted as taken: the source is asked for it again
+                return  # not acknowledged, so the source resends it
             some = max(FEWEST_AT_ONCE, int(LEARN_S * self._changes_per_s))
             piece, rest = rest[:some], rest[some:]
             samples = self.identification.take(piece)
@@ -210,12 +209,12 @@ class LiveService:
             self._changes_per_s += quicker * (QUICKER if quicker > 0.0 else 1.0)
 
     def end_soon(self) -> None:
-        """Have `time_left_s` run: what comes now is not learnt any more but for the first of it."""
+        """Start the shutdown time: changes are estimated for another LAST_S, then rejected."""
         self._end_by = self._clock.monotonic() + FAREWELL_S
 
     @property
     def time_left_s(self) -> float:
-        """How long an end may still take to keep states."""
+        """Time left to save checkpoints, s."""
         return min(FAREWELL_S, max(self._end_by - self._clock.monotonic(), 0.0))
 
     def _own(self, valves: Times | None) -> Times:
@@ -256,7 +255,7 @@ class LiveService:
             self.identification.stop(valve, Step.RECORDING, error)
 
     def _log_failures(self) -> None:
-        """Log why lanes stopped, each once, and publish that they did."""
+        """Log each lane failure once, and publish its status."""
         if self._past is not None:
             for valve, error in self._past.take_failed():
                 self.identification.stop(valve, Step.HISTORY, error)
@@ -265,7 +264,7 @@ class LiveService:
             self._note_new([self._numbers[failure.valve]])
 
     async def tick(self, valves: Times | None = None) -> None:
-        """Look after what is due by the clock; only these valves are fed forward."""
+        """Run the tasks that are due; only ``valves`` are fed forward."""
         now, own = self._clock.monotonic(), self._own(valves)
         self._log_failures()
         await self._wait_no_longer(now)
@@ -282,9 +281,9 @@ class LiveService:
         await self._show_health(now)
 
     async def _doubt(self, now: float) -> None:
-        """Call old what has become it since the last sample."""
+        """Mark valves as lost, overdue or old whose newest sample has aged past its limit."""
         ages, limit = self._ages(), self._settings.stale_after_s
-        silent = self.identification.holds() & self._connected  # nothing has changed
+        silent = self.identification.holds() & self._connected  # on-change signals at rest
         stale = ((now - self._last_sample > limit) | (ages > OLD * limit)) & ~silent
         await self._lose(np.flatnonzero(stale & ~self._lost).tolist())
         silent_now = np.flatnonzero(stale)
@@ -293,7 +292,7 @@ class LiveService:
         await self._doubt_old(ages)
 
     async def _doubt_old(self, ages: Floats) -> None:
-        """Have what is shown of a valve be Uncertain at once, what becomes of it in its turn."""
+        """Set the shown results of newly old valves Uncertain, and queue their new results."""
         limit, silent = self._settings.stale_after_s, self.identification.holds()
         old = np.flatnonzero((ages > limit) & ~self._old & ~(silent & self._connected))
         if len(old):
@@ -302,13 +301,13 @@ class LiveService:
             self._note_new(old.tolist())
 
     def _ages(self, valves: slice = slice(None)) -> Floats:
-        """By how much each valve's newest sample is behind the source's clock, s; NaN: none yet."""
+        """Age of each valve's newest sample by the source's clock, s; NaN: no sample yet."""
         newest = self._newest[valves]
         ages = np.maximum((self._source_now()[valves] - newest) * 1e-9, 0.0)
         return np.where(newest > 0, ages, np.nan)
 
     def _source_now(self) -> Times:
-        """Time by each valve's source, UTC ns."""
+        """Current time of each valve's source, UTC ns."""
         ahead = np.broadcast_to(self._source.clock_offset_s, self._newest.shape)
         return self._clock.now() + np.rint(ahead * 1e9).astype(np.int64)
 
@@ -345,9 +344,9 @@ class LiveService:
         )
 
     async def _wait_no_longer(self, now: float) -> None:
-        """Go on without what samples wait for, where nothing has left for too long.
+        """Flush the reorder buffer of valves whose samples have waited longer than `reorder_s`.
 
-        Time counts only while there is a connection, and our own standstills do not.
+        Only time with a connection counts; stalls of this process do not.
         """
         passed, self._held_until = now - self._held_until, now
         if not self._connected.any():
@@ -363,29 +362,29 @@ class LiveService:
         reason: SourceError,  # noqa: ARG002 - the supervisor logs it
         valves: Times | None = None,
     ) -> None:
-        """Call every result of these valves bad: there is no connection to their source."""
+        """Set all results of these valves Bad: the connection to their source is lost."""
         own = self._own(valves)
         self._connected[own] = False
         await self._feed_forward.write(own)
         await self._lose(own[~self._lost[own]].tolist())
 
     async def keep(self, within_s: float = math.inf) -> bool:
-        """Keep all states now, or as far as the disk does it in this time: `StateKeeper.keep`."""
+        """Save all states, or as many as the time limit permits; see `StateKeeper.keep`."""
         end = self._clock.monotonic() + within_s
         if self._past is not None:
             await self._past.settle()
         return await self._keeper.keep(end)
 
     def states(self) -> list[Checkpoint]:
-        """All that is known of all valves."""
+        """Return the checkpoints of all valves."""
         return self._keeper.states()
 
     async def settle(self) -> None:
-        """Wait for what is being kept."""
+        """Wait for the save in progress."""
         await self._keeper.settle()
 
     def _say_what_is_doubted(self) -> None:
-        """Name the valves that are not learnt from, each once, and those that are again."""
+        """Log each valve once when estimation stops as implausible, and once when it resumes."""
         implausible = self.identification.implausible()
         for valve in np.flatnonzero(self._doubted & ~implausible).tolist():
             self._doubted[valve] = False
@@ -445,7 +444,7 @@ class LiveService:
                     await self._show(results)
                 except ValvemapError:
                     raise
-                except Exception:  # noqa: BLE001 - a bulkhead: the valve is found next
+                except Exception:  # noqa: BLE001 - a bulkhead: the failing valve is found next
                     await self._show_alone(results.valves.tolist(), old)
             if self._clock.monotonic() >= end:
                 break
@@ -456,18 +455,18 @@ class LiveService:
             self._past.note(results)
 
     async def _show_alone(self, valves: Sequence[int], old: NDArray[np.bool_]) -> None:
-        """Publish valve by valve; one at which that raises stops, and is shown as Bad."""
+        """Publish valve by valve; stop the lane of a valve that raises, and publish it as Bad."""
         for valve in valves:
             try:
                 for results in self.identification.results([valve], self._lost, old):
                     await self._show(results)
             except Exception as error:  # noqa: BLE001 - a bulkhead: the others are published
                 self.identification.stop(valve, Step.PUBLICATION, error)
-                with suppress(Exception):  # that it cannot be shown at all is logged
+                with suppress(Exception):  # the failure itself is logged
                     await self._sink.publish(self.identification.unknown(valve))
 
     def _soon_old(self) -> NDArray[np.bool_]:
-        """Which valves' newest sample will be too old before its results are replaced (M,)."""
+        """Mask (M,) of valves whose newest sample will be too old before the next publication."""
         then = self._ages() + self._to_publish.round_s
         return (then > self._settings.stale_after_s) & ~self.identification.holds()
 
@@ -491,11 +490,11 @@ class LiveService:
         )
 
 
-_NONE: Times = np.empty(0, np.int64)  # the next tick feeds these forward
+_NONE: Times = np.empty(0, np.int64)  # no valve: the next tick feeds these forward
 
 
 def _by_reason(refused: Mapping[str, str]) -> str:
-    """Each reason once, with the first names that it holds for."""
+    """Return each reason once, with the first names it applies to."""
     lines = []
     for reason in dict.fromkeys(refused.values()):
         names = [name for name, why in refused.items() if why == reason]
@@ -504,6 +503,6 @@ def _by_reason(refused: Mapping[str, str]) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    """The first names, and how many there are besides."""
+    """Return the first names, and the number of the others."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return f"{', '.join(names[:NAMED])}{rest}"

@@ -1,4 +1,4 @@
-"""Signals and results on their way into the history: gathered, and kept now and then at once."""
+"""Buffers signals and results for the history, and saves them at intervals."""
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,8 +24,8 @@ from valvemap.vocabulary.quantities import HISTORY_QUANTITIES
 from valvemap.vocabulary.statuses import Quality
 
 REQUIRED_U: Final = "RequiredU"
-MOST_ROWS: Final = 1_000_000  # that wait to be kept: 60 MB; more are lost
-SERIES_PER_S: Final = 500  # kept in a second, at 0.1 ms each: with more the interval is longer
+MOST_ROWS: Final = 1_000_000  # rows buffered: 60 MB; further rows are dropped
+SERIES_PER_S: Final = 500  # series saved per s, 0.1 ms each; more series lengthen the interval
 FORGET_EVERY_S: Final = 60.0
 _SIGNALS, _INVERSE = "Signals", "Inverse"
 
@@ -36,17 +36,17 @@ log = structlog.get_logger(__name__)
 
 
 def signals_of(valve: str) -> str:
-    """Name of the series of a valve's signals."""
+    """Return the series name of a valve's signals."""
     return f"{valve}.{_SIGNALS}"
 
 
 def results_of(valve: str, part: str) -> str:
-    """Name of the series of an estimator's results, or of those of the inverse map."""
+    """Return the series name of an estimator's results, or of the inverse map's."""
     return f"{valve}.{part}"
 
 
 class _Noted(NamedTuple):
-    """What is kept of one part's results, of (M,) valves: no more, as they wait for seconds."""
+    """Buffered results of one part (an estimator, the inverse map, signals) for (M,) valves."""
 
     part: str
     valves: Times
@@ -56,23 +56,23 @@ class _Noted(NamedTuple):
 
 
 class PastKeeper:
-    """Gathers rows and has them kept in a thread: identification waits for neither disk nor lock.
+    """Buffers rows and saves them in a thread: identification waits for neither disk nor lock.
 
-    What is lost by a kill is what was gathered since the last save, a second for up to 100 valves.
+    A kill loses the rows since the last save: one second for up to 100 valves.
 
     Parameters
     ----------
     store
-        Keeps them.
+        The history.
     valves
         Names.
 
     Attributes
     ----------
     lost : int
-        Rows that found no room, or that the disk did not take.
+        Rows dropped because the buffer was full or the disk refused them.
     failures : int
-        How often it did not.
+        Saves that failed.
     """
 
     def __init__(self, store: PastStore, valves: Sequence[str]) -> None:
@@ -88,27 +88,27 @@ class PastKeeper:
         self.lost = self.failures = 0
 
     def take_failed(self) -> list[tuple[int, Exception]]:
-        """Valves whose rows raised an error while they were saved since the last call."""
+        """Return the valves whose rows raised an error in saving since the last call."""
         failed, self._failed = self._failed, {}
         return [(self._valves.index(name), error) for name, error in failed.items()]
 
     def take(self, samples: ByValve) -> None:
-        """Gather samples."""
+        """Buffer samples."""
         if self._has_room(len(samples.samples)):
             self._samples.append(samples)
 
     def note(self, results: Results) -> None:
-        """Gather results."""
+        """Buffer results."""
         if self._has_room(len(results.valves) * (len(results.estimators) + 1)):
             self._results += _noted(results)
 
     def note_alarm(self, change: AlarmChange) -> None:
-        """Gather a change of an alarm."""
+        """Buffer a change of an alarm."""
         if self._has_room(1):
             self._changes.append(change)
 
     def tick(self, now: float, utc: int) -> None:
-        """Have kept what was gathered, if it is time; ``now`` in s, ``utc`` in ns."""
+        """Start a save of the buffer if one is due; ``now`` in s, ``utc`` in ns."""
         if now < self._due or (self._keeping is not None and not self._keeping.done()):
             return
         parts = len({noted.part for noted in self._results} | {_SIGNALS})
@@ -119,14 +119,14 @@ class PastKeeper:
         self._keeping = asyncio.create_task(self._keep(utc if forget else None))
 
     async def settle(self) -> None:
-        """Keep all that was gathered."""
+        """Save the whole buffer."""
         if self._keeping is not None:
             await self._keeping
         await self._keep(None)
 
     @property
     def counters(self) -> PastCounters:
-        """What was lost, and how large the history is."""
+        """Lost rows, failed saves, and the size of the history."""
         return PastCounters(self.lost + self._store.lost, self.failures, self._store.size)
 
     def _has_room(self, rows: int) -> bool:
@@ -166,12 +166,12 @@ class PastKeeper:
         self._failed = failed | self._failed
 
     def _save(self, pieces: Callable[[], Iterator[Piece]], failed: dict[str, Exception]) -> None:
-        """Keep all pieces at once, or each alone where one of them raises: the others are kept."""
+        """Save all pieces together; if one raises, save each alone and skip those that fail."""
         try:
             self._store.save(pieces())
         except StorageError:
             raise
-        except Exception:  # noqa: BLE001 - a bulkhead: the piece is found next
+        except Exception:  # noqa: BLE001 - a bulkhead: the failing piece is found next
             for piece in pieces():
                 try:
                     self._store.save([piece])
@@ -185,7 +185,7 @@ class PastKeeper:
 def _of_samples(
     names: Sequence[str], batches: Sequence[ByValve], failed: dict[str, Exception]
 ) -> Iterator[Piece]:
-    """One piece for each valve, but for those of which none can be made: they are ``failed``."""
+    """Yield one piece for each valve; valves whose piece raises are added to ``failed``."""
     by_valve: dict[int, list[ByValve]] = {}
     for batch in batches:
         for valve in batch:
@@ -207,7 +207,7 @@ def _signals(valve: str, samples: Sequence[Samples]) -> Piece:
 
 
 def _noted(results: Results) -> Iterator[_Noted]:
-    """Of each estimator, of the inverse map, and of signals that are Bad."""
+    """Yield the rows of each estimator, of the inverse map, and of signals that are Bad."""
     valves, inverse, signals = results.valves, results.inverse, results.signals
     for name, found in results.estimators.items():
         columns = {q.name: getattr(found, q.field) for q in HISTORY_QUANTITIES}
@@ -222,9 +222,9 @@ def _noted(results: Results) -> Iterator[_Noted]:
 def _of_results(
     names: Sequence[str], noted: Sequence[_Noted], failed: dict[str, Exception]
 ) -> Iterator[Piece]:
-    """One piece for each part of each valve.
+    """Yield one piece for each part of each valve.
 
-    Results that are Bad have no sample of their own: they are noted right behind the last.
+    Bad results have no sample: their time is that of the last sample plus 1 ns.
     """
     by_part: dict[str, list[_Noted]] = {}
     for one in noted:

@@ -1,33 +1,33 @@
-"""Whose results are published next, how much time may go into it, and whether that is enough."""
+"""Order and rate of publication: which valves are next, and whether publishing keeps up."""
 
 from collections.abc import Iterable
 from itertools import islice
 from typing import Final
 
-VALVES_AT_ONCE: Final = 64  # 20 ms: of fewer each costs more
-SOON_S, SOON = 0.7, 0.35  # s, and share of `stale_after_s`: results that wait longer get more time
-HURRY: Final = 0.5  # share of the time then, unless samples wait, too
-CALM_S, CALM = 0.5, 0.1  # s, and share of the time while none of many valves has waited so long
-LATE: Final = 0.95  # of `stale_after_s`: results that have waited for so long may get old, shown
-ON_TIME: Final = 0.85  # of it: once they wait no longer, they do not
+VALVES_AT_ONCE: Final = 64  # valves per call: 20 ms; smaller calls cost more per valve
+SOON_S, SOON = 0.7, 0.35  # s, and share of `stale_after_s`; a longer wait raises the share of time
+HURRY: Final = 0.5  # share of the time after such a wait, unless samples wait
+CALM_S, CALM = 0.5, 0.1  # s, and share of the time while many valves wait for less than this
+LATE: Final = 0.95  # of `stale_after_s`; a longer wait sets `late`: results may be stale when shown
+ON_TIME: Final = 0.85  # of `stale_after_s`; a shorter wait clears `late`
 
 
 class PublishingTurns:
-    """Valves whose results are to be published, those that have waited longest first.
+    """A queue of valves with results to publish, longest wait first.
 
     Parameters
     ----------
     share
-        Most of the time that goes into publishing as long as there is more to publish than that.
+        Largest share of the time spent on publishing while results wait.
     stale_after_s
-        Results that are shown for longer than that may not be called good.
+        Results shown for longer than this are not Good.
 
     Attributes
     ----------
     late
-        Publishing does not keep up: what is published now is old before it is replaced.
+        Publishing does not keep up: results are stale before they are replaced.
     round_s
-        So long those waited that were published last: as long, about, they are shown.
+        Wait of the valves published last, s; about the time that their results are shown.
 
     Examples
     --------
@@ -52,16 +52,16 @@ class PublishingTurns:
         return len(self._since)
 
     def add(self, valves: Iterable[int], now: float) -> None:
-        """These valves have new results; who waits already keeps its place."""
+        """Queue valves with new results; a valve already queued keeps its place."""
         for valve in valves:
             self._since.setdefault(valve, now)
 
     def are_due(self, now: float) -> bool:
-        """Whether there is something to publish, and time for it."""
+        """Whether valves are queued and the pause after the last publication is over."""
         return bool(self._since) and now >= self._due
 
     def next(self, now: float) -> list[int]:
-        """Take the valves that are published now; who was doubted in vain comes again."""
+        """Dequeue the valves to publish now; valves published while late are queued again later."""
         some = list(islice(self._since, VALVES_AT_ONCE))
         waited = now - self._since[some[0]] if some else 0.0
         self.round_s = waited
@@ -72,12 +72,12 @@ class PublishingTurns:
         self._doubted = doubted.union(some) if self.late else set()
         if not self.late:
             self.add(doubted, now)
-        elif not self._since:  # nothing waits any more
+        elif not self._since:  # the queue is empty
             self.add(self._doubted, now)
         return some
 
     def pause(self, began: float, now: float, *, samples_wait: bool) -> None:
-        """Rest after publishing from ``began`` on: samples that come in go first."""
+        """Pause after a publication that began at ``began``: incoming samples have priority."""
         share = self._share_of_time(now, samples_wait=samples_wait)
         self._due = now + (now - began) * (1.0 / share - 1.0)
 

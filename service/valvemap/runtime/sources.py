@@ -1,4 +1,4 @@
-"""Several sources of one service: each with a life of its own, one consumer of what all send."""
+"""Several sources of one service: one connection each, one consumer for all."""
 
 import asyncio
 import base64
@@ -20,13 +20,13 @@ from valvemap.runtime.supervisor import Consumer, SupervisorSettings, supervise
 
 
 class SourceWithHeir(Source, Protocol):
-    """A source that can be tried, and go on where another one stops."""
+    """A source that can be checked, and that can resume where a predecessor stops."""
 
     async def check(self) -> None:
-        """Connect, check every node, and leave."""
+        """Connect, check every node, and disconnect."""
 
-    def succeed(self, before: Any) -> None:  # noqa: ANN401 - another of its kind
-        """Take over from another one when it is closed."""
+    def succeed(self, before: Any) -> None:  # noqa: ANN401 - a source of the same class
+        """Take over the position of ``before`` when it is closed."""
 
 
 @dataclass(frozen=True)
@@ -39,26 +39,26 @@ class Part:
 
     @cached_property
     def items(self) -> NDArray[np.int32]:
-        """Numbers of its items among those of all valves."""
+        """Numbers of the source's items among the items of all valves."""
         first = np.repeat(np.array(self.valves, np.int32) * SIGNALS_PER_VALVE, SIGNALS_PER_VALVE)
         within = np.tile(np.arange(SIGNALS_PER_VALVE), len(self.valves))
         return np.asarray(first + within, np.int32)
 
     def renumbered(self, changes: DataChanges) -> DataChanges:
-        """The same changes, with items numbered among all valves."""
+        """Return the changes with items numbered among all valves; drop unknown items."""
         known = (changes.item >= 0) & (changes.item < len(self.items))
         changes = changes if known.all() else changes[known]
         return replace(changes, item=self.items[changes.item])
 
 
 class Sources:
-    """What a service asks of all its sources together."""
+    """All sources of a service, as one `AllSources`."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(parts)
         self.connected = [False] * len(parts)
-        self.taken: list[Any] = [None] * len(parts)  # marks of what the consumer was given
-        self.before: dict[str | None, bytes] = {}  # positions of those that gave nothing yet
+        self.taken: list[Any] = [None] * len(parts)  # marks of changes passed to the consumer
+        self.before: dict[str | None, bytes] = {}  # restored positions, until there is a mark
         valves = sum(len(part.valves) for part in parts)
         self._part_of = np.zeros((valves, 2), np.int64)  # part, number there
         for k, part in enumerate(parts):
@@ -67,9 +67,9 @@ class Sources:
 
     @property
     def mark(self) -> tuple[Any, ...] | None:
-        """How far the changes of each were given to the consumer; None: none were.
+        """Mark of the changes passed to the consumer, by source; None: no source has a mark yet.
 
-        Not what another one has handed out meanwhile, and what waits for its turn.
+        Changes that another source has received, but that wait for the lock, are not included.
         """
         marks = tuple(self.taken)
         return None if all(mark is None for mark in marks) else marks
@@ -86,7 +86,7 @@ class Sources:
                 part.source.commit(own)
 
     def position(self, mark: tuple[Any, ...]) -> bytes:
-        """As `Source.position`; of several sources by their names."""
+        """As `Source.position`; with several sources, by source name."""
         kept = self.before | {
             part.name: part.source.position(own)
             for part, own in zip(self.parts, mark, strict=True)
@@ -97,7 +97,7 @@ class Sources:
         return json.dumps({n: base64.b64encode(p).decode() for n, p in kept.items()}).encode()
 
     def resume_at(self, position: bytes) -> bool:
-        """As `Source.resume_at`; True if each of those kept could."""
+        """As `Source.resume_at`; True if every source with a stored position accepted it."""
         if self.parts[0].name is None:
             return bool(self.parts[0].source.resume_at(position))
         try:
@@ -123,19 +123,19 @@ class Sources:
 
     @property
     def counters(self) -> SourceCounters:
-        """What was seen of all of them."""
+        """Sum of the counters of all sources."""
         every = (astuple(part.source.counters) for part in self.parts)
         return SourceCounters(*map(sum, zip(*every, strict=True)))
 
     @property
     def clock_offset_s(self) -> Floats:
-        """By valve, how much its source's clock is ahead of ours."""
+        """By valve, offset of the source's clock from ours, s."""
         offsets = np.array([part.source.clock_offset_s for part in self.parts], np.float64)
         return np.asarray(offsets[self._part_of[:, 0]])
 
     @property
     def states(self) -> tuple[str, ...]:
-        """A line for each: whether it is there, and what was lost of it."""
+        """One line for each source: its connection, and its losses."""
         lines = []
         for part, there in zip(self.parts, self.connected, strict=True):
             seen = part.source.counters
@@ -147,7 +147,7 @@ class Sources:
         return tuple(lines)
 
     async def check(self) -> None:
-        """Connect to each, check every node, and leave; of several, one may be away.
+        """Connect to each, check every node, disconnect; a named source may be unreachable.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class Sources:
                     raise
 
     def succeed(self, before: "Sources") -> None:
-        """Take over from those of the same name when they are closed."""
+        """Take over the positions of sources of the same name when they are closed."""
         others = {part.name: k for k, part in enumerate(before.parts)}
         for part in self.parts:
             if part.name not in others:
@@ -175,7 +175,7 @@ class Sources:
             part.source.succeed(source)
 
     async def close(self) -> None:
-        """Disconnect from all."""
+        """Disconnect all sources."""
         for part in self.parts:
             await part.source.close()
 
@@ -187,12 +187,12 @@ async def supervise_all(
     stop: asyncio.Event,
     settings: SupervisorSettings,
 ) -> None:
-    """Keep each source connected by itself, as `supervise` does; one that is away is waited for.
+    """Supervise each source on its own connection; an outage of one does not affect the others.
 
     Raises
     ------
     SourceLost, SourceRejected
-        of the first that must end the run.
+        the first error that ends the run.
     """
     one_at_a_time = asyncio.Lock()
     lives = [
@@ -220,7 +220,7 @@ async def supervise_all(
 
 
 class _OfPart:
-    """Hands on what one source sends; what all hand on is taken one after another."""
+    """Forwards one source's calls to the consumer; a lock serialises those of all sources."""
 
     def __init__(
         self, consumer: Consumer, sources: Sources, k: int, one_at_a_time: asyncio.Lock

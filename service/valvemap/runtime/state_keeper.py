@@ -1,4 +1,4 @@
-"""States on disk, in turns: each valve's once in an interval, and how far the source was heard."""
+"""Saves checkpoints in turns, each valve once per interval, with the source's position."""
 
 import asyncio
 import math
@@ -14,38 +14,38 @@ from valvemap.pipeline.identification import Identification
 from valvemap.pipeline.lane_failures import Step
 from valvemap.pipeline.ports import AllSources, Checkpoint, CheckpointStore
 
-POSITION = "Service", "Position"  # under this name, which no valve has, the source's is kept
-KEPT_PER_S = 20  # valves whose states are kept in a second, 3 MB, unless more are due
-KEPT_AT_ONCE = 64  # valves at most, 10 MB: an end waits for no more
-PACKED_AT_ONCE = 16  # valves, at 1 ms each, before samples that have come are taken in
+POSITION = "Service", "Position"  # key of the source's position; no valve has this name
+KEPT_PER_S = 20  # valves saved per s, 3 MB, unless more are due
+KEPT_AT_ONCE = 64  # valves per save at most, 10 MB: longest that a shutdown waits for
+PACKED_AT_ONCE = 16  # valves packed, 1 ms each, between yields to the event loop
 
 log = structlog.get_logger(__name__)
 
 
 class StateKeeper:
-    """Packs states a few valves at a time, and waits for no disk while the service lives.
+    """Packs states a few valves at a time and saves them in a thread.
 
     Parameters
     ----------
     identification
-        Whose states.
+        Provides the states.
     source
-        Is asked for its position, and hears what is kept of what it sent.
+        Provides its position, and receives a commit once the states are saved.
     store
-        Where to.
+        The checkpoint store.
     clock
-        Of the turns.
+        Time of the turns.
     interval_s
-        Each state is kept once in that time at least; of few valves every second.
+        Longest interval between saves of a state; with few valves, one second.
 
     Attributes
     ----------
     mark
-        How far the source was heard, of what has been learnt.
+        The source's mark after the last estimated changes.
     kept_at : float
-        When something was kept last, monotonic s; NaN before.
+        Time of the last save, monotonic s; NaN before the first.
     failures : int
-        How often something was not.
+        Saves that failed.
     """
 
     def __init__(
@@ -65,38 +65,38 @@ class StateKeeper:
         self._clock = clock
         self._valves = len(identification.plans)
         self._interval_s = min(interval_s, max(1.0, self._valves / KEPT_PER_S))
-        self._began, self._turns = clock.monotonic(), 0  # turns that are over, saved or refused
+        self._began, self._turns = clock.monotonic(), 0  # turns completed, saved or refused
         self._next = (
             0  # the valve saved longest ago: valves are saved in the order of their numbers
         )
-        self._left_in_round = 0  # valves that are not saved since this round began
-        self._mark_of_round: Any = None  # as this round began
+        self._left_in_round = 0  # valves not yet saved in this round
+        self._mark_of_round: Any = None  # the mark at the start of this round
         self._keeping: asyncio.Task[None] | None = None
-        self._packing_s = self._saving_s = 0.0  # what it took last: a valve's state, a save
+        self._packing_s = self._saving_s = 0.0  # last durations: packing one valve, one save
 
     def age_s(self, now: float) -> float:
-        """How old what is kept is, s; before anything is, how long that has been due."""
+        """Time since the last save, s; before the first, since the start."""
         return now - (self._began if math.isnan(self.kept_at) else self.kept_at)
 
     def states(self, valves: Iterable[int] | None = None) -> list[Checkpoint]:
-        """All that is known of some valves, or of all."""
+        """Return the checkpoints of the given valves, or of all."""
         return self._identification.kept(valves)
 
     async def settle(self) -> None:
-        """Wait for what is being kept."""
+        """Wait for the save in progress."""
         if self._keeping is not None:
             await self._keeping
 
     async def keep(self, until: float = math.inf) -> bool:
-        """Keep all states now, or those kept longest ago, as far as the disk does it by then.
+        """Save all states, oldest save first, as far as the time ``until`` permits.
 
-        False: not all are. What was kept before is older, and the source is asked again for what
-        came since.
+        Returns False if not all were saved. The others keep their previous checkpoints, and the
+        source resends the changes since.
 
         Raises
         ------
         StorageError
-            naming the file; the states go on in memory.
+            naming the file; the states remain in memory.
         """
         M = self._valves
         await self.settle()
@@ -115,7 +115,7 @@ class StateKeeper:
         return True
 
     def keep_in_turn(self, now: float) -> None:
-        """Begin to keep what is due, a few valves at a time: no batch waits for all.
+        """Start to save the valves that are due, a few at a time: no batch waits for all.
 
         A round saves every valve once, and then the mark of its beginning. A valve leaves the
         round when it is saved: a refused save is repeated, so the mark is never ahead of a state.
@@ -135,7 +135,7 @@ class StateKeeper:
         self._keeping = asyncio.create_task(self._keep(some, mark))
 
     async def _keep(self, valves: Sequence[int], mark: Any) -> None:  # noqa: ANN401
-        """The disk may be slow, or full: nothing waits for it."""
+        """Save these valves; a refused save is counted and logged, and delays no batch."""
         try:
             states = [*await self._packed(valves), *self._position(mark)]
             began = self._clock.monotonic()
@@ -152,7 +152,7 @@ class StateKeeper:
             self._source.commit(mark)
 
     async def _packed(self, valves: Sequence[int]) -> list[Checkpoint]:
-        """States as bytes, a few valves at a time: samples come in between."""
+        """Pack states into bytes, a few valves at a time, yielding to the event loop."""
         packed = []
         for start in range(0, len(valves), PACKED_AT_ONCE):
             began = self._clock.monotonic()
@@ -163,7 +163,7 @@ class StateKeeper:
         return packed
 
     def _states_of(self, valves: Sequence[int]) -> list[Checkpoint]:
-        """The same of valves at once, or one by one: a valve whose state cannot be packed stops."""
+        """Pack the valves together, or one by one if that raises; stop the lane that fails."""
         try:
             return self.states(valves)
         except Exception as error:  # noqa: BLE001 - a bulkhead: the others are kept

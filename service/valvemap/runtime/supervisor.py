@@ -1,4 +1,4 @@
-"""The life of one connection to a source: connect, receive, lose, try again."""
+"""The life cycle of a connection to a source: connect, receive, lose, retry."""
 
 import asyncio
 from collections.abc import Callable, Iterator
@@ -19,32 +19,32 @@ log = structlog.get_logger(__name__)
 
 
 class Consumer(Protocol):
-    """Who uses the data changes; called by the supervisor, one call at a time."""
+    """Consumer of the data changes; the supervisor makes one call at a time."""
 
     async def connected(self, source_started: int, valves: Times | None = None) -> None:
-        """There is a connection, to a source started then (UTC ns; 0: unknown).
+        """The source is connected; ``source_started`` is its start time (UTC ns; 0: unknown).
 
-        ``valves`` are the numbers of those that it publishes; None: all.
+        ``valves`` are the numbers of the valves that it publishes; None: all.
         """
 
     async def take(self, changes: DataChanges, valves: Times | None = None) -> None:
-        """Data changes have arrived from the source of these valves."""
+        """Process data changes from the source of these valves."""
 
     async def tick(self, valves: Times | None = None) -> None:
-        """Time has passed; called about every ``tick_s``, connected or not, for each source."""
+        """Called about every ``tick_s`` for each source, connected or not."""
 
     async def lost(self, reason: SourceError, valves: Times | None = None) -> None:
-        """The connection is gone, or could not be made, to the source of these valves."""
+        """The connection to the source of these valves is lost or could not be made."""
 
 
 @dataclass(frozen=True)
 class SupervisorSettings:
-    """Times in s; ``startup_timeout_s`` = 0 waits for the source for ever.
+    """Times in s; ``startup_timeout_s`` = 0 waits for the source without limit.
 
-    Until the first connection a source that cannot be reached within ``startup_timeout_s``, or
-    that rejects us, ends the run with its error: it is a mistake of the set-up. Afterwards it is
-    trouble of the plant: everything is tried again, for ever. ``connected_before``: it is that from
-    the start. ``name`` is that of one of several sources, to log it by.
+    Until the first connection, a source that is unreachable for ``startup_timeout_s`` or rejects
+    the client ends the run with its error: the configuration is wrong. After it, every error is an
+    outage of the plant and is retried without limit. ``connected_before`` applies the latter from
+    the start. ``name`` identifies one of several sources in the log.
     """
 
     startup_timeout_s: float = 10.0
@@ -62,7 +62,7 @@ async def supervise(
     stop: asyncio.Event,
     settings: SupervisorSettings,
 ) -> None:
-    """Keep ``source`` connected and hand its changes to ``consumer`` until ``stop`` is set.
+    """Keep ``source`` connected and pass its changes to ``consumer`` until ``stop`` is set.
 
     Raises
     ------
@@ -103,7 +103,7 @@ async def supervise(
 
 
 async def _receive(source: Source, consumer: Consumer, stop: asyncio.Event, tick_s: float) -> None:
-    """Receive until ``stop``; a tick never cuts a receive short, so nothing can be lost by it."""
+    """Receive until ``stop``; a tick does not cancel a pending receive, so no change is lost."""
     stopped = asyncio.ensure_future(stop.wait())
     receiving: asyncio.Future[DataChanges] | None = None
     try:

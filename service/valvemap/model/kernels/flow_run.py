@@ -49,7 +49,8 @@ from valvemap.model.kernels.flow_stay import (
     end_stay,
     note_stay,
 )
-from valvemap.model.samples import Floats, Singles, Status
+from valvemap.model.samples import Floats, Singles
+from valvemap.vocabulary.statuses import Status
 
 _OK, _WARMING_UP = int(Status.OK), int(Status.WARMING_UP)
 _EXTRAPOLATING = int(Status.EXTRAPOLATING)

@@ -1,4 +1,4 @@
-"""The loop that watches many valves sample by sample, and moves their alarms on.
+"""The loop that updates the alarms of many valves, sample by sample.
 
 Times are source times, UTC ns; nothing depends on how the samples were cut into batches.
 """
@@ -12,46 +12,46 @@ from valvemap.model.kernels.compiled import inlined, lean_kernel
 from valvemap.model.kernels.prefetch import fetch
 from valvemap.model.samples import Flags, Floats, Segments, Times
 
-# Alarms of a valve, in the order of `pipeline.alarms.Alarm`; those that are judged here.
+# Alarms of a valve, numbered as `pipeline.alarms.Alarm`; those that are judged here.
 RESIDUAL, SENSOR_LOST, SENSOR_FROZEN, UNEXCITED = 1, 3, 4, 5
 
 SIGNALS = 5  # U, p1, p2, Q, T
 CELLS_U, CELLS_S = 10, 12
-WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar: the places by which residuals are compared
-BLOCK = 16.0  # residuals that are averaged: what stays, stands out against noise
-RECENT_BLOCKS = 32.0  # memory of what they are now: 5 s at 100 Hz
-USUAL_BLOCKS = 1_000.0  # memory of what they usually are: minutes
-ENOUGH_BLOCKS = 64.0  # from so many on it is known what is usual
-SETTLED_BLOCKS = 400.0  # from so many on residuals and changes are the valve's: minutes
-PLACE_MEMORY = 1_000.0  # samples of one place
-KNOWN_PLACE = 50.0  # samples from which on a place's usual residual is known
-OUTLIER = 25.0  # squares: more is not taken for usual
-LARGEST = 400.0  # squares: more does not count, or one spike would be an alarm for seconds
-NEGLIGIBLE = 0.0035  # of the flow's range: residuals that grew by less are no alarm
-CONFIRMED = 1.6  # times the usual: residuals that confirm a change
-USUAL_SAMPLES = 5_000.0  # memory of the usual mean square, over all places
-STILL_TIMES = 10.0  # so many times its longest standstill a signal stands still when it is dead
-ENOUGH_MOVES = 100  # changes of a signal, and of the others meanwhile, before it is called dead
-PAUSE_NS = 2_000_000_000  # between samples: nobody saw whether a signal stood still
-OIL_MEMORY_S = 1_800.0  # memory of the oil's usual temperature
-CAUSE_MEMORY = 1.0 - 1.0 / 1000.0  # of the sums by which causes are told apart, per sample
-AS_USUAL = 4.0  # times the usual squares: below, a block has nothing to say of causes
-HALF_FORGOTTEN = 0.5  # of the sums, at such a block: what was before a change blurs it
-LEAST_DP = 1.0  # bar
+WIDTH_U, WIDTH_S = 10.0, 1.5  # %, √bar; size of the cells in which residuals are compared
+BLOCK = 16.0  # residuals per average: a persistent error exceeds the averaged noise
+RECENT_BLOCKS = 32.0  # blocks; memory of the recent mean square: 5 s at 100 Hz
+USUAL_BLOCKS = 1_000.0  # blocks; memory of the usual mean square: minutes
+ENOUGH_BLOCKS = 64.0  # blocks until the usual mean square is known
+SETTLED_BLOCKS = 400.0  # blocks until the map has converged and residuals are the valve's: minutes
+PLACE_MEMORY = 1_000.0  # samples; memory of one cell
+KNOWN_PLACE = 50.0  # samples until a cell's usual residual is known
+OUTLIER = 25.0  # times the usual square; larger squares are clipped in the usual mean
+LARGEST = 400.0  # times the usual square; larger blocks are clipped: a spike must not last seconds
+NEGLIGIBLE = 0.0035  # of the flow's range; a smaller increase of the residuals is no alarm
+CONFIRMED = 1.6  # times the usual; residuals that confirm a change
+USUAL_SAMPLES = 5_000.0  # samples; memory of the usual mean square over all cells
+STILL_TIMES = 10.0  # times its longest standstill, after which a signal is frozen
+ENOUGH_MOVES = 100  # changes of a signal, and of the others since, before it can be frozen
+PAUSE_NS = 2_000_000_000  # a longer gap between samples restarts the standstills
+OIL_MEMORY_S = 1_800.0  # s; time constant of the oil's usual temperature
+CAUSE_MEMORY = 1.0 - 1.0 / 1000.0  # per sample; memory of the sums that distinguish causes
+AS_USUAL = 4.0  # times the usual square; a smaller block carries no information on causes
+HALF_FORGOTTEN = 0.5  # factor of the sums at such a block: older samples blur a new cause
+LEAST_DP = 1.0  # bar; lower bound of dp in Q̂/dp
 
-# Directions into which a cause moves the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
+# Regressors of the causes in the residual: 1, √dp, Q̂, Q̂/dp, dQ̂/dt.
 CONSTANT, ROOT_DP, FLOW, FLOW_BY_DP, FLOW_RATE, DIRECTIONS = range(6)
 
-# What can be the cause, in the order of `pipeline.alarm_words.Cause`.
+# Possible causes, numbered as `pipeline.alarm_words.Cause`.
 NO_CAUSE, EDGE, METER, SIGNAL, LAG, HOT_OIL, CAUSES = range(7)
-TELLING = 0.15  # share of the squares: two that differ by less explain the same
-RULED_OUT = 4.0  # times what the best leaves unexplained: who leaves more is not the cause
-LEFT = 0.1  # share of the squares that nobody explains: they are noise
-CLEAR = 0.1  # share that a lag must explain more to be named: what is constant looks like one
-LEAST_SHARE = 1e-6  # what an edge, a meter or an offset always may be
-OTHER_OIL_K = 3.0  # K: so far from usual the oil is named, whatever else explains the residual
+TELLING = 0.15  # share of the squares; causes whose shares differ by less are equivalent
+RULED_OUT = 4.0  # times the part that the best cause leaves unexplained; more excludes a cause
+LEFT = 0.1  # share of the squares that no cause explains: noise
+CLEAR = 0.1  # share that a lag must explain beyond the others: a constant error resembles one
+LEAST_SHARE = 1e-6  # least share of an edge, a meter and an offset: always possible
+OTHER_OIL_K = 3.0  # K from the usual temperature, beyond which the oil is named first
 
-# Places in `Senses.memory` and `Senses.times`.
+# Indices into `Senses.memory` and `Senses.times`.
 CELL, KNOWN, BLOCK_SUM, BLOCK_N, RECENT, RECENT_N, USUAL, USUAL_N, T_USUAL, Q_BEFORE = range(10)
 SQUARES, RATIO, LOST, TAKEN, LOST_BEFORE, TAKEN_BEFORE, CHANGES_SEEN = range(10, 17)
 USUAL_SQUARE, USUAL_SQUARE_N, LAG_BEFORE, MEMORY = range(17, 21)
@@ -60,12 +60,12 @@ NEVER = np.iinfo(np.int64).min
 
 
 class Conditions(NamedTuple):
-    """How A alarms of each of M valves stand, all (M, A) unless said otherwise.
+    """State of A alarms of each of M valves, (M, A) unless stated otherwise.
 
-    ``over`` is since when the limit is exceeded, 0 while it is not; ``since`` since when the alarm
-    was there last, ``at`` when it last came, went or was acknowledged, both UTC ns; ``value`` the
-    largest that was measured meanwhile; ``detail`` (M, A, 2) and ``causes`` (M, A, 3) say more of
-    it; ``came`` how often it did; ``version`` (M,) counts what changed of any of them.
+    ``over`` is the time from which the limit is exceeded, 0 if it is not; ``since`` the start of
+    the last activation, ``at`` its last activation, deactivation or acknowledgement, both UTC ns;
+    ``value`` the largest value during it; ``detail`` (M, A, 2) and ``causes`` (M, A, 3) describe
+    it; ``came`` counts activations; ``version`` (M,) counts changes of any alarm.
     """
 
     over: Times
@@ -81,13 +81,13 @@ class Conditions(NamedTuple):
 
 
 class Senses(NamedTuple):
-    """What is remembered of M valves to judge them by.
+    """Statistics of M valves by which their alarms are judged.
 
-    ``last``, ``still``, ``longest``, ``moves``, ``others`` (M, 5): value of each signal, since when
-    it is the same, its longest standstill (ns), how often it moved, how often another one did
-    meanwhile; ``weight``, ``bias``, ``square`` (M, 120): samples of each place, mean and mean
-    square of the residuals there, l/min;
-    ``sums`` (M, 6, 6): products of the directions and, last, the residual.
+    ``last``, ``still``, ``longest``, ``moves``, ``others`` (M, 5): each signal's value, time of its
+    last change, longest standstill (ns), number of changes, and number of changes of the others
+    since its last. ``weight``, ``bias``, ``square`` (M, 120): number of samples in each cell, mean
+    and mean square of the residuals there, l/min. ``sums`` (M, 6, 6): sums of products of the
+    regressors and, last, the residual.
     """
 
     last: Floats
@@ -104,7 +104,7 @@ class Senses(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """N samples as judged, and what the estimator said of them, all (N,)."""
+    """N gated samples, and the estimator's trace of them, all (N,)."""
 
     t: Times
     U: Floats
@@ -129,16 +129,16 @@ def watch(
     Q_span: float,
     shares: Floats,
 ) -> None:
-    """Take N samples in.
+    """Update the alarms with N samples.
 
     Parameters
     ----------
     Q_span
         Range of the flow, l/min.
     shares : (CAUSES,)
-        To calculate with.
+        Scratch array.
     patient : (M,)
-        Whose signals come on change: silence is no loss of theirs.
+        Mask of the valves with on-change signals: their silence is no loss.
     rules : (A, 3)
         Limit, limit less hysteresis, delay (ns).
     """
@@ -169,7 +169,7 @@ def move_on(
     conditions: Conditions,
     came: Flags,
 ) -> None:
-    """Judge one alarm of K valves by what was measured, ``x`` (K,); write which ``came`` (K,)."""
+    """Judge one alarm of K valves by its quantity ``x`` (K,); set ``came`` (K,) on activation."""
     for k in range(len(valves)):
         came[k] = _step(valves[k], alarm, t[k], began[k], x[k], rules, conditions)
 
@@ -178,7 +178,7 @@ def move_on(
 def _step(
     m: int, a: int, t: int, began: int, x: float, rules: Floats, conditions: Conditions
 ) -> bool:
-    """Move one alarm on; True if it comes now. A measurement that is none changes nothing."""
+    """Judge one alarm; True if it is activated now. NaN changes nothing."""
     limit, release, delay = rules[a, 0], rules[a, 1], rules[a, 2]
     if np.isnan(x):
         return False
@@ -210,7 +210,7 @@ def _step(
 
 @inlined
 def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses) -> None:
-    """Begin waiting anew where the clock went back, or nobody looked; follow the oil slowly."""
+    """Restart timers after a clock step back or an outage; update the usual oil temperature."""
     times, newest, memory = senses.times[m], senses.times[m, NEWEST], senses.memory[m]
     first, back = newest == NEVER, t < newest
     if np.isfinite(T):
@@ -234,7 +234,7 @@ def _keep_time(m: int, t: int, T: float, conditions: Conditions, senses: Senses)
 def _look_for_losses(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
-    """How long no sample was of use, s; one that is ends it."""
+    """Judge the time without a usable sample, s; a usable sample ends it."""
     t, usable = seen.t[i], senses.times[m, USABLE]
     _step(m, SENSOR_LOST, t, usable, (t - usable) * 1e-9, rules, conditions)
     if seen.quality[i] != 2:
@@ -246,10 +246,11 @@ def _look_for_losses(
 def _look_for_standstills(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
-    """How long a sensor's value has stood still to the last bit while others moved, s.
+    """Judge how long a sensor's value has been bitwise constant while others moved, s.
 
-    By its own measure: one that often stands still is not dead when it does. U is a command, and a
-    meter shows 0 for as long as nothing flows.
+    The limit is relative to the signal's own longest standstill, so that a signal that often rests
+    is not called frozen. U is a command and is exempt; so is a value of 0, as of a meter without
+    flow.
     """
     t = seen.t[i]
     values = (seen.U[i], seen.p1[i], seen.p2[i], seen.Q[i], seen.T[i])
@@ -285,7 +286,7 @@ def _look_for_standstills(
 def _look_at_excitation(
     m: int, i: int, seen: Watched, rules: Floats, conditions: Conditions, senses: Senses
 ) -> None:
-    """How long the inputs have held still, s; a sample that is not used says nothing."""
+    """Judge the time without excitation, s; rejected samples are ignored."""
     t, times = seen.t[i], senses.times[m]
     if seen.status[i] != 2:  # Status.UNEXCITED
         times[EXCITED] = t
@@ -304,9 +305,9 @@ def _look_at_residual(
     Q_span: float,
     shares: Floats,
 ) -> None:
-    """How many times the residual, averaged over a few samples, is what it usually is.
+    """Judge the ratio of the recent block-averaged residuals to their usual size.
 
-    Only where the valve has been before: what a map says of a new place is a guess.
+    Only in known cells: in a new cell the map is an extrapolation.
     """
     t, e, predicted = seen.t[i], seen.residual[i], seen.predicted[i]
     U, dp, status = seen.U[i], seen.p1[i] - seen.p2[i], seen.status[i]
@@ -359,7 +360,7 @@ def _look_at_residual(
 
 @inlined
 def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numba takes positions
-    """End a block: what residuals are now, and usually are; whether this one is as usual."""
+    """End a block: update the recent and the usual mean square; True if the block is as usual."""
     mean = memory[BLOCK_SUM] / memory[BLOCK_N]
     memory[BLOCK_SUM] = memory[BLOCK_N] = 0.0
     new = mean * mean
@@ -370,13 +371,13 @@ def _take_block(memory: Floats, usual_now: bool) -> bool:  # noqa: FBT001 - numb
     if usual_now:
         memory[USUAL_N] = min(memory[USUAL_N] + 1.0, USUAL_BLOCKS)
         memory[USUAL] += (new - memory[USUAL]) / memory[USUAL_N]
-        memory[USUAL] = max(memory[USUAL], 1.0 / BLOCK)  # as if it were white noise
+        memory[USUAL] = max(memory[USUAL], 1.0 / BLOCK)  # that of white noise
     return bool(new < AS_USUAL * memory[USUAL])
 
 
 @inlined
 def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
-    """Sum up how the residual goes with what each cause would do to it."""
+    """Add a sample to the sums of products of the regressors and the residual."""
     memory, sums = senses.memory[m], senses.sums[m]
     e, Q, dp = seen.residual[i], seen.predicted[i], seen.p1[i] - seen.p2[i]
     rate = Q - memory[Q_BEFORE] if np.isfinite(memory[Q_BEFORE]) else 0.0
@@ -390,10 +391,10 @@ def _add_up(m: int, i: int, seen: Watched, senses: Senses) -> None:
 def name_causes(
     valves: Times, alarm: int, conditions: Conditions, senses: Senses, shares: Floats
 ) -> None:
-    """Say of K valves what could be the cause: the up to three that explain most of the residual.
+    """Write the possible causes for K valves: up to three that explain most of the residual.
 
-    Those that explain it nearly as well as the best cannot be told apart from it; ``shares``
-    (CAUSES,) is to calculate with.
+    A cause that explains it nearly as well as the best cannot be distinguished from it. ``shares``
+    (CAUSES,) is a scratch array.
     """
     for k in range(len(valves)):
         _name_causes(valves[k], alarm, conditions, senses, shares)
@@ -433,7 +434,7 @@ def _name_causes(
 
 @inlined
 def _explained(sums: Floats, j: int, k: int) -> float:
-    """Share of the residual's squares that two directions together explain."""
+    """Share of the residual's squares explained by two regressors together."""
     e, squares = DIRECTIONS, sums[DIRECTIONS, DIRECTIONS]
     if not squares > 0.0:
         return 0.0

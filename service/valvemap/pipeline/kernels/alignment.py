@@ -1,4 +1,4 @@
-"""The loop that sorts data changes into samples."""
+"""The loop that aligns data changes into samples."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,10 @@ def align_changes(
     w: Waiting,
     out: Aligned,
 ) -> tuple[int, int]:
-    """Take the changes from ``start`` on in; return how many are done and how many samples left.
+    """Process changes from ``start`` on; return the index of the next one and the samples emitted.
 
-    Before, ``command`` (FLUSH or BEGIN_ANEW) is carried out for some ``valves``. Where a row is
-    full and ``may_grow``, the loop stops before the change that found it so.
+    Before that, ``command`` (FLUSH or BEGIN_ANEW) is executed for ``valves``. If a row is full and
+    ``may_grow`` is set, the loop stops before the change that needs more room.
     """
     n = ZERO
     capacity = w.slots.shape[1]
@@ -82,7 +82,7 @@ def align_changes(
 
 @kernel
 def find_waiting(rules: Rules, w: Waiting, waits: NDArray[np.bool_]) -> None:
-    """Find out which valves have samples whose signals are all there, (V,)."""
+    """Set ``waits`` (V,) for valves with complete samples that wait."""
     for v in range(len(waits)):
         waits[v] = False
         for k in range(w.order[v, SIZE]):
@@ -99,9 +99,9 @@ def sort_by_valve(
     quality: NDArray[np.uint8],
     edges: NDArray[np.int64],
 ) -> None:
-    """Write the samples valve by valve, each valve's in their order; counting, not comparing.
+    """Write the samples sorted by valve, each valve's in their order (a counting sort).
 
-    ``columns`` (5, N); ``edges`` (V + 1,), zeros before: valve v has edges[v] … edges[v + 1] - 1.
+    ``columns`` (5, N); ``edges`` (V + 1,), initially 0: valve v has edges[v] … edges[v + 1] - 1.
     """
     for v in out.valve:
         edges[v + 1] += 1

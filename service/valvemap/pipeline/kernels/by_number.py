@@ -1,8 +1,8 @@
-"""Samples in the order of their running number, each once, however their signals come.
+"""Samples in the order of their running number, each once, in whatever order signals arrive.
 
-A sample is what has one source time. Once all its signals and its running number are there it is
-judged: it follows, it came before, or the source has begun anew. Where the numbers are contiguous
-it leaves at once; behind a hole it waits until other samples have spanned ``reorder`` ns.
+A sample is the set of signals with one source time. A sample that has all its signals and its
+running number is judged: it is in order, it is old, or the source has restarted. Contiguous numbers
+are emitted at once; behind a gap a sample waits until others have spanned ``reorder`` ns.
 """
 
 import numpy as np
@@ -57,18 +57,18 @@ from valvemap.pipeline.kernels.waiting import (
 )
 
 _NUMBERED = 1 << SEQUENCE
-_GONE = 1 << 8  # a slot that has left, or is given up; swept away at once
+_GONE = 1 << 8  # a slot that was emitted or dropped; swept at once
 _NOT_YET = np.int64(2**62)  # later than any time
-_SLOW = 4  # usual steps; a longer one is a jump of the source's clock
-_SLACK_NS = 1e9  # how far a repeated sample may lie from the straight line of number over time …
-_SLACK = 0.5  # … and by how much of its distance from the newest
+_SLOW = 4  # usual steps; a longer step is a jump of the source's clock
+_SLACK_NS = 1e9  # tolerance of a duplicate's time from the line of number over time …
+_SLACK = 0.5  # … and as a share of its distance from the newest
 
 
 @inlined
 def place_by_number(
     w: Waiting, v: int, j: int, time: int, value: float, status: int, rules: Rules
 ) -> int:
-    """Put a change where it belongs; return the place of the sample that it completes, or -1."""
+    """Add a change to its sample; return the slot of the sample that it completes, or -1."""
     order = w.order[v]
     if j == SEQUENCE and (not np.isfinite(value) or severity(status) == 2):
         return -1
@@ -99,7 +99,7 @@ def place_by_number(
 
 @inlined
 def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
-    """Judge a complete sample by its number and time; return what is to be done."""
+    """Judge a complete sample by its number and time; return the command for `settle`."""
     order, slot, time = w.order[v], w.slots[v, k], w.slots[v, k, TIME]
     number = _unwrapped(order, slot[NUMBER])
     last, of_before = order[LAST], order[FLOOR] != NEVER and time <= order[FLOOR]
@@ -108,7 +108,7 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
         if time > order[HIGH] or not _is_known(order, number, time):
             if _is_old(slot):
                 w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
-            slot[OPENED] = _NOT_YET  # it stays, whatever leaves before it
+            slot[OPENED] = _NOT_YET  # keep it, whatever is emitted before it
             return BEGIN_ANEW
         came_before = True
     if came_before:
@@ -117,7 +117,7 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
             w.counters[v, LATE if late else DUPLICATES] += _signals(rules.required[v])
         slot[FILLED] = _GONE
         return SETTLE
-    if _is_old(slot):  # no, the source's clock was set back
+    if _is_old(slot):  # the source's clock was set back
         w.counters[v, _late_or_twice(w, v, time)] -= _signals(rules.required[v])
         slot[OPENED] = _NOT_YET
     slot[NUMBER] = number
@@ -134,10 +134,10 @@ def judge(w: Waiting, v: int, k: int, rules: Rules) -> int:
 
 @inlined
 def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int) -> int:
-    """Have all leave that may; return how many samples have left.
+    """Emit all samples that are due; return the number of samples in ``out``.
 
-    SETTLE: what follows, and what has waited for long enough. FLUSH: all that is complete, without
-    a number too. BEGIN_ANEW, MAKE_ROOM: all that is complete and has a number.
+    SETTLE: samples in order, and those that have waited for ``reorder``. FLUSH: all complete
+    samples, also without a number. BEGIN_ANEW, MAKE_ROOM: all complete samples with a number.
     """
     order, size = w.order[v], w.order[v, SIZE]
     gone = 0
@@ -182,17 +182,17 @@ def settle(w: Waiting, v: int, command: int, rules: Rules, out: Aligned, n: int)
 
 @inner
 def resume(order: NDArray[np.int64], slots: NDArray[np.int64], time: int) -> int:
-    """Return the place of the sample that another run of the source begins with."""
+    """Set the bounds of the run after a restart; return the slot of its first sample."""
     if time > order[HIGH]:
         order[FLOOR] = order[HIGH]
     else:
-        order[HIGH] = NEVER  # its clock was set back, too
+        order[HIGH] = NEVER  # the clock was set back as well
     return find(slots, order[SIZE], time)
 
 
 @inlined
 def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
-    """Place of the sample that leaves next, or -1."""
+    """Return the slot to emit next, or -1."""
     order, lowest, waited = w.order[v], -1, np.int64(-1)
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
@@ -218,7 +218,7 @@ def _next(w: Waiting, v: int, command: int, rules: Rules) -> int:
 
 @inner
 def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
-    """The running number (UInt32) as one that never wraps."""
+    """Unwrap a running number (UInt32)."""
     base: int = order[BASE]
     if base == NO_NUMBER:
         return raw
@@ -228,7 +228,7 @@ def _unwrapped(order: NDArray[np.int64], raw: int) -> int:
 
 @inner
 def _is_known(order: NDArray[np.int64], number: int, time: int) -> bool:
-    """Whether number and time fit the course of the source's clock so far, or the one before."""
+    """Whether number and time lie on the line of the clock's present course or its previous one."""
     step = np.float64(order[PERIOD])
     if order[LAST] > order[FIRST] and order[LAST_TIME] > order[FIRST_TIME]:
         step = (order[LAST_TIME] - order[FIRST_TIME]) / (order[LAST] - order[FIRST])
@@ -245,21 +245,21 @@ def _is_known(order: NDArray[np.int64], number: int, time: int) -> bool:
 
 @inner
 def _is_jump(order: NDArray[np.int64], step: int, max_wait: int, reorder: int) -> bool:
-    """Whether so many ns from one sample to the next mean that the source's clock was set."""
+    """Whether a step of this many ns between samples is a step of the source's clock."""
     longest = max(max_wait, reorder)
     return bool(step > max(longest, _SLOW * order[PERIOD]) or step < -longest)
 
 
 @inner
 def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
-    """Give up what lies between two numbers: incomplete samples are missing, the rest gaps."""
+    """Drop samples between two numbers: incomplete ones count as missing, the rest as gaps."""
     order = w.order[v]
     given_up = order[GIVEN_UP]
     for k in range(order[SIZE]):
         slot = w.slots[v, k]
         if slot[FILLED] == _GONE or slot[SINCE] != NEVER or slot[TIME] >= time:
             continue
-        if last == NO_NUMBER:  # before the first sample nothing can be missed
+        if last == NO_NUMBER:  # nothing is missing before the first sample
             if order[HIGH] == NEVER or slot[TIME] > order[HIGH]:
                 slot[FILLED] = _GONE
             continue
@@ -280,7 +280,7 @@ def _give_up(w: Waiting, v: int, last: int, number: int, time: int) -> None:
 
 @inlined
 def _sweep(w: Waiting, v: int, rules: Rules) -> None:
-    """Take away what is gone, and what has been passed by for so long that it stays incomplete."""
+    """Remove emitted and dropped slots, and incomplete ones overtaken for ``max_wait``."""
     order, kept = w.order[v], ZERO
     high = order[HIGH]
     for k in range(order[SIZE]):
@@ -300,19 +300,19 @@ def _sweep(w: Waiting, v: int, rules: Rules) -> None:
 
 @inner
 def _is_missing(slot: NDArray[np.int64]) -> bool:
-    """Whether an incomplete sample was never counted: not before the first, nor given up before."""
+    """Whether an incomplete sample counts as missing: not before the first, nor dropped already."""
     return bool(slot[OPENED] != NEVER and slot[TIME] > slot[OPENED])
 
 
 @inner
 def _is_old(slot: NDArray[np.int64]) -> bool:
-    """Whether a newer sample had left when this one began to arrive."""
+    """Whether a newer sample was emitted before this one began to arrive."""
     return bool(slot[TIME] <= slot[OPENED] < _NOT_YET)
 
 
 @inner
 def _late_or_twice(w: Waiting, v: int, time: int) -> int:
-    """The counter of a signal that is older than what has left: it was given up, or it came."""
+    """Counter of a signal older than the last sample: LATE if dropped before, else DUPLICATES."""
     for row in range(min(w.order[v, GAPS_KEPT], w.lost.shape[1])):
         if w.lost[v, row, 0] < time < w.lost[v, row, 1]:
             return LATE
@@ -321,7 +321,7 @@ def _late_or_twice(w: Waiting, v: int, time: int) -> int:
 
 @inner
 def _signals(filled: int) -> int:
-    """How many signals a slot holds, its number not counted."""
+    """Number of signals in a slot, without the running number."""
     count = 0
     for m in range(SIGNALS):
         count += (filled >> m) & 1

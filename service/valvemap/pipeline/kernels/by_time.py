@@ -1,4 +1,4 @@
-"""Samples in the order of their time, for a source that numbers none."""
+"""Samples in the order of their time, for sources without running number."""
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from valvemap.pipeline.kernels.waiting import (
 def place_by_time(
     w: Waiting, v: int, j: int, time: int, value: float, status: int, rules: Rules
 ) -> int:
-    """Put a change where it belongs; return the place of the sample that it completes, or -1."""
+    """Add a change to its sample; return the slot of the sample that it completes, or -1."""
     order, seen = w.order[v], w.order[v, SEEN + j]
     if time == seen or _has_left(w, v, time, rules.tolerance):
         w.counters[v, DUPLICATES] += 1
@@ -46,7 +46,7 @@ def place_by_time(
             w.held_value[v, j], w.held_status[v, j] = value, status
             w.held_time[v, j] = time
         return -1
-    started = order[HIGH] != NEVER  # before the first sample nothing can be missed
+    started = order[HIGH] != NEVER  # nothing is missing before the first sample
     if started and time <= order[HIGH]:
         w.counters[v, LATE] += 1
         return -1
@@ -54,7 +54,7 @@ def place_by_time(
     if k == order[SIZE] or w.slots[v, k, TIME] > time + rules.tolerance:
         if order[SIZE] == w.slots.shape[1]:
             w.counters[v, MISSING] += started
-            if k == 0:  # it is the oldest itself
+            if k == 0:  # the new sample is the oldest
                 return -1
             _drop(w, v, 1)
             k -= 1
@@ -77,9 +77,10 @@ def leave_by_time(
     out: Aligned,
     n: int,
 ) -> int:
-    """Have complete samples leave; return how many have. Older ones are given up, or stop it.
+    """Emit complete samples, oldest first; return the number in ``out``.
 
-    ``complete`` is the place of one of them; -1 looks for the newest.
+    Incomplete samples before them are dropped if overdue; otherwise emission stops there.
+    ``complete`` is the slot of a complete sample; -1: search for the newest.
     """
     order, reorder = w.order[v], 0 if at_once else rules.reorder[v]
     if complete < 0:
@@ -113,7 +114,7 @@ def leave_by_time(
 
 @inlined
 def _drop(w: Waiting, v: int, count: int) -> None:
-    """Take the ``count`` oldest slots away."""
+    """Remove the ``count`` oldest slots."""
     w.order[v, HIGH] = w.slots[v, count - 1, TIME]
     for n in range(count, w.order[v, SIZE]):
         move(w, v, n, n - count)
@@ -122,7 +123,7 @@ def _drop(w: Waiting, v: int, count: int) -> None:
 
 @inner
 def _begin_anew(w: Waiting, v: int) -> None:
-    """The source's clock has stepped back: what waits will not be completed."""
+    """Drop pending samples after a backward step of the source's clock: they stay incomplete."""
     order = w.order[v]
     w.counters[v, CLOCK_STEPS] += 1
     w.counters[v, MISSING] += order[SIZE]
@@ -134,7 +135,7 @@ def _begin_anew(w: Waiting, v: int) -> None:
 
 @inner
 def _hopeless(w: Waiting, v: int, k: int, rules: Rules) -> bool:
-    """Every signal that slot ``k`` lacks has moved on: a signal delivers in its order."""
+    """Whether each signal that slot ``k`` lacks has sent a value newer by ``reorder``."""
     limit = w.slots[v, k, TIME] + rules.tolerance + rules.reorder[v]
     for m in range(SIGNALS):
         lacks = rules.required[v] & ~w.slots[v, k, FILLED] & (1 << m)
@@ -145,7 +146,7 @@ def _hopeless(w: Waiting, v: int, k: int, rules: Rules) -> bool:
 
 @inlined
 def _has_left(w: Waiting, v: int, time: int, tolerance: int) -> bool:
-    """Whether a sample of that time is among the last that left; their times grow."""
+    """Whether a sample of that time is among the last emitted ones, whose times ascend."""
     if time - tolerance > w.order[v, LAST_TIME]:
         return False
     high, room = w.order[v, TIMES_KEPT], w.left.shape[1]

@@ -1,9 +1,9 @@
-"""How the kernels of alignment are compiled: they make no arrays, so they count no references.
+"""Compilation of the alignment's kernels: they allocate no arrays and count no references.
 
-Numba counts who holds an array: each look into a row of one adds one and takes it away again,
-both atomic steps, and so does each array of a tuple that a function is given. Here that took ten
-times as long as the work itself. All arrays are the caller's, who keeps them. What would make an
-array is refused.
+Numba counts references to arrays: each view of a row increments and decrements a count atomically,
+and so does each array of a tuple argument. In these kernels that took ten times as long as the work
+itself. All arrays are owned by the caller, which keeps them alive. Code that would allocate an
+array is rejected.
 """
 
 from valvemap.model.kernels.compiled import inlined, inner

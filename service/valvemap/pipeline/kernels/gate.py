@@ -1,4 +1,4 @@
-"""The loop that judges samples one after another, each signal by its own limits."""
+"""The loop that gates samples one after another, each signal by its own limits."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class Limits(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What is remembered of each signal of M valves, (M, 5).
+    """State of each signal of M valves, (M, 5).
 
     ``window`` (M, 5, 5), ``counters`` (M, 5, REASONS).
     """
@@ -52,7 +52,7 @@ def judge_samples(
 ) -> None:
     """Judge N samples ``values`` (N, 5); set ``quality`` (N,) to 2 where a check fails.
 
-    ``bad_status`` (M,) counts the samples that came as bad.
+    ``bad_status`` (M,) counts the samples that arrived as bad.
     """
     for s in range(len(segments.members)):
         m = segments.members[s]
@@ -83,13 +83,13 @@ def _judge(
     start: int,
     stop: int,
 ) -> None:
-    """Samples start … stop - 1 of one valve."""
+    """Judge samples start … stop - 1 of one valve."""
     low, high, frozen_ns, max_rate, spike = limits
     last, last_time, still_since, window, counters = memory
     for i in range(start, stop):
         for j in range(SIGNALS):
             x = values[i, j]
-            if j == T and np.isnan(x):  # no reading: only maps that depend on T mind
+            if j == T and np.isnan(x):  # no reading: only maps that depend on T are affected
                 continue
             if not np.isfinite(x):
                 counters[j, NOT_FINITE] += 1
@@ -122,7 +122,7 @@ def _judge(
 
 @inner
 def _median(window: NDArray[np.float64]) -> float:
-    """Median of the window; of what it holds while it still fills (the lower of two)."""
+    """Median of the window; while it fills, of its values (the lower of two)."""
     n = 0
     for x in window:
         n += not np.isnan(x)

@@ -1,4 +1,4 @@
-"""The loop that notes what an estimator did with many valves' samples."""
+"""The loop that stores an estimator's last results for many valves."""
 
 from typing import NamedTuple
 
@@ -11,11 +11,11 @@ from valvemap.vocabulary.statuses import Status
 
 NO_STATUS = 255
 
-_UNEXCITED = int(Status.UNEXCITED)  # OK, WARMING_UP, UNEXCITED: the sample was learnt from
+_UNEXCITED = int(Status.UNEXCITED)  # OK, WARMING_UP, UNEXCITED: the estimator used the sample
 
 
 class Notes(NamedTuple):
-    """The last word of M lanes, all (M,); ``status`` is NO_STATUS before the first sample."""
+    """Last results of M lanes, all (M,); ``status`` is NO_STATUS before the first sample."""
 
     learnt: NDArray[np.int64]
     t: NDArray[np.int64]
@@ -25,7 +25,7 @@ class Notes(NamedTuple):
 
 
 def nothing(M: int) -> Notes:
-    """Of M lanes, before the first sample."""
+    """Return the notes of M lanes before the first sample."""
     return Notes(
         learnt=np.zeros(M, np.int64),
         t=np.zeros(M, np.int64),
@@ -44,7 +44,7 @@ def note(
     notes: Notes,
     segments: Segments,
 ) -> None:
-    """Count the samples learnt from and keep what was said of the last; no segment is empty."""
+    """Count the samples used, and store the results of the last; no segment may be empty."""
     for s in range(len(segments.members)):
         m = segments.members[s]
         for i in range(segments.starts[s], segments.stops[s]):
@@ -63,7 +63,7 @@ def last_T(
     kept: NDArray[np.float64],
     segments: Segments,
 ) -> None:
-    """Keep the last temperature (M,) that was measured and is not BAD."""
+    """Store the last temperature (M,) that is finite and not BAD."""
     for s in range(len(segments.members)):
         for i in range(segments.stops[s] - 1, segments.starts[s] - 1, -1):
             if np.isfinite(T[i]) and quality[i] != 2:

@@ -1,4 +1,4 @@
-"""The loop that counts what speaks for and against a valve's signals being what they are called."""
+"""The loop that updates the statistics of the signals' plausibility."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ SAMPLES, REVERSED, FORWARD, HIGH, LOWEST_U, AT_LOWEST, HIGHEST_U, AT_HIGHEST, WI
     10
 )
 HIGHEST_P, BACKWARD, REPEATED, LAST_T, SEEN = range(10, 15)
-REFUSED, WRONG, CLEAN = range(15, 18)  # why; samples that cannot be, ever, and those since then
+REFUSED, WRONG, CLEAN = range(15, 18)  # reason; impossible samples in total; samples since then
 FIELDS = 18
 
 NOT_REFUSED, TOO_HIGH, SWAPPED = range(3)
@@ -21,16 +21,16 @@ N, SUM_U, SUM_S, SUM_Q, UU, US, UQ, SS, SQ, QQ = range(10)
 SUMS = 10
 CELLS = 16
 
-LOWEST_CELL, HIGHEST_CELL = -5.0, 105.0  # %, of U: a sensor may read that much beside the range
-CLEAR_DP = 2.0  # bar: less is what sensors are off by
-MOST_DP = 700.0  # bar: no hydraulic valve stands more
-HOT_T = 95.0  # °C: no hydraulic oil is kept so hot
+LOWEST_CELL, HIGHEST_CELL = -5.0, 105.0  # %, of U; tolerance beyond the range for sensor offset
+CLEAR_DP = 2.0  # bar; a smaller dp is within the sensors' accuracy
+MOST_DP = 700.0  # bar; above the rating of hydraulic valves
+HOT_T = 95.0  # °C; above the limit of hydraulic oil
 
-FEW = 10.0  # samples; with fewer nothing is said
-SOME_HIGH = 0.05  # share of samples: single spikes are the gate's matter
-NEARLY_ALWAYS, SELDOM = 0.9, 0.5  # share of samples with p1 < p2: are swapped, are not
-AGAIN = 10.0  # times as many clean samples in a row as there were wrong ones end a refusal …
-CLEAN_AGAIN = 2_000.0  # … and so many do where the pressures were swapped
+FEW = 10.0  # samples; with fewer nothing is judged
+SOME_HIGH = 0.05  # share of samples; single spikes are left to the gate
+NEARLY_ALWAYS, SELDOM = 0.9, 0.5  # share of samples with p1 < p2: swapped above, not below
+AGAIN = 10.0  # clean samples in a row per wrong one that end a rejection …
+CLEAN_AGAIN = 2_000.0  # … and their number if the pressures were swapped
 
 _BAD = int(Quality.BAD)
 
@@ -46,11 +46,10 @@ def count(
     segments: Segments,
     refused: NDArray[np.bool_],
 ) -> None:
-    """Count N samples of many valves in; ``columns`` (N, 5) are U, p1, p2, Q, T.
+    """Add N samples of many valves to the statistics; ``columns`` (N, 5) are U, p1, p2, Q, T.
 
     ``counts`` (M, FIELDS), ``times`` (M,) of the newest sample and ``sums`` (M, CELLS, SUMS) by
-    cells of U are written in place, and whether the pressures cannot be, sample by sample, into
-    ``refused`` (N,).
+    cells of U are updated in place. ``refused`` (N,) is set for each rejected sample.
     """
     members, starts, stops = segments
     width = (HIGHEST_CELL - LOWEST_CELL) / CELLS
@@ -120,7 +119,7 @@ def count(
 
 @inner
 def _judge(own: NDArray[np.float64]) -> None:
-    """Refuse pressures that cannot be; let them in again once they have been right for long."""
+    """Reject impossible pressures; accept them again after enough clean samples."""
     pressed = own[REVERSED] + own[FORWARD]
     if own[REFUSED] == NOT_REFUSED:
         if own[HIGH] >= FEW and own[HIGH] > SOME_HIGH * own[SAMPLES]:

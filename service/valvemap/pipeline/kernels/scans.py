@@ -1,8 +1,8 @@
-"""The loop that makes scans of one valve's changes: all that a source wrote in one go.
+"""The loop that groups one valve's changes into scans: all that a source wrote in one cycle.
 
-A signal is written at most once in a scan, and a scan lasts no longer than ``window``. What a scan
-does not bring is held where the signal comes on change; what it brings late is interpolated to the
-scan's first instant.
+A signal is written at most once in a scan, and a scan lasts no longer than ``window``. On-change
+signals absent from a scan are held; signals stamped late are interpolated to the scan's first
+instant.
 """
 
 from typing import NamedTuple, cast
@@ -14,20 +14,20 @@ from valvemap.model.kernels.compiled import inner, kernel
 
 SIGNALS = 6  # the running number is the last
 NEVER = np.iinfo(np.int64).min
-ZERO, ONE = cast("int", np.int64(0)), cast("int", np.int64(1))  # literals are compiled anew
-_STEPS = 4  # periods: a value so old is no neighbour any more
+ZERO, ONE = cast("int", np.int64(0)), cast("int", np.int64(1))  # literals compile a callee again
+_STEPS = 4  # periods; an older value is not used for interpolation
 
 SIZE, NEWEST, LEFT, LATE, TWICE, FIELDS = range(6)  # of ``course``
 
 
 class Scans(NamedTuple):
-    """One valve's changes on their way into scans.
+    """State of the scans of one valve.
 
-    ``time``, ``signal``, ``value``, ``status`` (K,) wait, in the order of time; the first SIZE of
-    ``course`` (FIELDS,) count. ``now_value``, ``now_status``, ``now_time``, ``now_rate`` (6,) are
-    the newest of each signal that has left and how fast it went there, per ns; ``seen`` (6,) the
-    newest time that has come, ``lacking`` and ``moved`` (6,) scans that were no sample because a
-    signal was not there, or moved too fast.
+    ``time``, ``signal``, ``value``, ``status`` (K,) are the buffered changes in the order of time;
+    the first SIZE of ``course`` (FIELDS,) are in use. ``now_value``, ``now_status``, ``now_time``,
+    ``now_rate`` (6,) are the newest emitted value of each signal and its rate, per ns; ``seen``
+    (6,) is the newest time received, ``lacking`` and ``moved`` (6,) count scans that gave no sample
+    because a signal was absent or moved too fast.
     """
 
     time: NDArray[np.int64]
@@ -45,11 +45,11 @@ class Scans(NamedTuple):
 
 
 class ScanRules(NamedTuple):
-    """What was found of a valve's signals, (6,) each; times in ns.
+    """Detected timing of a valve's signals, (6,) each; times in ns.
 
-    ``there``: the valve has this signal. ``held``: it comes on change, or seldom. ``limit``: what
-    it may move within its distance from the scan's first instant, or by how much otherwise than it
-    has moved before; infinite: it is not interpolated. ``jitter``: what of a step may be noise.
+    ``there``: the valve has this signal. ``held``: it is written on change, or seldom. ``limit``:
+    largest permitted move within its distance from the scan's first instant, or deviation from its
+    previous rate; infinite: not interpolated. ``jitter``: largest step due to noise.
     """
 
     there: NDArray[np.bool_]
@@ -79,9 +79,10 @@ def make_scans(
     w: Scans,
     out: Changed,
 ) -> int:
-    """Take changes in; write the signals of finished scans, at one time each; return how many.
+    """Process changes; write finished scans to ``out``; return the number of changes in it.
 
-    ``flush`` has everything leave that is there, once the changes are in.
+    All changes of a scan get one time. ``flush`` also writes unfinished scans, once the changes are
+    processed.
     """
     n = ZERO
     for i in range(len(changes.time)):
@@ -113,7 +114,7 @@ def make_scans(
 
 @inner
 def _begin_anew(w: Scans) -> None:
-    """The source's clock was set back: what waits will not be completed."""
+    """Drop the buffer after a backward step of the source's clock: its scans stay incomplete."""
     w.course[SIZE] = 0
     w.course[NEWEST] = w.course[LEFT] = NEVER
     for j in range(SIGNALS):
@@ -133,7 +134,7 @@ def _waits_already(w: Scans, j: int, time: int) -> bool:
 
 @inner
 def _insert(w: Scans, j: int, time: int, value: float, status: int) -> None:
-    """Put a change behind those of its time."""
+    """Insert a change after those with its time."""
     k = w.course[SIZE]
     while k > 0 and w.time[k - 1] > time:
         w.time[k], w.signal[k] = w.time[k - 1], w.signal[k - 1]
@@ -145,7 +146,7 @@ def _insert(w: Scans, j: int, time: int, value: float, status: int) -> None:
 
 @inner
 def _leave(rules: ScanRules, w: Scans, out: Changed, n: int, forced: int) -> int:
-    """Have finished scans leave, and ``forced`` others; return how many changes there are."""
+    """Emit finished scans, and ``forced`` others; return the number of changes in ``out``."""
     while w.course[SIZE] > 0:
         size, found = _members(rules, w)
         if not _is_finished(rules, w, found):
@@ -163,7 +164,7 @@ def _leave(rules: ScanRules, w: Scans, out: Changed, n: int, forced: int) -> int
 
 @inner
 def _members(rules: ScanRules, w: Scans) -> tuple[int, int]:
-    """How many of those that wait are the first scan, and a bit for each signal it has."""
+    """Return the number of buffered changes in the first scan, and a bit for each signal."""
     found = 0
     for k in range(w.course[SIZE]):
         bit = 1 << w.signal[k]
@@ -175,7 +176,7 @@ def _members(rules: ScanRules, w: Scans) -> tuple[int, int]:
 
 @inner
 def _is_finished(rules: ScanRules, w: Scans, found: int) -> bool:
-    """Whether nothing more can come of the first scan: a signal delivers in its order."""
+    """Whether no absent signal can still arrive for the first scan: each signal is in order."""
     ends = w.time[0] + rules.window
     for j in range(SIGNALS):
         absent = rules.there[j] and not found & (1 << j)
@@ -186,7 +187,7 @@ def _is_finished(rules: ScanRules, w: Scans, found: int) -> bool:
 
 @inner
 def _emit(rules: ScanRules, w: Scans, size: int, found: int, out: Changed, n: int) -> int:
-    """Write the first scan, if it is a sample; its values are the newest from then on."""
+    """Emit the first scan, if it gives a sample; its values become the newest."""
     instant, first, made = w.time[0], n, True
     started = True
     for j in range(SIGNALS):

@@ -1,4 +1,4 @@
-"""The loop that sums up how well one step ahead was predicted."""
+"""The loop that accumulates one-step-ahead residuals."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,10 @@ def accumulate(
     scores: NDArray[np.float64],
     segments: Segments,
 ) -> None:
-    """Add N residuals to ``scores`` (M, FIELDS) in place; one that is NaN counts nowhere.
+    """Add N residuals to ``scores`` (M, FIELDS) in place; NaN is ignored.
 
     MEAN_Q and SCATTER_Q follow Welford (1962); RECENT is the mean square over about the last
-    1,000 residuals, WEIGHT what their weights sum up to.
+    1,000 residuals, WEIGHT the sum of their weights.
     """
     members, starts, stops = segments
     for k in range(len(members)):

@@ -1,4 +1,4 @@
-"""What waits for its fellows, and the loops that both ways of ordering samples share."""
+"""State of the alignment, and the loops shared by both orders of samples."""
 
 from typing import NamedTuple, cast
 
@@ -23,42 +23,42 @@ STRIDE = 6
     COUNTERS,
 ) = range(9)
 
-ZERO = cast("int", np.int64(0))  # for the literal 0 numba compiles what is called with it anew
+ZERO = cast("int", np.int64(0))  # with a literal 0 numba would compile the callee again
 NEVER = np.iinfo(np.int64).min
-NO_NUMBER = np.int64(-(2**62))  # no running number was ever so low
+NO_NUMBER = np.int64(-(2**62))  # lower than any running number
 
-# What a slot holds beside values: time, a bit per signal (SEQUENCE too), running number, ELAPSED
-# when it was complete, newest time that had left when it began.
+# Fields of a slot, beside values: time, a bit per signal (SEQUENCE too), running number, ELAPSED at
+# its completion, newest emitted time when the slot was opened.
 TIME, FILLED, NUMBER, SINCE, OPENED, SLOT_FIELDS = range(6)
 
 # The fields of a valve's row of ``order``.
 (
     SIZE,  # slots in use
-    LAST,  # running number, unwrapped, of the last sample that left; NO_NUMBER: none of this run
-    BASE,  # the highest running number seen, to unwrap the next by
-    LAST_TIME,  # time of the last sample that left
-    HIGH,  # newest time that left
-    FLOOR,  # newest time of the run before, where this one began later
-    NEWEST,  # time of the last sample that was complete
-    ELAPSED,  # ns of the source's time that complete samples have spanned, jumps left out
-    FIRST,  # running number and time where the present course of the source's clock began …
+    LAST,  # running number, unwrapped, of the last emitted sample; NO_NUMBER: none in this run
+    BASE,  # highest running number seen, the reference for unwrapping
+    LAST_TIME,  # time of the last emitted sample
+    HIGH,  # newest emitted time
+    FLOOR,  # newest time of the previous run, if this one began later
+    NEWEST,  # time of the last complete sample
+    ELAPSED,  # ns of source time spanned by complete samples, without clock steps
+    FIRST,  # running number and time at which the present course of the source's clock began …
     FIRST_TIME,
     BEFORE_FIRST,  # … and the time of the sample before
-    GIVEN_UP,  # samples given up singly since the last sample that left
+    GIVEN_UP,  # samples dropped singly since the last emitted sample
     GAPS_KEPT,  # rows of ``lost`` written
-    PERIOD,  # usual time from sample to sample, ns; 0: unknown
-    REGULAR,  # how far that can be relied on, up to ENOUGH
+    PERIOD,  # usual time between samples, ns; 0: unknown
+    REGULAR,  # confidence in PERIOD, up to ENOUGH
     DOUBTFUL,  # samples that seem lost by time; the next sample decides
-    LONG_STEPS,  # steps in a row that made them so
+    LONG_STEPS,  # successive long steps behind DOUBTFUL
     TIMES_KEPT,  # columns of ``left`` written
     SEEN,  # newest time of every signal, the running number's last
 ) = range(19)
 ORDER_FIELDS = SEEN + STRIDE
 
-NOTHING, JUDGE, SETTLE, FLUSH, BEGIN_ANEW, MAKE_ROOM = range(6)  # what is to be done with a valve
+NOTHING, JUDGE, SETTLE, FLUSH, BEGIN_ANEW, MAKE_ROOM = range(6)  # commands for a valve
 
-ENOUGH = 8  # regular steps, after which a long one is a loss
-NEW_PACE = 4  # long steps in a row: the source has become slower
+ENOUGH = 8  # regular steps after which a long one is a loss
+NEW_PACE = 4  # successive long steps: the source has become slower
 
 
 class Changes(NamedTuple):
@@ -71,11 +71,11 @@ class Changes(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """How the signals of V valves find together; times in ns.
+    """Alignment settings of V valves; times in ns.
 
-    ``required`` (V,) has a bit for every signal that a sample must have, ``hold`` (V, 5) the time
-    for which a signal's last value serves, ``numbered`` (V,) tells who has a running number,
-    ``reorder`` (V,) how long a sample waits for an earlier one.
+    ``required`` (V,) has a bit for every signal that a sample must have, ``hold`` (V, 5) is the
+    time for which a signal's last value is held, ``numbered`` (V,) masks valves with a running
+    number, ``reorder`` (V,) is how long a sample waits for an earlier one.
     """
 
     required: NDArray[np.uint8]
@@ -87,14 +87,14 @@ class Rules(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """What waits, and what is remembered; the first axis of every array is the valve (V).
+    """State of the alignment; the first axis of every array is the valve (V).
 
-    One row of ``slots`` (V, K, SLOT_FIELDS), ``values`` (V, K, 5) and ``status`` (V, K, 5) holds
-    the samples of a valve that have not left, in the order of their time; the first SIZE count.
-    ``held_value``, ``held_status`` and ``held_time`` (V, 5) are the last of each signal that may be
-    held, ``lost`` (V, LOST_KEPT, 2) the times before and after the last stretches given up,
-    ``left`` (V, R) the last times that left where there is no running number, ``order``
-    (V, ORDER_FIELDS) see above, ``counters`` (V, COUNTERS) counts since the start.
+    A row of ``slots`` (V, K, SLOT_FIELDS), ``values`` (V, K, 5) and ``status`` (V, K, 5) holds the
+    pending samples of a valve in the order of their time; the first SIZE are in use.
+    ``held_value``, ``held_status`` and ``held_time`` (V, 5) are the last of each held signal,
+    ``lost`` (V, LOST_KEPT, 2) the times before and after the last dropped stretches, ``left``
+    (V, R) the last emitted times of valves without running number, ``order`` (V, ORDER_FIELDS) the
+    fields above, ``counters`` (V, COUNTERS) counts since the start.
     """
 
     slots: NDArray[np.int64]
@@ -110,7 +110,7 @@ class Waiting(NamedTuple):
 
 
 class Aligned(NamedTuple):
-    """Room for the samples that leave: ``valve``, ``time``, ``quality`` (N,), ``values`` (N, 5)."""
+    """Arrays of emitted samples: ``valve``, ``time``, ``quality`` (N,), ``values`` (N, 5)."""
 
     valve: NDArray[np.int64]
     time: NDArray[np.int64]
@@ -133,7 +133,7 @@ def find(slots: NDArray[np.int64], size: int, time: int) -> int:
 
 @inner
 def move(w: Waiting, v: int, here: int, there: int) -> None:
-    """Copy a slot, element by element: whole rows take numba seconds to compile."""
+    """Copy a slot, element by element: numba takes seconds to compile a copy of rows."""
     for f in range(SLOT_FIELDS):
         w.slots[v, there, f] = w.slots[v, here, f]
     for m in range(SIGNALS):
@@ -186,10 +186,10 @@ def emit(w: Waiting, v: int, k: int, rules: Rules, out: Aligned, n: int) -> int:
 def keep_pace(
     order: NDArray[np.int64], counters: NDArray[np.int64], time: int, numbers: int
 ) -> None:
-    """Learn the usual step from sample to sample, and count what is lost by it.
+    """Update the usual step between samples, and count the losses that it implies.
 
-    ``numbers`` is how far the running number went on; 0 where none tells. A long step counts once
-    the sample after it comes at the usual pace: several in a row are a slower source.
+    ``numbers`` is the increment of the running number; 0 without one. A long step counts as a loss
+    once the next sample has the usual step; several in a row are a slower source.
     """
     if order[LAST_TIME] == NEVER or time <= order[LAST_TIME]:
         return
