@@ -26,7 +26,7 @@ def open_model(
     Parameters
     ----------
     file
-        A saved model, or a recording to learn from.
+        A saved model, or a recording to identify from.
     valve, estimator
         Valve and estimator; by default a recording's only valve, and Auto (else the first).
     config
@@ -72,7 +72,7 @@ def open_model(
 
 
 def save_models(target: Path, report: "Report") -> list[Path]:
-    """Save what a replay identified: one model (``target`` ends in .json), or all in a folder.
+    """Save the models of a replay: one (``target`` ends in .json), or all in a folder.
 
     A single model is that of the only valve, by `Auto` or the only estimator. In a folder each file
     is named ``<Valve>.<Estimator>.json``; models with undetermined parameters are left out.

@@ -33,7 +33,7 @@ def decode_response(kind: type[_T], body: bytes) -> _T:
     Senseless
         if it is another response, cannot be decoded or exceeds the budget.
     UaStatusCodeError
-        if the ServiceResult is Bad.
+        if the ServiceResult is not Good.
     """
     response: Any = decode_part(kind, body)
     if response.TypeId != kind().TypeId:  # type: ignore[attr-defined]

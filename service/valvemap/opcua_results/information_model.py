@@ -161,7 +161,7 @@ def parameter_variables(
 def survey_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
-    """The variables of an estimator's survey: how well it knows the map."""
+    """The variables of an estimator's survey: coverage and certainty of its map."""
     prefix = f"{valve.name}.{estimator.name}"
     litres = Unit.LITRE_PER_MINUTE
     return (

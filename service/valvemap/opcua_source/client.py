@@ -270,7 +270,7 @@ class OpcUaSource:
     def succeed(self, before: "OpcUaSource") -> None:
         """Take over the subscription of another source when that is closed.
 
-        Signals that both sources monitor lose no data. Both must have the same server and user;
+        Signals that both sources monitor lose no data. Both must have the same `identity`;
         otherwise this source subscribes separately.
         """
         if before.identity == self.identity:
@@ -278,7 +278,7 @@ class OpcUaSource:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """The owner of a session: server, security and user."""
+        """The owner of a session: server, security and credentials."""
         settings = self._settings
         return settings.url, settings.security, settings.user, settings.password
 

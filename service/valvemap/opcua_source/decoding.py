@@ -54,7 +54,7 @@ _MOST_PICOSECONDS = 9_999  # units of 10 ps; larger values are read as this one 
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
 _HANDLE = 4  # bytes of the client handle before a value
-_MOST_RECORDS = 600_000  # number of Doubles in the largest message
+_MOST_RECORDS = 600_000  # records with a Double in the largest message
 _ELEMENTS_PER_RECORD = 4  # cost of skipping a record, in walked elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _SMALLEST_RESULT = 11  # bytes of a HistoryReadResult: status, no continuation point, nothing
@@ -196,7 +196,7 @@ def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPi
     DecodeError
         if it is truncated, not a HistoryReadResponse, or has another number of variables.
     UaStatusCodeError
-        if the ServiceResult is Bad.
+        if the ServiceResult is not Good.
     """
     reader = Reader(data)
     ua.StatusCode(_enter_response(reader, _HISTORY_READ_RESPONSE)).check()

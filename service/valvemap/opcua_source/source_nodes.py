@@ -39,8 +39,8 @@ class ValveNodes:
     """The nodes of one valve's signals; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
 
     Optional are ``T``, ``sequence`` (a counter that increments with each sample), ``required_U``
-    (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32, incremented while the
-    voltage is written). ``measures`` holds by name the units of the signals and of the command;
+    (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32, incremented while
+    feed-forward is active). ``measures`` holds by name the units of the signals and of the command;
     ``insist`` accepts them even if the source's EngineeringUnits or EURange differ.
     """
 

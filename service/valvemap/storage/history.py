@@ -38,7 +38,7 @@ _SMALL = """
     SELECT id, rows FROM block WHERE series = :series AND first > ifnull(
         (SELECT max(last) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
     ) ORDER BY first
-"""  # behind the last one that is full
+"""  # blocks after the last full one
 
 Result = TypeVar("Result")
 

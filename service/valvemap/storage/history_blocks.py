@@ -63,7 +63,10 @@ def examine(series: str, parts: Parts) -> Examined:
 
 
 def checksum(data: bytes, series: str, name: str, first: int) -> int:
-    """Return the checksum of a packed column; it includes the column and ``first``, its time."""
+    """Return the checksum of a packed column.
+
+    It covers series, column and ``first``, the first time of the block (not for the times).
+    """
     whose = f"{series}\n{name}\n{0 if name == T else first}"
     return zlib.crc32(data, zlib.crc32(whose.encode("utf-8", "replace")))
 

@@ -113,7 +113,7 @@ def check_pages(connection: sqlite3.Connection) -> None:
 
 
 def has_tables(connection: sqlite3.Connection) -> bool:
-    """Whether tables and indexes have their original pages; those of alarms may differ."""
+    """Whether tables and indexes, except those of alarms, are at their original pages."""
     try:
         return _objects(connection) == _template()[0]
     except sqlite3.Error:

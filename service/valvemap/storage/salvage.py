@@ -116,7 +116,7 @@ def _knows_its_size(path: Path) -> bool:
 
 
 def _replace_first_page(damaged: Path) -> None:
-    """Write the first page of an empty file; the log has pages of the previous one."""
+    """Write the first page of an empty file; delete the log, whose pages belong to the old one."""
     size, page = damaged.stat().st_size, bytearray(first_page())
     page[SIZE] = (size // PAGE).to_bytes(4, "big")
     page[FREE_PAGES] = bytes(8)  # none: free pages are not read
