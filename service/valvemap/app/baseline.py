@@ -1,4 +1,4 @@
-"""What an operator does about a valve's approved map, at a running service."""
+"""Operator actions on a valve's approved map (baseline), at a running service."""
 
 from enum import StrEnum
 
@@ -9,7 +9,7 @@ from valvemap.opcua_results.namespaces import SERVICE_NAMESPACE
 
 
 class Action(StrEnum):
-    """What can be done."""
+    """The actions on a baseline."""
 
     SHOW = "show"
     COMPARE = "compare"
@@ -29,12 +29,12 @@ _INVALID_STATE = "BadInvalidState"
 
 
 async def act(service: Watched, valve: str, action: Action, estimator: str = "Auto") -> str:
-    """Do it, and say how the valve stands then, in a line.
+    """Carry out an action; return the resulting state of the valve as one line.
 
     Raises
     ------
     CommandRejected
-        if the service refuses it: in its words.
+        if the service rejects it; with the service's message.
     SourceLost, SourceRejected
     """
     client = ResultsClient(settings_of(service), SERVICE_NAMESPACE)
@@ -68,7 +68,7 @@ async def _done(client: ResultsClient, valve: str, action: Action, estimator: st
 async def _in_its_words(
     client: ResultsClient, valve: str, refusal: CommandRejected
 ) -> CommandRejected:
-    """Why the service refused: a method's StatusCode does not say it."""
+    """Return the error with the service's reason, which a method's StatusCode does not carry."""
     if _INVALID_STATE not in str(refusal):
         return refusal
     (said,) = await client.read([f"{valve}.Baseline.LastRefusal"])

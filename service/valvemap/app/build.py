@@ -1,4 +1,4 @@
-"""From the configuration to plans, alignment and layouts; nothing here loads a server."""
+"""Builds plans, alignment and layouts from the configuration, without importing a server."""
 
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any, TypeVar
@@ -26,7 +26,7 @@ _AXIS_POINTS = 21
 
 
 def build_identification(config: Config) -> Identification:
-    """All valves with their estimators, before the first sample."""
+    """Return all valves with their estimators, before the first sample."""
     interval_s = max(config.state.checkpoint_interval_s, len(config.valves) / KEPT_PER_S)
     return Identification(
         build_plans(config),
@@ -37,7 +37,7 @@ def build_identification(config: Config) -> Identification:
 
 
 def build_alignment(config: Config) -> Alignment:
-    """How the signals of all valves find together."""
+    """Return the alignment of the signals of all valves."""
     signals = {"U": Signal.U, "p1": Signal.P1, "p2": Signal.P2, "Q": Signal.Q, "T": Signal.T}
     given, reorder_ns = config.alignment, round(config.alignment.reorder_ms * 1e6)
     settings = AlignmentSettings(
@@ -56,7 +56,7 @@ def build_alignment(config: Config) -> Alignment:
 
 
 def build_timing(config: Config) -> Timing | None:
-    """How it is found in what way signals come; None where the configuration says it."""
+    """Return the detection of the signals' timing; None if the timing is configured."""
     given = config.alignment
     if not given.finds_timing:
         return None
@@ -70,13 +70,13 @@ def build_timing(config: Config) -> Timing | None:
 
 
 def build_plans(config: Config) -> list[ValvePlan]:
-    """What is done with each valve's samples; what is configured alike is made once, and shared."""
+    """Return a plan per valve; objects of equal configuration are created once and shared."""
     shared = _Shared()
     return [_plan(valve, shared) for valve in config.valves]
 
 
 def build_layout(config: Config) -> Layout:
-    """Where recordings hold the valves' signals."""
+    """Return the columns of the valves' signals in recordings."""
     return Layout(
         valves=tuple(ValveLayout(valve.name, measures(valve, MEASURED)) for valve in config.valves),
         time=config.recording.time,
@@ -86,12 +86,12 @@ def build_layout(config: Config) -> Layout:
 
 
 def measures(valve: ValveConfig, names: Iterable[str]) -> dict[str, Measure]:
-    """Unit and scaling of each of these signals of a valve, as configured."""
+    """Return unit and scaling of the given signals of a valve, as configured."""
     return {name: getattr(valve.signals, name).measure(name) for name in names}
 
 
 class _Shared:
-    """Makes each thing once, from parts of the configuration that are hashable."""
+    """Creates one object per function and (hashable) arguments, and caches it."""
 
     def __init__(self) -> None:
         self._known: dict[object, Any] = {}

@@ -1,4 +1,4 @@
-"""From a foreign server's address to a configuration: browse, propose, watch, write."""
+"""Creates a configuration from a foreign server: browse, propose, monitor, write."""
 
 import asyncio
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -18,18 +18,19 @@ from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
 from valvemap.pipeline.naming import Candidate, ValveProposal, propose
 from valvemap.pipeline.units import MEASURED, QUANTITY_OF, Measure, Quantity, inside
 
-CLEAR_DP = 2.0  # bar: by less two pressures are not told apart
-FEW = 5  # values: of fewer nothing is said
-UNSTEADY = 5.0  # long intervals by short ones: more, and no cycle is behind them
+CLEAR_DP = 2.0  # bar; smallest mean difference that distinguishes p1 from p2
+FEW = 5  # values; a signal with fewer is treated as on change
+UNSTEADY = 5.0  # ratio of long to short intervals; a larger one means not cyclic
 _ELECTRICAL_SPANS = {"mA": (4.0, 20.0), "V": (0.0, 10.0)}
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What was seen of one signal.
+    """The observed statistics of one signal.
 
-    ``rate_hz`` values per second, ``skew_ms`` from the valve's U at most, ``on_change`` if it comes
-    at no steady pace, ``good`` the share of Good values, ``mean`` and ``noise`` in our units.
+    ``rate_hz`` values per second, ``skew_ms`` distance from the valve's fastest signal (98 %
+    quantile), ``on_change`` if it is not cyclic, ``good`` the share of Good values, ``mean`` and
+    ``noise`` in our units, ``longest_s`` the longest interval.
     """
 
     values: int
@@ -55,12 +56,12 @@ class Found:
 
     @property
     def questions(self) -> tuple[str, ...]:
-        """What has to be decided by hand."""
+        """The open decisions, one line each."""
         return tuple(f"{valve.name}.{text}" for valve in self.valves for text in valve.open)
 
 
 async def look_around(settings: SourceSettings, watch_s: float) -> Found:
-    """Browse a server, propose its valves, and watch their signals.
+    """Browse a server, propose its valves, and monitor their signals for ``watch_s``.
 
     Raises
     ------
@@ -83,12 +84,12 @@ async def look_around(settings: SourceSettings, watch_s: float) -> Found:
 
 
 async def check_online(config: Config, watch_s: float) -> list[str]:
-    """Connect as `serve` would, watch every signal, and say what was seen, a line each.
+    """Connect as `serve` would, monitor every signal, and return a line of statistics for each.
 
     Raises
     ------
     SourceLost, SourceRejected
-        also where a signal sent nothing good: it names signal, node and valve.
+        also if a signal sent no Good value; names signal, node and valve.
     """
     changes = await _changes(build_source(config), watch_s)
     lines: list[str] = []
@@ -115,7 +116,7 @@ async def check_online(config: Config, watch_s: float) -> list[str]:
 
 
 def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[str]:
-    """What the configuration would need for a signal that came so."""
+    """Yield the settings that the observed timing of a signal requires."""
     if config.alignment.finds_timing:
         return
     held = {str(name): s for name, s in config.alignment.hold_s.items()}.get(role, 0.0)
@@ -132,9 +133,9 @@ def _advice(config: Config, valve: str, role: str, seen: Watched) -> Iterator[st
 
 
 def configuration(found: Found, settings: SourceSettings, template: str) -> str:
-    """The configuration (TOML) for what was found, on the basis of ``init``'s.
+    """Return the configuration (TOML) of the valves found, based on the one of ``init``.
 
-    What is open stands as a comment behind the line that it is about.
+    Open decisions are comments in the section of their valve.
     """
     head = template.split("[alignment]", maxsplit=1)[0]
     source = _of_source(settings)
@@ -160,7 +161,7 @@ def _of_source(settings: SourceSettings) -> str:
 
 
 def _of_alignment(found: Found) -> str:
-    """What was seen of how signals come; the service finds it again, and exactly."""
+    """Return the observed timing as comments; the service detects the timing at its start."""
     lines = ["[alignment]", "# how signals come is found at the start; when watched:"]
     for valve, signals in found.watched.items():
         for name, seen in signals.items():
@@ -186,7 +187,7 @@ def _of_valve(valve: ValveProposal) -> str:
 
 
 def _assumed(valve: ValveProposal) -> list[str]:
-    """What is taken for the units that the server does not say."""
+    """Return comments on the units assumed where the server has none."""
     roles = without_unit(valve)
     if not roles:
         return []
@@ -209,7 +210,7 @@ def _of_unit(role: str, node: Candidate) -> list[str]:
 
 
 def measure_of(role: str, node: Candidate) -> Measure:
-    """What a node says of its unit; a raw U is a share of its range."""
+    """Return the unit of a node; a raw U is scaled from its range to 0 to 100 %."""
     unit = node.unit
     if unit is not None and unit.quantity is Quantity.ELECTRICAL:
         span = node.bounds or _ELECTRICAL_SPANS.get(unit.symbol)
@@ -222,7 +223,7 @@ def measure_of(role: str, node: Candidate) -> Measure:
 
 
 def without_unit(valve: ValveProposal) -> list[str]:
-    """Signals of a valve whose unit the server does not say."""
+    """Return the signals of a valve for which the server has no unit."""
     nodes = valve.nodes
     return [
         role for role in MEASURED if role in nodes and measure_of(role, nodes[role]) == Measure()
@@ -232,7 +233,7 @@ def without_unit(valve: ValveProposal) -> list[str]:
 async def _watch(
     settings: SourceSettings, valves: Sequence[ValveProposal], watch_s: float
 ) -> tuple[dict[str, dict[str, Watched]], dict[str, str]]:
-    """Observe each valve; name those that the server refuses, with the reason."""
+    """Monitor each valve; return also the valves that the server rejects, with the reason."""
     nodes, refused = {}, {}
     for valve in valves:
         try:
@@ -243,7 +244,7 @@ async def _watch(
         return {}, refused
     try:
         changes = await _changes(OpcUaSource(settings, list(nodes.values())), watch_s)
-    except SourceRejected:  # of which valve?
+    except SourceRejected:  # find the valve
         for name, own in list(nodes.items()):
             try:
                 await _changes(OpcUaSource(settings, [own]), 0.0)
@@ -270,7 +271,7 @@ def _nodes_of(valve: ValveProposal) -> ValveNodes:
 
 
 async def _changes(source: OpcUaSource, watch_s: float) -> DataChanges:
-    """All that a source sends within some seconds."""
+    """Return all data changes that a source sends within ``watch_s``."""
     clock, parts = SystemClock(), list[DataChanges]()
     await source.connect()
     try:
@@ -317,7 +318,7 @@ def _seen(own: DataChanges, others: DataChanges, watch_s: float) -> Watched:
 
 
 def _skew_ms(times: np.ndarray, others: np.ndarray) -> float:
-    """Distance of most values from the nearest of another signal."""
+    """Return the distance to the nearest value of another signal, 98 % quantile, ms."""
     if not len(times) or not len(others):
         return 0.0
     ordered = np.sort(others)
@@ -328,7 +329,7 @@ def _skew_ms(times: np.ndarray, others: np.ndarray) -> float:
 
 
 def _settled(valve: ValveProposal, seen: Mapping[str, Watched]) -> ValveProposal:
-    """The two pressures told apart by what they show, where their names do not."""
+    """Assign p1 and p2 by their mean values where their names are ambiguous."""
     open_ = [text for text in valve.open if text.startswith(("p1:", "p2:"))]
     if "p1" not in seen or "p2" not in seen:
         return valve

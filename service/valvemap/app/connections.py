@@ -1,4 +1,4 @@
-"""From the configuration's words to connections: clients of sources, results server, stores."""
+"""Builds source clients, results server settings and stores from the configuration."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -23,11 +23,11 @@ from valvemap.runtime.sources import Part, Sources
 from valvemap.runtime.supervisor import SupervisorSettings
 from valvemap.storage.history import HistoryFile
 
-_HEARTBEAT_TICK_S = 0.1  # at least five heartbeats in a second
+_HEARTBEAT_TICK_S = 0.1  # at least five heartbeats per second
 
 
 def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> Sources:
-    """The clients of all source servers; they take samples once all is ``ready``."""
+    """Return the clients of all source servers; ``ready`` is awaited before the first samples."""
     if not config.sources:
         every = tuple(range(len(config.valves)))
         return Sources([Part(None, build_source(config, ready), every)])
@@ -40,12 +40,12 @@ def build_sources(config: Config, ready: Callable[[], Awaitable[None]] | None = 
 
 
 def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = None) -> OpcUaSource:
-    """The client of the source server; it takes samples once it is ``ready``.
+    """Return the client of the source server; ``ready`` is awaited before the first samples.
 
     Raises
     ------
     ConfigurationError
-        if there are several.
+        if several sources are configured.
     """
     if config.sources:
         names = ", ".join(source.name for source in config.sources)
@@ -80,7 +80,7 @@ def build_source(config: Config, ready: Callable[[], Awaitable[None]] | None = N
 
 
 def build_server_settings(config: Config) -> ServerSettings:
-    """Identity, endpoint and users of the results server."""
+    """Return identity, endpoint and users of the results server."""
     return ServerSettings(
         url=config.server.url,
         application_uri=APPLICATION_URI,
@@ -98,7 +98,7 @@ def build_server_settings(config: Config) -> ServerSettings:
 
 
 def build_history(config: Config) -> HistoryFile | None:
-    """The file of what signals and results have been, if there is to be one."""
+    """Return the history file of signals and results; None if none is configured."""
     given = config.history
     if given.file is None:
         return None
@@ -106,7 +106,7 @@ def build_history(config: Config) -> HistoryFile | None:
 
 
 def build_live_settings(config: Config, certificate: OwnCertificate | None) -> LiveSettings:
-    """When results are stale, when states are kept, until when the certificate is valid."""
+    """Return the time limits of the live service: stale results, checkpoints, certificate."""
     until_ns = 0
     if certificate is not None:
         until = load_certificate(certificate.certificate).not_valid_after_utc
@@ -120,16 +120,16 @@ def build_live_settings(config: Config, certificate: OwnCertificate | None) -> L
 
 
 def build_supervisor_settings(config: Config) -> SupervisorSettings:
-    """How long the start may take, how often the service looks at its clock."""
+    """Return the supervisor's start-up timeout and tick interval."""
     feeds_forward = any(valve.nodes.required_U is not None for valve in config.valves)
     settings = SupervisorSettings(startup_timeout_s=config.source.startup_timeout_s)
-    if config.sources:  # one that is away holds up none of the others
+    if config.sources:  # an outage of one does not delay the others
         settings = replace(settings, startup_timeout_s=0.0)
     return replace(settings, tick_s=_HEARTBEAT_TICK_S) if feeds_forward else settings
 
 
 def own_certificate(config: Config) -> OwnCertificate:
-    """The service's certificate, made at the first start; as a client and as a server."""
+    """Return the service's client and server certificate; create it at the first start."""
     names = config.server.host_names or ("localhost", "127.0.0.1")
     file_name = APPLICATION_NAME.replace(" ", "-")
     return ensure_certificate(Pki(config.security.pki), APPLICATION_URI, names, file_name)

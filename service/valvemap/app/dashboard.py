@@ -1,4 +1,4 @@
-"""The live page from start to end: a process of its own, beside any service."""
+"""Runs the live page, a separate process from the service."""
 
 import asyncio
 from collections.abc import Callable
@@ -13,8 +13,8 @@ from valvemap.page.server import open_socket, serve, url_of
 from valvemap.page.settings import PageSettings
 from valvemap.page.web import Page
 
-_TIMEOUT_S = 3.0  # for every answer: a service that is gone shows after so long
-_FAREWELL_S = 2.0  # for goodbyes to the service
+_TIMEOUT_S = 3.0  # s; of every request: an outage of the service is shown after this time
+_FAREWELL_S = 2.0  # s; to close the sessions at the service
 
 
 async def run_dashboard(
@@ -25,12 +25,12 @@ async def run_dashboard(
     *,
     any_port: bool = False,
 ) -> None:
-    """Serve the page until ``stop`` is set; ``say`` where, once it can be opened.
+    """Serve the page until ``stop`` is set; ``say`` is called with its URL when it is open.
 
     Raises
     ------
     ValvemapError
-        of the page's address, or of our certificate.
+        if the page's address or our certificate cannot be used.
     """
     source = settings_of(watched, _TIMEOUT_S)
     rig_url = watched.rig_url
@@ -52,12 +52,12 @@ async def run_dashboard(
 async def serve_page(
     page: Page, stop: asyncio.Event, say: Callable[[str], None], *, any_port: bool = False
 ) -> None:
-    """Serve a page until ``stop`` is set; whatever its peers do, it ends within some seconds.
+    """Serve a page until ``stop`` is set; stops within seconds, even if peers do not respond.
 
     Raises
     ------
     ValvemapError
-        of the page's address.
+        if the page's address cannot be used.
     """
     listening = open_socket(page.settings, or_any=any_port)
     say(url_of(page.settings, listening))
@@ -73,6 +73,6 @@ async def serve_page(
         observing.cancel()
         ending = {observing, asyncio.create_task(page.log_ins.close())}
         _, silent = await asyncio.wait(ending, timeout=_FAREWELL_S)
-        for task in silent:  # a service that does not answer goodbye is left
+        for task in silent:  # the service does not respond: disconnect
             task.cancel()
         await asyncio.gather(*ending, return_exceptions=True)

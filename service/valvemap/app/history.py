@@ -1,4 +1,4 @@
-"""What the service has kept, as a recording."""
+"""Exports the history of the service as a recording."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from valvemap.storage.history import HistoryFile
 from valvemap.storage.recordings import RecordingWriter
 from valvemap.vocabulary.statuses import Quality
 
-ROWS = 100_000  # at once
+ROWS = 100_000  # per read
 _SIGNALS = "U", "p1", "p2", "Q", "T"
 
 
@@ -25,21 +25,21 @@ def export_history(
     stop: int,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> int:
-    """Write the samples of some valves from ``start`` to ``stop``, UTC ns, as a recording.
+    """Write the samples of the given valves from ``start`` to ``stop``, UTC ns, as a recording.
 
     Returns
     -------
     int
-        How many.
+        Number of samples.
 
     Raises
     ------
     ConfigurationError
         if there is no history, or no such valve.
     RecordingError
-        if nothing is known of that span.
+        if the history has no samples in that span.
     StorageError
-        naming the file.
+        if a file cannot be read or written; names the file.
     """
     file = config.history.file
     if file is None:
@@ -75,7 +75,7 @@ def _samples(store: HistoryFile, valve: str, start: int, stop: int) -> Iterator[
             name: store.read(series, name, start, last, most=ROWS).values for name in _SIGNALS
         }
         quality = np.minimum(rows.codes >> 30, int(Quality.BAD)).astype(np.uint8)
-        measured = ~np.isnan(rows.values)  # what notes a loss holds no sample
+        measured = ~np.isnan(rows.values)  # rows that mark a loss have no sample
         samples = Samples.of(rows.t, **columns, quality=quality)
         yield samples[measured]
         start = last + 1

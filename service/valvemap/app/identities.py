@@ -1,6 +1,6 @@
-"""Who the service, its live page and the rig are, and who may log in.
+"""The application identities of service, live page and rig, and the user store.
 
-Apart from what is identified: `valvemap rig`, `init` and `trust` need nothing of that.
+Separate from the identification, because `valvemap rig`, `init` and `trust` do not import it.
 """
 
 from importlib.metadata import version
@@ -23,12 +23,12 @@ RIG_NAME = "valvemap rig"
 
 
 def load_users(file: Path) -> UserStore:
-    """Read who may log in.
+    """Load the users who may log in.
 
     Raises
     ------
     ConfigurationError
-        if the file is not there: it says what makes it; or if it is wrong.
+        if the file is missing (names the command that creates it) or invalid.
     """
     if not file.exists():
         raise ConfigurationError(

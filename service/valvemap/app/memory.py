@@ -1,4 +1,4 @@
-"""Memory that was needed for a moment goes back to the system."""
+"""Returns free memory to the operating system."""
 
 import asyncio
 import ctypes
@@ -11,11 +11,11 @@ INTERVAL_S: Final = 60.0
 
 @asynccontextmanager
 async def giving_back(interval_s: float = INTERVAL_S) -> AsyncIterator[None]:
-    """Give free memory back every ``interval_s``, in a thread.
+    """Return free memory to the system every ``interval_s``, in a thread.
 
-    The C library keeps what lies between pieces still in use. With a thousand valves the largest of
-    the passing needs is a rare sum of many, so that a process would grow for days, by a few MB an
-    hour. Where there is no such function (macOS, Windows, musl) nothing is done.
+    The C library retains free memory between blocks in use. With a thousand valves the temporary
+    peaks add up rarely, so a process would grow for days, by a few MB per hour. Without
+    ``malloc_trim`` (macOS, Windows, musl) this does nothing.
     """
     trim = trimming()
     task = None if trim is None else asyncio.create_task(_trim_often(trim, interval_s))
@@ -29,7 +29,7 @@ async def giving_back(interval_s: float = INTERVAL_S) -> AsyncIterator[None]:
 
 
 def trimming() -> Callable[[], object] | None:
-    """The C library's function that gives free memory back, None where it has none."""
+    """Return a function that calls the C library's ``malloc_trim``; None if it has none."""
     try:
         malloc_trim = ctypes.CDLL(None).malloc_trim
     except (AttributeError, OSError, TypeError):

@@ -1,4 +1,4 @@
-"""Maps for use elsewhere: from a saved model, or identified from recordings on the spot."""
+"""Models for use outside the service: loaded from a file, or identified from a recording."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -26,20 +26,20 @@ def open_model(
     Parameters
     ----------
     file
-        A saved model, or a recording to learn from.
+        A saved model, or a recording to identify from.
     valve, estimator
-        Which of a recording's; without them its only valve, and Auto (else the first).
+        Valve and estimator; by default a recording's only valve, and Auto (else the first).
     config
-        Of a recording: valves and estimators, columns and units.
+        Configuration for a recording: valves and estimators, columns and units.
     progress
-        Called with a recording and how much of it is done (0 to 1).
+        Called with a recording and the fraction done (0 to 1).
 
     Raises
     ------
     StorageError, RecordingError
-        naming the file.
+        if the file cannot be read; names it.
     ConfigurationError
-        if there is no such valve or estimator, or the choice is open.
+        if there is no such valve or estimator, or the choice is ambiguous.
     """
     if is_model(file):
         model = load_model(file)
@@ -72,17 +72,17 @@ def open_model(
 
 
 def save_models(target: Path, report: "Report") -> list[Path]:
-    """Save what a replay identified: one model (``target`` ends in .json), or all in a folder.
+    """Save the models of a replay: one (``target`` ends in .json), or all in a folder.
 
-    One model is that of the only valve by `Auto`, or by the only estimator. In a folder each is
-    called ``<Valve>.<Estimator>.json``; what is not determined yet is left out.
+    A single model is that of the only valve, by `Auto` or the only estimator. In a folder each file
+    is named ``<Valve>.<Estimator>.json``; models with undetermined parameters are left out.
 
     Raises
     ------
     StorageError
-        naming file or folder.
+        if a file or folder cannot be written; names it.
     ConfigurationError
-        if one file is to hold several valves.
+        if ``target`` is one file and there are several valves.
     """
     if is_model(target):
         valve = _chosen(target, "valve", None, list(report))
@@ -99,7 +99,7 @@ def save_models(target: Path, report: "Report") -> list[Path]:
 
 
 def _recursive(estimators: Iterable[str]) -> list[str]:
-    """Names of a replay's estimators, without its batch fit."""
+    """Return the names of a replay's estimators, without the batch fit."""
     from valvemap.app.replay import BEST_FIT  # noqa: PLC0415 - a saved map needs none of it
 
     return [name for name in estimators if name != BEST_FIT]

@@ -1,4 +1,4 @@
-"""Results as Sparkplug B from start to end: a process of its own, beside any service."""
+"""Publishes results as Sparkplug B over MQTT, in a separate process from the service."""
 
 import asyncio
 
@@ -18,16 +18,16 @@ from valvemap.sparkplug.sender import Sender
 from valvemap.sparkplug.settings import BrokerSettings
 from valvemap.sparkplug.shown import Shown
 
-_TIMEOUT_S = 5.0  # for every answer of the service
+_TIMEOUT_S = 5.0  # s; of every request to the service
 
 
 async def run_mqtt(config: MqttConfig, watched: Watched, stop: asyncio.Event) -> None:
-    """Send results until ``stop`` is set.
+    """Publish results until ``stop`` is set.
 
     Raises
     ------
     ValvemapError
-        of a file of certificates, keys or passwords.
+        if a certificate, key or password file cannot be used.
     """
     clock = SystemClock()
     outbox = Outbox(config.most_waiting)
@@ -45,18 +45,18 @@ async def run_mqtt(config: MqttConfig, watched: Watched, stop: asyncio.Event) ->
         for task in done:
             task.result()
     finally:
-        for task in reversed(tasks):  # the goodbye is said while the service is still looked at
+        for task in reversed(tasks):  # the sender publishes NDEATH while the reader still runs
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
 
 
 def build_broker(config: MqttConfig) -> BrokerSettings:
-    """How the broker is reached.
+    """Return the connection settings of the broker.
 
     Raises
     ------
     ConfigurationError
-        if the password's file cannot be read.
+        if the password file cannot be read.
     """
     host, port = config.address
     return BrokerSettings(

@@ -1,4 +1,4 @@
-"""How the live page, and commands beside it, reach a running service: certificate, user, checks."""
+"""Connection settings of the live page and of commands that access a running service."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +10,10 @@ from valvemap.opcua_client.results_client import Security, SourceSettings
 
 @dataclass(frozen=True)
 class Watched:
-    """The service that is looked at.
+    """The service to connect to.
 
-    ``rig_url`` is that of a demo's rig; ``pki`` holds our certificate unless ``security`` is NONE.
+    ``rig_url`` is the URL of a demo's rig; ``pki`` is the folder of our certificate, unused if
+    ``security`` is NONE.
     """
 
     url: str
@@ -26,7 +27,7 @@ class Watched:
 
 
 def settings_of(watched: Watched, timeout_s: float = SourceSettings.timeout_s) -> SourceSettings:
-    """Of the connection; every answer may take ``timeout_s``."""
+    """Return the connection settings; ``timeout_s`` is the timeout of every request."""
     own = None
     if watched.security is not Security.NONE:
         file_name = PAGE_NAME.replace(" ", "-")

@@ -1,4 +1,4 @@
-"""What runs between two configurations."""
+"""The objects that run under one configuration."""
 
 import asyncio
 from dataclasses import dataclass
@@ -17,27 +17,27 @@ log = structlog.get_logger(__name__)
 
 
 class Compilation:
-    """Compiling what a configuration needs, or loading what was compiled before, in a thread."""
+    """Compiles the kernels of a configuration, or loads them from the cache, in a thread."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self._task: asyncio.Task[None] | None = None
 
     def begin(self) -> asyncio.Task[None]:
-        """Begin with it, if it was not begun."""
+        """Start the compilation unless it was started; return its task."""
         if self._task is None:
             compile_all = asyncio.to_thread(warm_up, self._config, _show_progress)
             self._task = asyncio.create_task(compile_all)
         return self._task
 
     async def ended(self) -> None:
-        """Wait for the end of it."""
+        """Start the compilation if necessary, and wait until it is complete."""
         await asyncio.shield(self.begin())
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What runs between two configurations."""
+    """The objects that run under one configuration."""
 
     config: Config
     settings: ServerSettings
@@ -55,7 +55,7 @@ def make_plan(
     *,
     after_another: bool = False,
 ) -> Plan:
-    """Make all that a configuration asks for."""
+    """Return the plan of a configuration."""
     settings = server_settings or build_server_settings(config)
     identification = identification or build_identification(config)
     compiled = Compilation(config)

@@ -12,13 +12,13 @@ from valvemap.pipeline.data_changes import DataChanges
 from valvemap.runtime.supervisor import Consumer
 
 CONNECTING_S: Final = 600.0
-"""s; longest silence of a supervisor that connects: no tick comes, and of the requests for
-a slow server's thousands of nodes each may take the whole time-out."""
+"""s; longest silence of a supervisor while it connects: there is no tick, and each request for
+thousands of nodes of a slow server may take the whole timeout."""
 
 
 @dataclass
 class _Beat:
-    """Of one source: when the last call began or ended, and whether none has to follow soon."""
+    """One source: time of the last start or end of a call, and the allowance for the next."""
 
     at: float
     connected: bool = False
@@ -30,14 +30,14 @@ class _Beat:
 
 
 class Pulse:
-    """A consumer that passes every call on and notes when it begins and ends.
+    """A consumer that forwards every call and records when it starts and ends.
 
     Parameters
     ----------
     consumer
         Receives the calls.
     clock
-        Of the notes.
+        Gives the recorded times.
     """
 
     def __init__(self, consumer: Consumer, clock: Clock) -> None:
@@ -46,10 +46,10 @@ class Pulse:
         self._beats: dict[int, _Beat] = {}  # by the first valve of each source
 
     def overdue_s(self, now: float, tick_s: float) -> float:
-        """By how much the supervisor's next beat is overdue, s; at most 0: it is alive.
+        """Return by how much the supervisor's next beat is overdue, s; alive if at most 0.
 
-        A connected source beats at least every ``tick_s``; one that connects may be silent for
-        ``CONNECTING_S`` more. A call that does not return is a missing beat.
+        A connected source beats at least every ``tick_s``; while connecting it may be silent for
+        ``CONNECTING_S`` longer. A call that does not return is a missing beat.
         """
         beats = self._beats.values() or [self._began]
         return now - min(beat.at + tick_s + beat.allowance_s for beat in beats)

@@ -1,4 +1,4 @@
-"""Recording a source: aligned samples, as they come, into a file."""
+"""Records the aligned samples of a source to a file."""
 
 import asyncio
 import json
@@ -31,10 +31,10 @@ async def record(
     duration_s: float | None = None,
     progress: Callable[[int], None] = lambda _samples: None,
 ) -> int:
-    """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` is over.
+    """Write the source's samples to ``file`` until ``stop`` is set or ``duration_s`` has elapsed.
 
-    Where the signals carried no common time, ``FILE.timing.json`` says how each came. ``progress``
-    is called with the number of samples whenever some were written.
+    If the signals had no common timestamps, ``FILE.timing.json`` records the timing of each.
+    ``progress`` is called with the number of samples after each write.
 
     Returns
     -------
@@ -72,7 +72,7 @@ async def record_history(
     stop: int,
     progress: Callable[[int], None] = lambda _samples: None,
 ) -> int:
-    """Write to ``file`` what the source remembers of a span of time (UTC ns), as `record` would.
+    """Write the source's history of a time span (UTC ns) to ``file``, as `record` would.
 
     Raises
     ------
@@ -103,7 +103,7 @@ class _Recorder:
         self.samples = 0
 
     async def connected(self, source_started: int, _valves: Times | None = None) -> None:
-        """The source is there; if it was restarted, its samples are counted anew."""
+        """Note the connection; after a restart of the source, restart the sample sequence."""
         before, self._source_started = self._source_started, source_started
         if before and source_started and source_started != before:
             self._append(self._arrivals.begin_source_anew(np.arange(len(self._names))))
@@ -112,12 +112,12 @@ class _Recorder:
         self._append(self._arrivals.take(changes))
 
     def finish(self) -> None:
-        """Write what waits for more of its scan, or for earlier samples."""
+        """Write the pending samples."""
         for samples in self._arrivals.finish():
             self._append(samples)
 
     def write_timing(self, file: Path) -> None:
-        """Write beside the recording how the signals came.
+        """Write the timing of the signals to a file beside the recording.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Another configuration for a service that runs: asked for, checked, put in force."""
+"""Requests and checks for reloading the configuration of a running service."""
 
 import asyncio
 from collections.abc import Callable
@@ -15,7 +15,7 @@ Outcome = asyncio.Future[None]
 
 
 class Reload:
-    """Where somebody asks for the configuration to be read again, and hears what became of it.
+    """A queue of requests to reload the configuration; each request gets its outcome.
 
     Parameters
     ----------
@@ -28,23 +28,23 @@ class Reload:
         self._asked: asyncio.Queue[Outcome] = asyncio.Queue()
 
     def ask(self) -> Outcome:
-        """Ask, without waiting; the future says when it is in force, or raises why it is not."""
+        """Request a reload without waiting; the future completes or has the error."""
         outcome: Outcome = asyncio.get_running_loop().create_future()
         self._asked.put_nowait(outcome)
         return outcome
 
     def ask_by_signal(self) -> None:
-        """Ask for somebody who waits for no answer."""
+        """Request a reload on SIGHUP and ignore the outcome."""
         log.info("hang-up: the configuration is read again")
         self.ask().add_done_callback(lambda outcome: outcome.cancelled() or outcome.exception())
 
     async def call(self) -> None:
-        """Ask, and wait.
+        """Request a reload and wait for its outcome.
 
         Raises
         ------
         CommandRejected
-            saying why the old configuration goes on.
+            if the new configuration is rejected; gives the reason.
         """
         try:
             await self.ask()
@@ -52,17 +52,17 @@ class Reload:
             raise CommandRejected(in_one_line(error)) from error
 
     async def asked(self) -> Outcome:
-        """Wait until somebody asks."""
+        """Wait for the next request."""
         return await self._asked.get()
 
 
 def check_what_stays(before: Config, config: Config) -> None:
-    """Compare what a running service cannot change.
+    """Check that fields which a running service cannot change are unchanged.
 
     Raises
     ------
     ConfigurationError
-        naming the field.
+        if one has changed; names the field.
     """
     changed = [("state.file", before.state.file, config.state.file)]
     changed += [
@@ -77,5 +77,5 @@ def check_what_stays(before: Config, config: Config) -> None:
 
 
 def in_one_line(error: Exception) -> str:
-    """An error's lines as one."""
+    """Return the lines of an error message joined to one."""
     return "; ".join(str(error).splitlines())

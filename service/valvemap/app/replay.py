@@ -1,4 +1,4 @@
-"""Replay: recordings through the same pipeline as live data, and a verdict at the end."""
+"""Replays recordings through the pipeline of the live service and reports the fit."""
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ from valvemap.storage.recordings import read_recording
 from valvemap.vocabulary.statuses import InverseStatus, Quality
 
 BEST_FIT = "eq. (7), batch LSM"
-MOST_TRIED: Final = 1_000  # samples of a batch: to invert a network costs 100 times its learning
+MOST_TRIED: Final = 1_000  # samples of a batch; inverting a network costs 100 times an update
 
 T = TypeVar("T")
 S = TypeVar("S", Samples, Floats)
@@ -42,18 +42,22 @@ Tap = Callable[[str, Samples, Mapping[str, Trace]], None]
 
 @dataclass(frozen=True)
 class EstimatorReport:
-    """What a replay says of one estimator: its final lane, and figures.
+    """The result of a replay for one estimator: its final lane and figures of merit.
 
-    Without a file to verify on, ``verify`` is None and the inverse is tried on the last batch.
-    ``round_trip_max`` is the largest |Q(U(Q, dp), dp) - Q| in l/min over the flows that the
-    inverse calls feasible, ``infeasible`` the number of the others; of a batch at most
-    ``MOST_TRIED`` samples are tried, evenly spaced. ``noise_std`` (l/min) is the
-    recent spread of measurements about the map, ``covered`` the share of the samples tried that
-    lay within their 95 % interval, ``survey`` what the map does not know, ``beyond_range`` how many
-    samples had a U that some estimator of the valve cannot describe, ``T`` (°C) the oil
-    temperature measured last, ``change`` the last change of the valve that was found,
-    ``structure`` what `Auto` has chosen, ``rejected`` why samples were not learnt from, with
-    ``samples`` the number of all, and ``hints`` what looks odd about the valve's signals.
+    Without a verification file, ``verify`` is None and the inverse is tested on the last batch. At
+    most ``MOST_TRIED`` evenly spaced samples of a batch are tested.
+
+    - ``round_trip_max``: the largest |Q(U(Q, dp), dp) - Q| in l/min over the feasible flows.
+    - ``infeasible``: the number of tested flows that are not feasible.
+    - ``noise_std``: standard deviation of recent measurements about the map, l/min.
+    - ``covered``: the share of tested samples within their 95 % interval.
+    - ``survey``: the coverage of the map.
+    - ``beyond_range``: the number of samples with a U outside an estimator's range.
+    - ``T``: the last measured oil temperature, °C.
+    - ``change``: the last detected change of the valve.
+    - ``structure``: the structure chosen by `Auto`.
+    - ``samples``: the number of all samples; ``rejected``: the number rejected, by reason.
+    - ``hints``: implausible properties of the valve's signals.
     """
 
     lane: Lane
@@ -94,26 +98,26 @@ def replay(
     Parameters
     ----------
     files, verify
-        Recordings to learn from, and one to predict with the final parameters.
+        Recordings to identify from, and one to predict with the final parameters.
     config
         Valves and estimators; without it the default estimators run on every valve found.
     progress
-        Called with the file and how much of it is done (0 to 1).
+        Called with the file and the fraction done (0 to 1).
     tap
-        Sees every batch with what the estimators said of it.
+        Called with every batch and the estimators' traces of it.
     insist
-        Learn from signals that cannot be what they are called, too.
+        Process implausible signals, too.
     only
-        Names of the valves that are learnt; None: all.
+        Names of the valves to identify; None: all.
     read_ahead
-        A thread reads the next batch while one is learnt from; for nothing where every processor
-        has enough to do.
+        Read the next batch in a thread while one is processed; useless if all processors are
+        busy.
 
     Returns
     -------
     Report
-        By valve and estimator; under ``BEST_FIT`` the batch LSM of eq. (7) on the same samples,
-        the best that the paper's structure can do.
+        By valve and estimator. ``BEST_FIT`` is the batch LSM of eq. (7) on the same samples, the
+        best fit possible with the paper's structure.
 
     Raises
     ------
@@ -151,7 +155,7 @@ def replay(
 
 
 def as_json(report: Report) -> dict[str, Any]:
-    """The report in the contract's form; what is not known is null."""
+    """Return the report in its JSON form; unknown values are null."""
     return {
         valve: {
             name: {
@@ -180,7 +184,7 @@ def as_json(report: Report) -> dict[str, Any]:
 
 
 class _Learnt:
-    """One valve's pipeline and the last batch that taught it."""
+    """One valve's pipeline and the last batch it processed."""
 
     def __init__(self, plan: ValvePlan) -> None:
         best = RecursiveLeastSquares(forgetting=Exponential(1.0))
@@ -192,7 +196,13 @@ class _Learnt:
         self.samples = 0
 
     def look_at(self, samples: Samples, file: Path) -> Samples:
-        """Refuse to learn from what cannot be what it is called; of a moment, from that alone."""
+        """Check the plausibility of a batch; return it with implausible samples rejected.
+
+        Raises
+        ------
+        RecordingError
+            if a signal is implausible throughout, unless the plan insists.
+        """
         if len(samples) == 0:
             return samples
         self.samples += len(samples)
@@ -206,11 +216,11 @@ class _Learnt:
         return samples if self.plan.insist else refuse(samples, refused)
 
     def hints(self) -> tuple[str, ...]:
-        """What looks odd, and what was insisted upon."""
+        """Return the findings on plausibility, one sentence each."""
         return tuple(finding.sentence for finding in self._plausibility.findings(0))
 
     def rejected(self) -> Mapping[str, int]:
-        """Why samples were not learnt from."""
+        """Return the number of rejected samples by reason."""
         counts = self._fleet.rejections()[0].tolist()
         return {name: n for name, n in zip(COUNTER_NAMES, counts, strict=True) if n}
 
@@ -236,9 +246,9 @@ class _Learnt:
 
 @dataclass(frozen=True)
 class _Check:
-    """How one estimator's map and its inverse fare on samples that it does not learn from.
+    """The test of one estimator's map and its inverse, without updating the estimator.
 
-    ``score`` is of all of them, the rest of those that were tried.
+    ``score`` is over all samples, the other fields over the tested ones.
     """
 
     score: Score
@@ -249,7 +259,7 @@ class _Check:
 
 
 def _check(valve: _Learnt, samples: Samples, *, scored: bool) -> Mapping[str, _Check]:
-    """Check all estimators of a valve; where nobody asks for a score, on those tried alone."""
+    """Test all estimators of a valve; without ``scored``, only on the thinned samples."""
     gate = valve.plan.gate
     _, judged = gate.update(gate.initial_state(), samples)
     good = judged[judged.quality != Quality.BAD]
@@ -278,7 +288,7 @@ def _check_lane(lane: Lane, samples: Samples) -> _Check:
 
 
 def _some(rows: S) -> S:
-    """At most ``MOST_TRIED`` of them, evenly spaced."""
+    """Return at most ``MOST_TRIED`` rows, evenly spaced."""
     return rows[:: max(1, math.ceil(len(rows) / MOST_TRIED))]
 
 
@@ -340,7 +350,7 @@ def _read(
 
 
 def _one_ahead(items: Iterator[T]) -> Iterator[T]:
-    """The same items; while one is worked on, a thread of its own reads the next."""
+    """Yield the items; a thread reads the next one while the current one is processed."""
     with ThreadPoolExecutor(1) as thread:
         coming = thread.submit(next, items, None)
         while (item := coming.result()) is not None:

@@ -1,4 +1,4 @@
-"""The live service from start to end."""
+"""Runs the live service."""
 
 import asyncio
 from collections.abc import Callable
@@ -47,30 +47,30 @@ async def serve(
     reload: Reload | None = None,
     manager: ServiceManager | None = None,
 ) -> None:
-    """Identify and publish until ``stop`` is set; keep all states at the end.
+    """Identify and publish until ``stop`` is set; store all states at the end.
 
     Parameters
     ----------
     config
         The whole configuration.
     stop
-        Ends the service.
+        Stops the service.
     server_settings
-        Instead of what the configuration says (the demo's open endpoint).
+        Replaces the configured server settings (the demo's open endpoint).
     identification
-        Instead of a new one from the configuration, for one who wants to look inside.
+        Replaces the identification built from the configuration, so that a caller can inspect it.
     on_samples
-        Sees every valve's samples as they are identified from.
+        Called with each valve's samples when they are processed.
     reload
-        By which another configuration is asked for.
+        The queue of reload requests.
     manager
-        Is notified when clients are served, while the service is alive, and when it ends.
+        Notified when clients are served, while the service is alive, and when it stops.
 
     Raises
     ------
     ValvemapError
-        at start: of the configuration, the source, the server's address, the stores; at the end:
-        if the states cannot be kept.
+        at start: if the configuration, the source, the server's address or a store cannot be
+        used; at the end: if the states cannot be stored.
     """
     reload, manager = reload or Reload(lambda: config), manager or ServiceManager()
     plan: Plan | None = make_plan(config, server_settings, identification)
@@ -117,7 +117,7 @@ async def _live(
     shown: Shown,
     manager: ServiceManager,
 ) -> tuple[Plan | None, list[Checkpoint]]:
-    """Run one configuration until the end; return what is to run then, and all that is known."""
+    """Run one configuration to its end; return the next plan (None: stop) and all states."""
     config, clock = plan.config, SystemClock()
     keeper = None if past is None else PastKeeper(past, [valve.name for valve in config.valves])
     server = await shown.server(plan, past, None if keeper is None else keeper.note_alarm)
@@ -174,7 +174,7 @@ async def _pass_on(
 
 
 async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
-    """Wait for another configuration that holds, and end this one; the source is handed over."""
+    """Wait for a valid new configuration, end this one, and transfer the source to the new one."""
     while True:
         outcome = await reload.asked()
         try:
@@ -196,7 +196,7 @@ async def _following(plan: Plan, reload: Reload, ended: asyncio.Event) -> Plan:
 
 
 async def _checked(plan: Plan, reload: Reload) -> Plan | None:
-    """Read the configuration and try what can be tried; None if it is the one that runs."""
+    """Load and check the new configuration; return its plan, or None if it is unchanged."""
     config = await asyncio.to_thread(reload.load)
     if config == plan.config:
         return None

@@ -27,15 +27,15 @@ _SEPARATORS: Final = str.maketrans({"\n": " ", "\0": " "})
 
 @dataclass(frozen=True)
 class ServiceManager:
-    """The process that started this one, if it wants to be notified.
+    """The service manager that started this process, if any.
 
     Attributes
     ----------
     address
-        Of its socket: an absolute path, or ``@name`` in the abstract namespace; None: there is
-        no manager, and every message is dropped.
+        Address of its socket: an absolute path, or ``@name`` in the abstract namespace. None: no
+        manager; messages are dropped.
     watchdog_s
-        It restarts the service that is silent for longer than this; 0: it does not watch.
+        Watchdog timeout after which it restarts the service; 0: no watchdog.
     """
 
     address: str | None = None
@@ -43,7 +43,7 @@ class ServiceManager:
 
     @classmethod
     def of(cls, environment: Mapping[str, str], pid: int | None = None) -> "ServiceManager":
-        """As the environment says; a watchdog set for another process is not ours."""
+        """Create it from environment variables; ignore a watchdog set for another process."""
         address = environment.get("NOTIFY_SOCKET", "")
         if not address.startswith(("/", "@")) or not hasattr(socket, "AF_UNIX"):
             return cls()
@@ -53,7 +53,7 @@ class ServiceManager:
         return cls(address, period_us * 1e-6)
 
     def ready(self, status: str) -> None:
-        """Clients are served from now on."""
+        """Notify that clients are served."""
         self._send("READY=1", f"STATUS={status}")
 
     def alive(self) -> None:
@@ -61,7 +61,7 @@ class ServiceManager:
         self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """The service keeps its states and ends."""
+        """Notify that the service stores its states and stops."""
         self._send("STOPPING=1", "STATUS=keeping states")
 
     def _send(self, *lines: str) -> None:
@@ -80,10 +80,10 @@ class ServiceManager:
 async def feed_watchdog(
     manager: ServiceManager, pulse: Pulse, clock: Clock, wait: Wait = asyncio.sleep
 ) -> None:
-    """Notify the manager in the event loop, as long as the supervisor is alive; until cancelled.
+    """Feed the manager's watchdog while the supervisor is alive, until cancelled.
 
-    A blocked loop sends nothing; a supervisor that hangs is named in the log, and nothing is sent
-    until it is alive again.
+    It runs in the event loop, so a blocked loop sends nothing. A hanging supervisor is logged, and
+    nothing is sent until it is alive again.
     """
     if manager.watchdog_s <= 0.0:
         return

@@ -1,4 +1,4 @@
-"""The results server over several configurations."""
+"""Keeps the results server across reloads of the configuration."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from valvemap.storage.history import HistoryFile
 
 
 class Shown:
-    """The results server: it outlives a configuration that says nothing new of it."""
+    """The results server, kept across a reload unless its own settings change."""
 
     def __init__(self, reload: Reload) -> None:
         self._reload = reload
@@ -23,7 +23,7 @@ class Shown:
         past: HistoryFile | None,
         on_alarm: Callable[[AlarmChange], None] | None,
     ) -> ResultsServer:
-        """Show what a plan identifies, to those who are there if they can stay."""
+        """Return the server of a plan: the current one with its sessions if possible, else new."""
         valves = plan.identification.descriptions()
         interval_s = plan.config.server.results_interval_ms * 1e-3
         shown = None if self._plan is None else self._plan.identification.descriptions()
@@ -58,7 +58,7 @@ class Shown:
 
 
 def is_same_server(before: Plan, plan: Plan) -> bool:
-    """Whether address, security and users are as they were."""
+    """Whether the server's settings and security are unchanged, except the results interval."""
     if plan.given_settings is not None:
         return plan.given_settings is before.given_settings
     one, other = (

@@ -1,4 +1,4 @@
-"""What ends a command that runs until it is asked to end."""
+"""Stops a command on signals or at the end of standard input."""
 
 import asyncio
 import signal
@@ -18,9 +18,9 @@ log = structlog.get_logger(__name__)
 def stop_on_signal(
     stop: asyncio.Event, on_hang_up: Callable[[], None] | None = None
 ) -> Iterator[None]:
-    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; outlive a hang-up.
+    """Set ``stop`` on Ctrl-C or a termination signal, on every platform; survive SIGHUP.
 
-    ``on_hang_up`` is called in the loop; None: it is noted in the log.
+    ``on_hang_up`` is called in the loop on SIGHUP; None: the signal is logged.
     """
     loop = asyncio.get_running_loop()
 
@@ -44,7 +44,7 @@ def stop_on_signal(
 
 
 def stop_with_parent(stop: asyncio.Event) -> None:
-    """Set ``stop`` at the end of standard input: the parent has closed it, or is dead."""
+    """Set ``stop`` at the end of standard input: the parent closed it or terminated."""
     loop = asyncio.get_running_loop()
 
     def wait() -> None:

@@ -1,4 +1,4 @@
-"""Compiling every kernel ahead, so that no sample waits for a compiler."""
+"""Compiles every kernel in advance, so that no sample waits for the compiler."""
 
 import gc
 import os
@@ -44,9 +44,9 @@ _ONE_CHANGE = DataChanges(
 )
 
 
-Progress = Callable[[int, int], None]  # parts that are done, of how many
+Progress = Callable[[int, int], None]  # parts done, parts in total
 _REPORT_EVERY_S = 5.0
-_OF_ONE = {"name", "nodes", "source", "identification"}  # a valve alone; nothing is compiled for it
+_OF_ONE = {"name", "nodes", "source", "identification"}  # fields without effect on the kernels
 
 
 def warm_up(
@@ -54,11 +54,12 @@ def warm_up(
     progress: Progress = lambda _done, _of: None,
     is_over: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Have every kernel compiled that this configuration needs.
+    """Compile every kernel that this configuration needs.
 
-    The first run on a machine compiles for 40 s and caches the result on disk; later runs
-    load it. A second process helps at that: each takes the next part that nobody has taken, and
-    ``progress`` hears now and then how many are done. Once ``is_over`` no further part is begun.
+    The first run on a machine compiles for 40 s and caches the result on disk; later runs load it.
+    Two processes share the parts, each taking the next free one. ``progress`` is called
+    periodically with the number of parts done. No further part is started once ``is_over``
+    returns True.
     """
     config = _one_of_each_kind(config)
     if not was_warmed_up():
@@ -70,7 +71,7 @@ def warm_up(
 
 
 def _one_of_each_kind(config: Config) -> Config:
-    """The same, with the first of the valves that differ in their names and nodes alone."""
+    """Return the configuration with one valve of each kind, apart from names and nodes."""
     kinds: dict[str, ValveConfig] = {}
     for valve in config.valves:
         kinds.setdefault(valve.model_dump_json(exclude=_OF_ONE), valve)
@@ -78,7 +79,7 @@ def _one_of_each_kind(config: Config) -> Config:
 
 
 def _compile_in_parts(config: Config, progress: Progress, is_over: Callable[[], bool]) -> None:
-    """Compile what takes long, each part in one of two processes."""
+    """Compile the slow parts, each in one of two processes."""
     context = get_context("spawn")
     taken, done = context.Value("i", 0), context.Value("i", 0)
     helper = None
@@ -108,13 +109,13 @@ def _help(
     collecting: tuple[int, int, int],
     shortcuts: bool,  # noqa: FBT001 - arguments of a process are positional
 ) -> None:
-    """Take parts as well, and look for garbage as seldom; Ctrl-C is for the service to answer."""
+    """Compile parts in the second process, with the parent's GC thresholds; ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.set_threshold(*collecting)
     if shortcuts:
         take_shortcuts()
     _take_parts(config, taken, done, lambda: False)
-    os._exit(0)  # somebody waits: to take all apart that was compiled takes half a second
+    os._exit(0)  # skips the interpreter's shutdown: the parent waits, and it takes 0.5 s
 
 
 def _take_parts(
@@ -127,7 +128,7 @@ def _take_parts(
     while True:
         with taken.get_lock():
             if is_over():
-                taken.value = len(parts)  # the other process takes no more either
+                taken.value = len(parts)  # stops the other process, too
             mine, taken.value = taken.value, taken.value + 1
         if mine >= len(parts):
             return
@@ -137,7 +138,7 @@ def _take_parts(
 
 
 def _parts(config: Config) -> list[Callable[[], None]]:
-    """What can be compiled apart, the longest first; nearly no kernel is in two of them."""
+    """Return the parts to compile separately, the longest first; they share hardly any kernel."""
     estimators = {
         key_of(estimator): estimator
         for plan in build_plans(config)
@@ -159,7 +160,7 @@ def _parts(config: Config) -> list[Callable[[], None]]:
 
 
 def _fit() -> None:
-    """The fits of `Auto` and its search for a shape."""
+    """Compile the fits of `Auto` and its search for a shape."""
     points, shape = np.ones((32, len(grid.COLUMNS))), Shape(cells=2)
     points[:, grid.MEAN_U], points[:, grid.MEAN_S] = _samples().U, np.sqrt(_samples().dp)
     map_search.climb(points, shape, 200.0, Variety(0.0, temperatures=True), 1, np.zeros(2, int))
@@ -168,7 +169,7 @@ def _fit() -> None:
 
 
 def _fill_cells() -> None:
-    """What `Auto` does with each sample: these are too few for a fit."""
+    """Compile the update of `Auto` per sample; these are too few samples for a fit."""
     auto = Auto()
     state, _ = auto.update(auto.initial_state(), _samples()[: fit_budget.FIRST_FIT - 1])
     auto.parameters(state)
@@ -181,7 +182,7 @@ def _learn(estimator: Estimator[Any]) -> None:
 
 
 def compile_alignment(config: Config) -> None:
-    """What makes samples of changes: all that is needed by one who learns nothing."""
+    """Compile decoding and alignment, all that `record` needs."""
     decode_data_changes(_NO_CHANGES)
     alignment = build_alignment(config)
     waiting, _ = alignment.take(alignment.initial_state(), _ONE_CHANGE)
@@ -190,12 +191,12 @@ def compile_alignment(config: Config) -> None:
 
 
 def _first_maps(config: Config) -> None:
-    """The inverse of a map, as it is published before the first sample."""
+    """Compile the inverse map, which is published before the first sample."""
     build_identification(config)
 
 
 def _look_around() -> None:
-    """What is done with samples beside learning from them."""
+    """Compile plausibility, quality gate, support and residual spread."""
     samples, one = _samples(), Segments.one(len(_samples()))
     Plausibility(1).count(samples, one)
     gate = QualityGate()
@@ -212,7 +213,7 @@ def _look_around() -> None:
 
 
 def _watch() -> None:
-    """What alarms and scores make of results."""
+    """Compile alarms, scores and the bookkeeping of lanes."""
     samples, one = _samples(), Segments.one(len(_samples()))
     trace = Trace(samples.Q, samples.Q, samples.Q, np.zeros(len(samples), np.uint8))
     alarms = Alarms(1, RULES, 200.0)
@@ -224,7 +225,7 @@ def _watch() -> None:
 
 
 def compile_here(config: Config) -> None:
-    """Run every kind of pipeline once on made-up samples; nothing of it is kept."""
+    """Run every kind of pipeline once on synthetic samples; the results are discarded."""
     decode_data_changes(_NO_CHANGES)
     identification = build_identification(config)
     identification.take(_ONE_CHANGE)
@@ -237,7 +238,7 @@ def compile_here(config: Config) -> None:
             identification.predict(plan.name, estimator, 50.0, 100.0, 40.0)
             identification.predict_measurement(plan.name, estimator, 50.0, 100.0, 40.0)
             support, one = identification.lane(plan.name, estimator).support, np.full(1, 50.0)
-            support.misfit(one, one, one)  # which kernels a map needs, its samples decide
+            support.misfit(one, one, one)  # the samples decide which kernels a map needs
             support.may_hide(one, one)
         identification.result(valve)
     identification.refresh_maps()
@@ -247,7 +248,7 @@ def compile_here(config: Config) -> None:
 
 
 def _what_auto_seldom_needs() -> None:
-    """... as only some samples lead to it: a look for lags, a rival, a drift, a state kept."""
+    """Compile the rare paths of `Auto`: lag search, rival map, drift, stored state."""
     state = Auto().initial_state()
     scalars, shape = state.scalars, Shape.from_array(state.shapes[0])
     rows = state.recent[:1].astype(np.float64)

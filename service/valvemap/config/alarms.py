@@ -1,4 +1,4 @@
-"""When alarms come and go."""
+"""Limits and delays of alarms."""
 
 from typing import Self
 
@@ -24,7 +24,7 @@ class AlarmConfig(Section):
     severity: int | None = Field(None, ge=1, le=1_000, description="how urgent it is")
 
     def rule(self, default: AlarmRule) -> AlarmRule:
-        """The rule, with its defaults; a hysteresis is at most the limit."""
+        """Return the rule with its defaults; the hysteresis is at most the limit."""
         limit = default.limit if self.limit is None else self.limit
         hysteresis = default.hysteresis if self.hysteresis is None else self.hysteresis
         return AlarmRule(
@@ -58,7 +58,7 @@ class AlarmsConfig(Section):
     )
 
     def rules(self) -> dict[Alarm, AlarmRule]:
-        """When each of them comes and goes."""
+        """Return the rule of each alarm."""
         return {alarm: getattr(self, alarm.title).rule(RULES[alarm]) for alarm in Alarm}
 
 
@@ -74,7 +74,7 @@ class ServiceAlarmsConfig(Section):
     Load: AlarmConfig = Field(AlarmConfig(), description="share of time at work; default 0.9")
 
     def rules(self, checkpoint_interval_s: float) -> dict[ServiceAlarm, AlarmRule]:
-        """When each of them comes and goes."""
+        """Return the rule of each alarm of the service."""
         found = {a: getattr(self, a.title).rule(SERVICE_RULES[a]) for a in ServiceAlarm}
         checkpoint = found[ServiceAlarm.CHECKPOINT]
         if self.Checkpoint.limit is None and 3.0 * checkpoint_interval_s > checkpoint.limit:

@@ -1,4 +1,4 @@
-"""Configuration of the estimators: a class per kind, and the one place where they are built."""
+"""Configuration of the estimators, a class per kind, and the function that builds them."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, assert_never
@@ -54,7 +54,7 @@ class RlsConfig(Section):
     @field_validator("lam")
     @classmethod
     def _determines(cls, lam: float | None, info: ValidationInfo) -> float | None:
-        rule = _RULES.get(info.data.get("forgetting", ""))  # none of a window
+        rule = _RULES.get(info.data.get("forgetting", ""))  # None for a window
         if lam is not None and rule is not None:
             RecursiveLeastSquares(forgetting=rule(lam))
         return lam
@@ -112,14 +112,14 @@ EstimatorConfig = Annotated[AnyEstimatorConfig, Field(discriminator="kind")]
 
 
 def default_estimators() -> tuple[AnyEstimatorConfig, ...]:
-    """The paper's three methods, and the structure chosen online."""
+    """Return the paper's three methods and `Auto`."""
     return RlsConfig(), RmlConfig(), RbfConfig(), AutoConfig()
 
 
 def build_estimator(
     config: AnyEstimatorConfig, U_range: Range, dp_range: Range, Q_range: Range
 ) -> Estimator[Any]:
-    """The estimator that a section describes, for a valve of these ranges."""
+    """Return the estimator of a section, for a valve with the given ranges."""
     match config:
         case RlsConfig():
             return RecursiveLeastSquares(forgetting=_forgetting(config))

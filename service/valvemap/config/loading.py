@@ -1,4 +1,4 @@
-"""Reading a configuration file; every mistake is one line that names file, field and value."""
+"""Loads configuration files; each error is one line that names file, field and value."""
 
 import os
 import re
@@ -19,23 +19,25 @@ S = TypeVar("S", bound=BaseSettings)
 
 
 def load_config(file: Path | None = None) -> Config:
-    """Read ``file`` (TOML); without one the defaults, which fit the virtual rig, hold.
+    """Load ``file`` (TOML); without one, return the defaults, which fit the virtual rig.
 
     Raises
     ------
     ConfigurationError
-        naming file (or environment variable), field, value and what is allowed.
+        if a value is invalid; names file (or environment variable), field, value and the allowed
+        values.
     """
     return load_settings(Config, file)
 
 
 def load_settings(kind: type[S], file: Path | None) -> S:
-    """Read settings of another kind, as `load_config` does.
+    """Load settings of another class, like `load_config`.
 
     Raises
     ------
     ConfigurationError
-        naming file (or environment variable), field, value and what is allowed.
+        if a value is invalid; names file (or environment variable), field, value and the allowed
+        values.
     """
     given = {} if file is None else _read(file)
     try:
@@ -49,7 +51,7 @@ def load_settings(kind: type[S], file: Path | None) -> S:
 
 
 def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
-    """The field that was meant, if one is near."""
+    """Return a hint with the closest field name, if one is similar."""
     section: Any = kind
     for key in path[:-1]:
         if isinstance(key, int):
@@ -63,7 +65,7 @@ def _nearest(kind: type[BaseSettings], path: Sequence[str | int]) -> str:
 
 
 def _models(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
-    """The models within a type."""
+    """Return the models within a type."""
     if hasattr(annotation, "model_fields"):
         yield annotation
     for part in get_args(annotation):
@@ -71,7 +73,7 @@ def _models(annotation: Any) -> Iterator[Any]:  # noqa: ANN401 - any type
 
 
 def _sentence(details: ErrorDetails) -> str:
-    """What is wrong, and what is allowed, in words."""
+    """Return a sentence with the fault and the allowed values."""
     kind, context = details["type"], details.get("ctx", {})
     last = next((str(key) for key in reversed(details["loc"]) if isinstance(key, str)), "")
     if kind == "string_pattern_mismatch":
@@ -86,7 +88,7 @@ def _sentence(details: ErrorDetails) -> str:
     return message[:1].lower() + message[1:]
 
 
-_LOG_IN = re.compile(r"//[^/@]*@")  # of an address: somebody's password
+_LOG_IN = re.compile(r"//[^/@]*@")  # credentials in a URL
 _FORMS = {
     "url": "allowed is opc.tcp://HOST:PORT/PATH",
     "broker": "allowed is mqtt://HOST or mqtts://HOST, with :PORT where it is not 1883 or 8883",
@@ -119,7 +121,7 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _line(kind: type[BaseSettings], file: Path | None, details: ErrorDetails) -> str:
-    # A union's tag stands among the keys of the path, though nobody wrote it.
+    # The path contains the tag of a union, which is not a key of the file.
     path = [key for key in details["loc"] if key not in {"RLS", "RML", "RBF", "Auto"}]
     field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
     prefix = kind.model_config.get("env_prefix", "")

@@ -1,4 +1,4 @@
-"""Section ``[log]``: what is logged."""
+"""Section ``[log]``: the log's level and format."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""The configuration: what may be written, with units in the names, bounds and defaults."""
+"""The configuration's sections and fields, with units in the names, bounds and defaults."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -188,7 +188,7 @@ class AlignmentConfig(Section):
 
     @property
     def finds_timing(self) -> bool:
-        """Whether it has to be found how the signals come."""
+        """Whether the timing of the signals is detected instead of configured."""
         return self.find_timing and self.tolerance_ms == 0.0 and not self.hold_s
 
 
@@ -214,7 +214,7 @@ class LimitsConfig(Section):
         return self
 
     def limits(self, signal: Signal) -> SignalLimits:
-        """The gate's limits; the range is at most what any sensor could say."""
+        """Return the gate's limits; the range defaults to that of any real sensor."""
         low, high = PLAUSIBLE[signal]
         return SignalLimits(
             low=low if self.low is None else self.low,
@@ -281,13 +281,13 @@ class NodesConfig(Section):
         return text
 
     def of(self, name: str) -> str | None:
-        """The node of a signal, if there is one."""
+        """Return the node of a signal, if there is one."""
         node: str | None = getattr(self, name)
         return node
 
     @classmethod
     def of_rig(cls, valve: str, *, commanded: bool = False) -> Self:
-        """The virtual rig's nodes; with those that are written, where it is ``commanded``."""
+        """Return the virtual rig's nodes, including the written ones if ``commanded``."""
         head = f"nsu={RIG_NAMESPACE};s={valve}."
         return cls(
             U=head + "U",
@@ -489,11 +489,11 @@ class Config(SettingsFile):
         return self.sources or (self.source,)
 
     def source_of(self, valve: ValveConfig) -> SourceConfig:
-        """The server that publishes a valve's signals."""
+        """Return the server that publishes a valve's signals."""
         return next((s for s in self.sources if s.name == valve.source), self.source)
 
     def only(self, source: str) -> Self:
-        """The same with one of [[sources]] as [source], and its valves alone."""
+        """Return the configuration of one of [[sources]] as [source], with its valves only."""
         (own,) = (s for s in self.sources if s.name == source)
         given = {name: getattr(own, name) for name in own.model_fields_set - {"name"}}
         valves = tuple(

@@ -1,4 +1,4 @@
-"""Where results go as Sparkplug B over MQTT."""
+"""Settings of the Sparkplug B publisher over MQTT."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
 _Topic = Annotated[
     str, Field(pattern=r"^[^/+#\x00-\x20]+( [^/+#\x00-\x20]+)*$", max_length=64)
-]  # words with a space between
+]  # words separated by a space
 _Pattern = Annotated[str, Field(min_length=1, max_length=200)]
 
 

@@ -1,4 +1,4 @@
-"""What a valve's plate and its plant say of it."""
+"""The name plate of a valve and its designation in the plant."""
 
 from typing import Annotated
 
@@ -30,6 +30,6 @@ class IdentificationConfig(Section):
     location: Said | None = Field(None, description="where it is")
 
     def nameplate(self, name: str) -> Nameplate:
-        """All of it, of the valve of that name."""
+        """Return the name plate of the valve ``name``."""
         known = {field: text for field, text in self.model_dump().items() if text is not None}
         return Nameplate(**{"component_name": name} | known)

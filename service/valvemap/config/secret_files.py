@@ -1,4 +1,4 @@
-"""Passwords that lie in files."""
+"""Reads passwords from files."""
 
 from pathlib import Path
 
@@ -6,12 +6,12 @@ from valvemap.errors import ConfigurationError
 
 
 def read_secret(file: Path) -> str:
-    """The first line of a file that holds a password.
+    """Return the first line of a password file.
 
     Raises
     ------
     ConfigurationError
-        naming the file.
+        if it cannot be read; names the file.
     """
     try:
         return file.read_text(encoding="utf-8").splitlines()[0]

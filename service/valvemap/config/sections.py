@@ -1,4 +1,4 @@
-"""What all sections of a configuration have in common, and the files that hold them."""
+"""Base classes of configuration sections and files."""
 
 from pydantic import BaseModel, ConfigDict
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
@@ -26,5 +26,5 @@ class SettingsFile(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """The environment first, then the file (handed in as arguments)."""
+        """Environment variables first, then the file (passed as arguments)."""
         return env_settings, init_settings

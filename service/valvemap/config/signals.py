@@ -1,4 +1,4 @@
-"""Configuration of a valve's signals: where they are in a recording, and in what unit they come."""
+"""Configuration of a valve's signals: their columns in recordings and their units."""
 
 from typing import Self
 
@@ -61,18 +61,18 @@ class SignalConfig(Section):
 
     @property
     def known_unit(self) -> Unit | None:
-        """The unit that is named, if one is."""
+        """The configured unit, if any."""
         return None if self.unit is None else unit_of(self.unit)
 
     def measure(self, signal: str) -> Measure:
-        """What is known of the signal beforehand."""
+        """Return the configured unit and scaling of the signal."""
         unit = self.known_unit
         if unit is not None and unit.quantity is Quantity.ELECTRICAL:
-            unit = inside(QUANTITY_OF[signal])  # what is named is the unit of raw
+            unit = inside(QUANTITY_OF[signal])  # the configured unit is that of raw
         return Measure(self.column, unit, self.raw, self.range)
 
     def error_limit(self, signal: str) -> float:
-        """Limit ± of the sensor's error, in the unit that is used inside."""
+        """Return the limit ± of the sensor's error, in the internal unit."""
         unit = self.measure(signal).unit or inside(QUANTITY_OF[signal])
         return float(unit.factor) * self.accuracy
 

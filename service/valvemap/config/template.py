@@ -1,4 +1,4 @@
-"""A first configuration file, with everything that one usually changes."""
+"""A template of the configuration file, with the settings that are usually changed."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from valvemap.foreign_text import toml_string
 
 
 def configuration_template(data: Path, host_names: Sequence[str] = ()) -> str:
-    """Text of a configuration (TOML) that fits the virtual rig; ``data`` holds keys and states."""
+    """Return a configuration (TOML) for the virtual rig; ``data``: folder of keys and states."""
 
     def quoted(thing: Path | Sequence[str]) -> str:
         if isinstance(thing, Path):

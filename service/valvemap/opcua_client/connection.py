@@ -1,4 +1,4 @@
-"""A connection to an OPC UA server: channel, session, security; every failure a typed error."""
+"""A connection to an OPC UA server: channel, session, security. Every failure is a typed error."""
 
 import asyncio
 import contextlib
@@ -42,7 +42,7 @@ _SESSION_TIMEOUT_MS = 120_000
 _CHANNEL_LIFETIME_MS = 3_600_000
 _FAREWELL_S = 2.0
 _LOOK_AT_TRUST_S = 1.0
-_SHORTEST_RENEWAL_S = 5.0  # a channel that lives shorter is renewed too late
+_SHORTEST_RENEWAL_S = 5.0  # a channel with a shorter lifetime is renewed too late
 _LINE = 300  # characters of a server's wording
 
 
@@ -62,7 +62,7 @@ _POLICIES: dict[Security, type[security_policies.SecurityPolicy]] = {
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """Where the data come from, and how they are asked for.
+    """Address, security and subscription settings of one OPC UA server.
 
     Attributes
     ----------
@@ -71,37 +71,39 @@ class SourceSettings:
     security
         Protection of the connection.
     pki, own
-        Whom we trust and our certificate; needed unless ``security`` is NONE.
+        Trust store and our certificate; required unless ``security`` is NONE.
     user, password
-        Credentials; anonymous if ``user`` is None. The password shows in no representation and
-        never travels in the clear, except to this very host.
+        Credentials; anonymous if ``user`` is None. The password is left out of ``repr`` and is
+        never sent unencrypted, except to the loopback interface.
     on_behalf_of
-        Address of the peer that logs in by way of us; the server counts its wrong passwords.
+        Address of the peer for which this client logs in; the server attributes failed logins to
+        it.
     check_host_name
-        The server's certificate must name the host of ``url``.
+        Whether the server's certificate must name the host of ``url``.
     require_crl
-        An authority that certifies the server needs a valid revocation list.
+        Whether the CA that issued the server's certificate needs a valid revocation list.
     application_uri
-        Ours; None takes it from the certificate.
+        Our application URI; None: taken from the certificate.
     publishing_interval_ms
-        How often the server shall send what it has.
+        Requested publishing interval.
     sampling_interval_ms
-        How often the server shall look at a node; 0 = whenever it changes.
+        Requested sampling interval of a node; 0 = on every change.
     queue_size
-        Values of one node that the server shall keep between two publishings.
+        Requested queue size of a monitored item, in values.
     keep_alive_s
-        After so long a silence the server shall say that it is there; after three of them
-        unheard it is lost.
+        Requested keep-alive time. Three missing keep-alives mean that the connection is lost.
     timeout_s
-        For connecting, and for every answer.
+        Timeout of connecting and of every request.
     publish_requests
-        Publish requests in flight.
+        Number of publish requests in flight.
     buffer_limit
-        Changes kept until ``receive`` takes them. Overflow policy: *back-pressure*. From there on
-        no further publish request goes out, so the server's own queues fill, and what they drop
-        shows in ``counters.overflows``.
+        Changes buffered until ``receive`` returns them. Overflow policy: *back-pressure*. At the
+        limit no further publish request is sent, so the server's queues fill. The values they drop
+        are counted in ``counters.overflows``.
     history_s
-        How far back the server's history is asked for what was not heard; 0: never.
+        How far back missed data are read from the server's history; 0: never.
+    warm_start_s
+        How far back the server's history is read at the first start; 0: not at all.
     """
 
     url: str
@@ -125,12 +127,12 @@ class SourceSettings:
     warm_start_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check what goes together.
+        """Check the fields and their combination.
 
         Raises
         ------
         ConfigurationError
-            naming the field.
+            if a field is invalid; names the field.
         """
         parts = urlsplit(self.url)
         if parts.scheme != "opc.tcp" or not parts.hostname or _port(self.url) is None:
@@ -149,7 +151,7 @@ class SourceSettings:
 
 @dataclass(frozen=True)
 class OperationLimits:
-    """How many operations a server takes in one request."""
+    """The maximum number of operations that a server accepts in one request."""
 
     nodes_per_read: int
     items_per_call: int
@@ -170,7 +172,7 @@ class Connection:
         self.resumed = resumed
         self.settings = settings
         self.session = session
-        self.limits: OperationLimits | None = None  # not asked for yet
+        self.limits: OperationLimits | None = None  # not read yet
         self._client = client
         self._server = server
         self._tasks = [asyncio.create_task(self._renew_for_ever())]
@@ -179,13 +181,13 @@ class Connection:
 
     @contextlib.contextmanager
     def errors(self, doing: str) -> Iterator[None]:
-        """Turn whatever goes wrong into SourceLost or SourceRejected."""
+        """Convert every exception of the block to SourceLost or SourceRejected."""
         with source_errors(self.settings.url, doing):
             yield
 
     @property
     def ticket(self) -> "Ticket":
-        """What the session can be taken up with over another connection."""
+        """The data needed to resume the session over another connection."""
         client = self._client
         return Ticket(
             self.session.authentication_token,
@@ -195,12 +197,12 @@ class Connection:
         )
 
     async def hang_up(self) -> None:
-        """End the connection without a word: the session and what it holds stay."""
+        """Close the socket only: the session and its subscriptions stay at the server."""
         await self._end_tasks()
         self._client.disconnect_socket()
 
     async def close(self) -> None:
-        """Say good-bye if the server still listens, and hang up."""
+        """Close the session and the channel if the server still responds, then the socket."""
         await self._end_tasks()
         client = self._client.uaclient
         with contextlib.suppress(OSError, TimeoutError, ua.UaError, asyncio.InvalidStateError):
@@ -211,7 +213,7 @@ class Connection:
         self._client.disconnect_socket()
 
     async def _end_tasks(self) -> None:
-        """End our own tasks, and keep asyncua's from holding back the requests of the ending."""
+        """Cancel our tasks; keep asyncua's tasks from blocking the closing requests."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -229,7 +231,7 @@ class Connection:
             self._client.uaclient.revolve_security_token()
 
     async def _watch_trust(self, server: "TrustedServer") -> None:
-        """Hang up on a server whose certificate is accepted no more."""
+        """Disconnect from a server whose certificate is no longer accepted."""
         while True:
             await asyncio.sleep(_LOOK_AT_TRUST_S)
             if server.trust.look_again() and not self._is_trusted(server.check_again):
@@ -247,9 +249,9 @@ class Connection:
 
 @dataclass(frozen=True)
 class Ticket:
-    """What a session is taken up with: its secret token, the last nonce, how users log in.
+    """The data needed to resume a session: secret token, last nonce, user token policies.
 
-    ``certificate`` is the server's (DER), by which a password is encrypted.
+    ``certificate`` is the server's certificate (DER), used to encrypt the password.
     """
 
     token: ua.NodeId = field(repr=False)
@@ -260,14 +262,14 @@ class Ticket:
 
 @dataclass(frozen=True)
 class TrustedServer:
-    """The certificate of the server, and whom we trust."""
+    """The certificate that the server presented, and the trust store to check it against."""
 
     trust: PeerTrust
     shown: bytes
     application_uri: str
 
     def check(self) -> x509.Certificate:
-        """Check it.
+        """Check the certificate.
 
         Raises
         ------
@@ -276,7 +278,7 @@ class TrustedServer:
         return self.trust.check(self.shown, Use.SERVER, self.application_uri)
 
     def check_again(self) -> x509.Certificate:
-        """Check it by the folders as they were last read.
+        """Check the certificate against the trust folders as last read.
 
         Raises
         ------
@@ -286,9 +288,10 @@ class TrustedServer:
 
 
 async def open_connection(settings: SourceSettings, ticket: Ticket | None = None) -> Connection:
-    """Connect, prove who we are, check who answers.
+    """Connect, authenticate, and check the server's certificate.
 
-    With a ``ticket`` its session is taken up, if the server still has it; else there is a new one.
+    With a ``ticket`` its session is resumed if the server still has it; otherwise a new session is
+    created.
 
     Raises
     ------
@@ -328,7 +331,7 @@ async def open_connection(settings: SourceSettings, ticket: Ticket | None = None
 async def _resume(
     client: Client, session: BatchSession, settings: SourceSettings, ticket: Ticket
 ) -> bool:
-    """Take up a session; return whether the server had it.
+    """Resume a session; return whether the server still had it.
 
     Private seams of asyncua: ``Client._server_nonce``, ``_policy_ids``.
     """
@@ -345,7 +348,7 @@ async def _resume(
         if error.code in {ua.StatusCodes.BadConnectionClosed, ua.StatusCodes.BadTimeout}:
             raise
     except (ValueError, TypeError, LookupError, AttributeError):
-        pass  # what the old session said makes no sense to this one
+        pass  # the data of the old session are invalid now
     else:
         return True
     session.reset_authentication_token()
@@ -355,7 +358,7 @@ async def _resume(
 
 @contextlib.contextmanager
 def source_errors(url: str, doing: str) -> Iterator[None]:
-    """Turn what asyncua raises into SourceLost or SourceRejected."""
+    """Convert the exceptions of asyncua to SourceLost or SourceRejected."""
     try:
         yield
     except TimeoutError as error:
@@ -381,7 +384,7 @@ def source_errors(url: str, doing: str) -> Iterator[None]:
 
 
 def in_one_line(text: object) -> str:
-    r"""Return what a server may have worded as one line of bounded length.
+    r"""Return a server's text as one line of bounded length.
 
     >>> in_one_line("No such\npolicy")
     'No such policy'
@@ -450,7 +453,7 @@ async def _secure(client: Client, settings: SourceSettings) -> TrustedServer | N
 def _trusted(
     settings: SourceSettings, server: TrustedServer, own: OwnCertificate
 ) -> x509.Certificate:
-    """The server's certificate, once it has passed all checks; else it lies in ``rejected``."""
+    """Return the server's certificate if it passes all checks; otherwise it is in ``rejected``."""
     try:
         certificate = server.check()
         if settings.check_host_name:
@@ -468,7 +471,7 @@ def _trusted(
 
 
 def _opening(settings: SourceSettings) -> str:
-    """What is done when the server sees our certificate; some hang up on it without a word."""
+    """Describe the step in which the server sees our certificate; some servers just disconnect."""
     if settings.security is Security.NONE:
         return "opening the channel"
     return "opening the secure channel (does the server trust our certificate?)"

@@ -1,7 +1,7 @@
-"""Variables of a server of ours that are followed: what changes is sent, some changes at a time.
+"""A subscription to variables of one of our servers.
 
-A message costs a server far more than the numbers in it. So the server samples often and
-publishes seldom: nothing is missed, and whoever looks is a moment late.
+A message costs a server far more than the values in it. So the sampling interval is short and the
+publishing interval long: no change is lost, at the cost of a short delay.
 """
 
 import asyncio
@@ -22,21 +22,21 @@ _Name = TypeVar("_Name")
 
 _KEEP_ALIVES, _LIFETIME = 20, 120  # publishing intervals: of 0.5 s, 10 and 60 s
 _VALUES_PER_MESSAGE = 500
-_MOST_CHANGES = 10_000  # that nobody has taken; beyond them the oldest go
+_MOST_CHANGES = 10_000  # buffered until take(); the oldest are dropped first
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How a server looks for changes.
+    """How a server samples a variable.
 
     Attributes
     ----------
     every_s
-        How often; of the values in between the last counts.
+        Sampling interval; of several values within it only the last is reported.
     queue
-        Values of a variable that it keeps if somebody is late.
+        Queue size in values, for delayed publishing.
     equal_too
-        Whether an equal value with a new time is a change: it says that the valve is alive.
+        Whether an equal value with a new timestamp is a change: it shows that the valve is alive.
     """
 
     every_s: float
@@ -45,16 +45,16 @@ class Sampling:
 
 
 CLOSELY: Final = Sampling(0.05, 40, equal_too=True)
-"""Twice as often as anybody looks: nothing that is due is thinned out; 2 s of it are kept."""
+"""Twice the fastest update rate of any client, so no update is lost; the queue holds 2 s."""
 
 
 class Followed(Generic[_Name]):
-    """One subscription: made when something is first followed, deleted by :meth:`stop`.
+    """One subscription: created by the first :meth:`follow`, deleted by :meth:`stop`.
 
     Attributes
     ----------
     lost : int
-        Changes that came and found no room, as nobody had taken those before.
+        Changes dropped because the buffer was full.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -71,14 +71,15 @@ class Followed(Generic[_Name]):
     async def follow(
         self, nodes: Mapping[_Name, ua.NodeId], every_s: float, sampling: Sampling = CLOSELY
     ) -> None:
-        """Follow just these: some more than before, the others no longer.
+        """Monitor exactly these nodes: add the missing items and delete the others.
 
-        What changes comes every ``every_s``, as the first who followed something wanted it.
+        ``every_s`` is the publishing interval; it is fixed by the call that creates the
+        subscription.
 
         Raises
         ------
         SourceRejected
-            if the server takes no more subscriptions or items; nothing is followed then.
+            if the server accepts no more subscriptions or items; no node is monitored then.
         SourceLost
         """
         if not nodes:
@@ -95,12 +96,12 @@ class Followed(Generic[_Name]):
             raise
 
     def take(self) -> list[tuple[_Name, ua.DataValue]]:
-        """Take what has changed, in its order.
+        """Return the buffered changes in order of arrival, and empty the buffer.
 
         Raises
         ------
         SourceLost, SourceRejected
-            whatever ended the subscription.
+            the failure that ended the subscription.
         """
         if self._failure is not None:
             raise self._failure
@@ -109,7 +110,7 @@ class Followed(Generic[_Name]):
         return changes
 
     async def stop(self) -> None:
-        """Follow nothing any more: the server keeps nothing of it.
+        """Delete the subscription at the server.
 
         Raises
         ------
@@ -125,11 +126,11 @@ class Followed(Generic[_Name]):
         with self._connection.errors("ending what is followed"):
             await self._connection.session.end_subscription(number)
             async with asyncio.timeout(self._connection.settings.timeout_s):
-                await self._publishing  # its request is refused now: there is nothing to publish
+                await self._publishing  # its request now fails with BadNoSubscription
         self._publishing = None
 
     async def end(self) -> None:
-        """End without a word: the connection is closed."""
+        """Cancel publishing without a request to the server: the connection is closed."""
         if self._publishing is not None:
             self._publishing.cancel()
             await asyncio.gather(self._publishing, return_exceptions=True)
@@ -164,7 +165,7 @@ class Followed(Generic[_Name]):
             if not code >> 30:
                 self._items[name] = result.MonitoredItemId
             elif code == ua.StatusCodes.BadNodeIdUnknown:
-                del self._names[handle]  # it never changes
+                del self._names[handle]  # it can never change
             else:
                 raise SourceRejected(f"{self._connection.settings.url}: {status_name(code)}")
 

@@ -1,4 +1,4 @@
-"""Many operations in as few requests as a server takes: values, attributes, references."""
+"""Batched requests within the server's limits: values, attributes, references."""
 
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Final, TypeVar
@@ -12,15 +12,15 @@ _Out = TypeVar("_Out")
 
 _DEFAULT_OPERATIONS: Final = 1_000
 _MOST_OPERATIONS: Final = 10_000
-_REFERENCES: Final = 500  # of a node in one answer; the rest by BrowseNext
+_REFERENCES: Final = 500  # of a node in one response; the rest by BrowseNext
 _BROWSED_AT_ONCE: Final = 20  # nodes of one request
-_MOST_REFERENCES: Final = 100_000  # of one node; who has more is asked for a part of them
+_MOST_REFERENCES: Final = 100_000  # of one node; further references are not read
 
 
 async def operation_limits(connection: Connection) -> OperationLimits:
-    """How many operations the server takes in one request; 1,000 where it announces none.
+    """Return the server's operation limits; 1,000 where it announces none.
 
-    It is asked once for each connection.
+    They are read once per connection.
     """
     if connection.limits is None:
         answers = await _read(
@@ -42,7 +42,7 @@ async def operation_limits(connection: Connection) -> OperationLimits:
 async def in_chunks(
     items: Sequence[_In], size: int, call: Callable[[Sequence[_In]], Awaitable[Sequence[_Out]]]
 ) -> list[_Out]:
-    """Call with at most ``size`` items at a time, with fewer where the server wants fewer."""
+    """Call with at most ``size`` items; halve the size after BadTooManyOperations."""
     results: list[_Out] = []
     while len(results) < len(items):
         try:
@@ -63,7 +63,7 @@ async def read_values(
     nodes: Sequence[ua.NodeId],
     timestamps: ua.TimestampsToReturn = ua.TimestampsToReturn.Neither,
 ) -> list[ua.DataValue]:
-    """Values of some variables, one each."""
+    """Read the values of variables, one DataValue each."""
     attributes = (ua.AttributeIds.Value,)
     return [one for (one,) in await read_attributes(connection, nodes, attributes, timestamps)]
 
@@ -74,7 +74,7 @@ async def read_attributes(
     attributes: Sequence[ua.AttributeIds],
     timestamps: ua.TimestampsToReturn = ua.TimestampsToReturn.Neither,
 ) -> list[list[ua.DataValue]]:
-    """The same attributes of some nodes, in the order of ``attributes``."""
+    """Read the same attributes of several nodes; one list per node, in their order."""
     width = len(attributes)
 
     async def read(some: Sequence[ua.NodeId]) -> list[list[ua.DataValue]]:
@@ -105,7 +105,7 @@ async def namespaces_of(connection: Connection) -> list[str]:
 async def children_of(
     connection: Connection, nodes: Sequence[ua.NodeId], classes: int = 0
 ) -> list[list[ua.ReferenceDescription]]:
-    """Hierarchical references forward from some nodes; to nodes of certain classes, 0 is all."""
+    """Browse the forward hierarchical references of nodes; ``classes`` is a mask, 0 means all."""
 
     async def browse(some: Sequence[ua.NodeId]) -> list[list[ua.ReferenceDescription]]:
         results = await connection.session.browse(

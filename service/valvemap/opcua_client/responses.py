@@ -1,4 +1,4 @@
-"""Responses of a source server, decoded by the guarded server's decoder: within a budget.
+"""Decodes responses of a source server with the guarded server's decoder, within a budget.
 
 Publish and Republish responses are decoded by :mod:`valvemap.opcua_source.decoding`.
 """
@@ -13,8 +13,8 @@ _T = TypeVar("_T")
 
 _RESPONSE_BYTES = 2 * 1024 * 1024  # 10,000 values take a tenth of that
 _BUDGET = Budget(
-    elements=20_000,  # 10,000 values are the most that is asked for at once
-    array_length=500_000,  # a node that is an array can still be refused by its name
+    elements=20_000,  # at most 10,000 values are requested at once
+    array_length=500_000,  # enough to decode an array node, so the error can name it
     string_bytes=256 * 1024,  # certificate chains are the longest
     nesting=16,
 )
@@ -22,7 +22,7 @@ _FAULT = ua.ObjectIds.ServiceFault_Encoding_DefaultBinary
 
 
 class Senseless(ua.UaError):
-    """What a server sent cannot be believed; its text says what it was."""
+    """The server sent an invalid message; the text describes it."""
 
 
 def decode_response(kind: type[_T], body: bytes) -> _T:
@@ -31,9 +31,9 @@ def decode_response(kind: type[_T], body: bytes) -> _T:
     Raises
     ------
     Senseless
-        if it is another response, cannot be decoded or holds more than it may.
+        if it is another response, cannot be decoded or exceeds the budget.
     UaStatusCodeError
-        if the server refuses.
+        if the ServiceResult is not Good.
     """
     response: Any = decode_part(kind, body)
     if response.TypeId != kind().TypeId:  # type: ignore[attr-defined]
@@ -43,12 +43,12 @@ def decode_response(kind: type[_T], body: bytes) -> _T:
 
 
 def decode_part(kind: type[_T], body: bytes) -> _T:
-    """Decode a structure at the beginning of some bytes.
+    """Decode a structure at the beginning of ``body``.
 
     Raises
     ------
     Senseless
-        if it cannot be decoded or holds more than it may.
+        if it cannot be decoded or exceeds the budget.
     """
     if len(body) > _RESPONSE_BYTES:
         raise Senseless(
@@ -63,7 +63,7 @@ def decode_part(kind: type[_T], body: bytes) -> _T:
 
 
 def check_fault(body: bytes) -> None:
-    """Raise what a ServiceFault says; return if the response is none.
+    """Raise the StatusCode of a ServiceFault; return if the response is not one.
 
     Raises
     ------

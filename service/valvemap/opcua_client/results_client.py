@@ -1,6 +1,6 @@
-"""A client of a server of ours, results or rig: browse, read, follow, call, write.
+"""A client for our own servers, results or rig: browse, read, follow, call, write.
 
-It shows what any client can get, and needs none of the compiled loops that take in every sample.
+It uses standard services only and does not need the compiled decoding loops of the source client.
 """
 
 from collections.abc import Collection, Sequence
@@ -29,10 +29,10 @@ from valvemap.opcua_client.requests import (
 
 __all__ = ["Child", "Reading", "ResultsClient", "Security", "SourceSettings"]
 
-UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # of a reading: there is no such variable
+UNKNOWN_NODE = int(ua.StatusCodes.BadNodeIdUnknown)  # code of a reading: no such variable
 
-_METHODS_AT_ONCE = 50  # of one request: others want their turn
-_LATE = 10  # values of a variable that is watched which the server keeps if we are late
+_METHODS_AT_ONCE = 50  # calls per request, so that other requests are not blocked
+_LATE = 10  # queue size of a watched variable, for delayed publishing
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Child:
-    """A node below another: its string identifier, and what it is."""
+    """A child node: its string identifier and whether it is a variable or a method."""
 
     id: str
     is_variable: bool
@@ -57,14 +57,14 @@ class Child:
 
 
 class ResultsClient:
-    """Nodes of one server, named by the string identifiers of its own namespace.
+    """Nodes of one server, identified by their string identifiers in one namespace.
 
     Parameters
     ----------
     settings
         Server, security, user.
     namespace
-        URI of the namespace that the names live in.
+        URI of the namespace of the identifiers.
     """
 
     def __init__(self, settings: SourceSettings, namespace: str) -> None:
@@ -76,7 +76,7 @@ class ResultsClient:
 
     @property
     def url(self) -> str:
-        """Where the server is."""
+        """The endpoint URL of the server."""
         return self._settings.url
 
     async def connect(self) -> None:
@@ -85,9 +85,9 @@ class ResultsClient:
         Raises
         ------
         SourceLost
-            if the server cannot be reached: worth another try.
+            if the server cannot be reached; a retry may succeed.
         SourceRejected
-            if it refuses certificate or user.
+            if it rejects the certificate or the user.
         CertificateError
             if our own certificate or key cannot be used.
         """
@@ -110,7 +110,7 @@ class ResultsClient:
             await followed.end()
 
     async def browse(self, id: str | None) -> list[Child]:  # noqa: A002 - OPC UA's word
-        """Nodes of our namespace below a node; None is the Objects folder.
+        """Return the children of a node in our namespace; None is the Objects folder.
 
         Raises
         ------
@@ -120,7 +120,7 @@ class ResultsClient:
         return children
 
     async def browse_each(self, ids: Sequence[str | None]) -> list[list[Child]]:
-        """The same of several nodes in few requests.
+        """Return the children of several nodes, in few requests; see :meth:`browse`.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class ResultsClient:
         ]
 
     async def scalar_types(self, ids: Sequence[str]) -> list[str | None]:
-        """Names of the standard's types of variables; None of arrays, and of what has none.
+        """Return the names of variables' built-in types; None for arrays and other data types.
 
         Raises
         ------
@@ -159,9 +159,9 @@ class ResultsClient:
         return [_type_name(*answer) for answer in answers]
 
     async def read(self, ids: Sequence[str | int]) -> list[Reading]:
-        """Values of variables, one reading each; what cannot be read has a Bad ``code``.
+        """Read variables, one reading each; a variable that cannot be read has a Bad ``code``.
 
-        A number names one of the standard's variables.
+        An integer is a numeric identifier in namespace 0.
 
         Raises
         ------
@@ -174,31 +174,33 @@ class ResultsClient:
         return [_reading(answer) for answer in answers]
 
     async def follow(self, ids: Collection[str], every_s: float) -> None:
-        """Be sent what changes of just these variables, so often; of none: end that.
+        """Subscribe to exactly these variables, published every ``every_s``; none: unsubscribe.
 
-        An equal value with a new time is a change.
+        An equal value with a new timestamp is a change.
 
         Raises
         ------
         SourceRejected
-            if the server has no room for that; nothing is followed then.
+            if the server accepts no more items or subscriptions; none are monitored then.
         SourceLost
         """
         await self._follow(ids, every_s, CLOSELY)
 
     async def watch(self, ids: Collection[str], every_s: float) -> None:
-        """Like :meth:`follow`; of the values since the last time the last one is sent at least.
+        """Like :meth:`follow`, but sampled every ``every_s``: intermediate values may be skipped.
+
+        An equal value with a new timestamp is no change.
 
         Raises
         ------
         SourceRejected
-            if the server has no room for that; nothing is followed then.
+            if the server accepts no more items or subscriptions; none are monitored then.
         SourceLost
         """
         await self._follow(ids, every_s, Sampling(every_s, _LATE, equal_too=False))
 
     def changes(self) -> list[tuple[str, Reading]]:
-        """Take what was sent of the variables that are followed, in its order.
+        """Return the changes received since the last call, in order of arrival.
 
         Raises
         ------
@@ -210,7 +212,7 @@ class ResultsClient:
 
     @property
     def lost(self) -> int:
-        """Changes that were sent over this connection and not taken in time."""
+        """Changes dropped on this connection because they were not fetched in time."""
         return 0 if self._followed is None else self._followed.lost
 
     async def call(
@@ -221,7 +223,7 @@ class ResultsClient:
         Raises
         ------
         CommandRejected
-            if the server refuses one of them: in its words.
+            if the server rejects a call; the message has the StatusCode.
         SourceLost, SourceRejected
         """
         connection = self._connected()
@@ -249,7 +251,7 @@ class ResultsClient:
         Raises
         ------
         CommandRejected
-            if the server refuses it: in its words.
+            if the server rejects the value; the message has the StatusCode.
         SourceLost, SourceRejected
         """
         connection = self._connected()

@@ -1,4 +1,4 @@
-"""The session of our client: just the services it uses, each answer decoded within a budget."""
+"""The session of our client: only the services it uses, each response decoded within a budget."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -14,11 +14,10 @@ _T = TypeVar("_T")
 
 
 class BatchSession(UaSession):
-    """A session that hands publish responses on as bytes.
+    """A session that returns publish responses undecoded.
 
-    :mod:`valvemap.opcua_source.subscription` decodes them.
-
-    asyncua's other services would decode without bounds: they raise NotImplementedError.
+    :mod:`valvemap.opcua_source.subscription` decodes them. The other services of asyncua would
+    decode without bounds, so they raise NotImplementedError.
 
     Private seams of asyncua: ``UaSession._send_request``, ``_set_state``, ``ensure_publish_loop``.
     """
@@ -93,7 +92,7 @@ class BatchSession(UaSession):
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Callable[..., Any] | None = None
     ) -> ua.CreateSubscriptionResult:
-        """Create a subscription; who made it sends its publish requests."""
+        """Create a subscription; the caller sends its publish requests."""
         request = ua.CreateSubscriptionRequest(Parameters=params)
         return (await self._ask(request, ua.CreateSubscriptionResponse)).Parameters
 
@@ -120,7 +119,7 @@ class BatchSession(UaSession):
         return (await self._ask(request, ua.TranslateBrowsePathsToNodeIdsResponse)).Results
 
     async def resume(self, token: ua.NodeId) -> None:
-        """Take up a session that was made over another connection; it is to be activated."""
+        """Resume a session of another connection; it must be activated next."""
         self.restore_authentication_token(token)
         self._set_state(SessionState.CREATED)
 

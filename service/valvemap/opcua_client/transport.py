@@ -1,7 +1,7 @@
-"""The transport of our client: asyncua's, but for taking in what a server sends.
+"""The transport of our client: asyncua's, with a bounded receive path.
 
-Frames are cut and judged before they are kept; what is in them is decoded within a budget. What
-cannot be believed ends the connection, and every request that waits says why.
+The header of a frame is validated before the frame is buffered, and its content is decoded within
+a budget. An invalid message ends the connection; every pending request fails with the reason.
 
 Private seams of asyncua: ``UaClient._make_protocol`` and ``_send_request``; ``UASocketProtocol``'s
 ``_connection``, ``_callbackmap``, ``_call_callback``, ``_fail_all_pending``, ``_request_id`` and
@@ -24,16 +24,16 @@ from valvemap.opcua_client.responses import Senseless, check_fault, decode_part,
 MESSAGE_BYTES = 8 * 1024 * 1024
 """Largest message: 100,000 notifications of 83 bytes, twice what a number takes at most."""
 
-_CHUNKS = 2_048  # of one message: as many of 8 KiB, the smallest chunk, hold more than the largest
+_CHUNKS = 2_048  # of one message; with chunks of 8 KiB, the smallest size, more than MESSAGE_BYTES
 _CHUNK_BYTES = 1024 * 1024
-_SENT_CHUNK_BYTES = 65_535  # what servers commonly take
+_SENT_CHUNK_BYTES = 65_535  # commonly accepted by servers
 _SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
 _OPEN_BYTES = 24 * 1024  # each 256 bytes cost an RSA decryption
 _WORD_BYTES = 8 * 1024  # of an Acknowledge or an Error, which holds one sentence
 _HEADER_BYTES, _SECURED_HEADER_BYTES = 8, 12
 _MOST_BYTES = {b"ACK": _WORD_BYTES, b"ERR": _WORD_BYTES, b"OPN": _OPEN_BYTES, b"MSG": _CHUNK_BYTES}
 _WHOLE, _CHUNK_KINDS = b"F", (b"F", b"C", b"A")
-_HELLO = 0  # what asyncua takes for the number of this request
+_HELLO = 0  # asyncua's request id of Hello
 
 
 class BoundedClient(UaClient):
@@ -63,7 +63,7 @@ class BoundedClient(UaClient):
 
 
 class BoundedProtocol(UASocketProtocol):
-    """Takes in frames of a server of which nothing is believed."""
+    """Receives frames of an untrusted server."""
 
     def __init__(self, timeout: float, security_policy: SecurityPolicy) -> None:
         super().__init__(timeout, security_policy)
@@ -133,7 +133,7 @@ class BoundedProtocol(UASocketProtocol):
                 raise Senseless("a message out of turn")
 
     def _unpacked(self, frame: bytes) -> tuple[int, bytes]:
-        """Return request and body of a message; request 0 if it goes on in the next frame."""
+        """Return request id and body of a message; id 0 if the next frame continues it."""
         buffer = Buffer(frame)
         header = ua_binary.header_from_binary(buffer)
         message = self._connection.receive_from_header_and_body(header, buffer)
@@ -168,7 +168,7 @@ class BoundedProtocol(UASocketProtocol):
         self._call_callback(number, body)
 
     def _give_up(self, error: ua.UaError) -> None:
-        """End the connection; every request that waits says why."""
+        """Abort the connection; every pending request fails with ``error``."""
         self._arrived.clear()
         self.state = UASocketState.CLOSED
         if self.transport is not None:
@@ -177,7 +177,7 @@ class BoundedProtocol(UASocketProtocol):
 
 
 class _Channel(SecureConnection):
-    """A secure channel that keeps no more of a message than it may have."""
+    """A secure channel that limits the chunks and bytes of a message."""
 
     @override
     def _receive(self, msg: MessageChunk) -> ua.Message | None:
@@ -192,14 +192,14 @@ class _Channel(SecureConnection):
 
 @dataclass(frozen=True)
 class _Opening:
-    """A request for a channel that is not yet answered."""
+    """A pending OpenSecureChannel request."""
 
     number: int
     parameters: ua.OpenSecureChannelParameters
 
 
 def _size_of_frame(header: bytes) -> int:
-    """Return the size of a frame that may be kept, from its first 8 bytes."""
+    """Return the size of a frame from its first 8 bytes; raise Senseless if it is not allowed."""
     kind, chunk, size = header[:3], header[3:4], int.from_bytes(header[4:], "little")
     if kind not in _MOST_BYTES or chunk not in _CHUNK_KINDS or (chunk != _WHOLE and kind != b"MSG"):
         raise Senseless("no OPC UA")
@@ -209,6 +209,6 @@ def _size_of_frame(header: bytes) -> int:
 
 
 def _refusal(error: ua.ErrorMessage) -> ua.UaError:
-    """Return what a server says why it goes no further."""
+    """Return the exception for an Error message or an aborted chunk sequence."""
     code = error.Error.value
     return ua.UaStatusCodeError(code if code >> 31 else ua.StatusCodes.BadUnexpectedError)

@@ -1,1 +1,1 @@
-"""The only package that imports asyncua."""
+"""The results: an OPC UA server that publishes them and accepts commands."""

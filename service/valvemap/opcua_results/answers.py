@@ -1,4 +1,4 @@
-"""Answers of an operator that may come later: from a worker of a fleet, say."""
+"""Results of operator commands that may be asynchronous, e.g. from a worker of a fleet."""
 
 import inspect
 from collections.abc import Awaitable, Callable
@@ -13,7 +13,7 @@ B = TypeVar("B")
 
 
 def say_nothing(_why: str) -> None:
-    """Let a refusal be."""
+    """Ignore a rejection."""
 
 
 def answered(
@@ -21,9 +21,10 @@ def answered(
     then: Callable[[A], B],
     refused: Callable[[str], None] = say_nothing,
 ) -> Answer[B]:
-    """Go on with an answer, at once or when it is there.
+    """Call ``ask`` and apply ``then`` to its result, awaiting the result if it is awaitable.
 
-    What the service rejects the server refuses.
+    A CommandRejected of the service is raised as the server's CommandRejected, and its message is
+    passed to ``refused``.
     """
 
     async def later(outcome: Awaitable[A]) -> B:

@@ -1,4 +1,4 @@
-"""Results that are rare or large: they go out when they are new."""
+"""Results that change rarely or are large: published only when they change."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -34,12 +34,12 @@ from valvemap.pipeline.ports import EstimatorResults, Results
 
 
 class ChangedResults:
-    """Remembers what was published of each valve.
+    """Detects changes against the results last published for each valve.
 
     Parameters
     ----------
     valves, counters
-        How many there are of them.
+        Number of valves and of counters per valve.
     """
 
     def __init__(self, valves: int, counters: int) -> None:
@@ -48,7 +48,7 @@ class ChangedResults:
         self._said: dict[tuple[int, str], tuple[Any, ...]] = {}
 
     def counts(self, results: Results, due: NDArray[np.bool_], now: int) -> Iterator[Column]:
-        """Counters of those valves that are due, with the time when they were first seen so."""
+        """Changed counters of the valves that are due; stamped when the value was first seen."""
         counters = results.counters[due]
         where = results.valves[due, None], np.arange(counters.shape[1])
         grown = counters != self._counts[where]
@@ -59,7 +59,7 @@ class ChangedResults:
             yield Column(counter_name(results.counter_names[k]), counters[:, k], good, t[:, k])
 
     def values(self, results: Results, now: int) -> Iterator[tuple[int, Shown]]:
-        """Maps, surveys, changes and structures that are new, each with its valve's number."""
+        """New maps, surveys, detected changes and structures, each with its valve number."""
         valves = _numbers(results.valves)
         inverse = results.inverse
         codes, t = inverse_codes(inverse).tolist(), _times(inverse.t, now)
@@ -112,7 +112,10 @@ class ChangedResults:
                     yield valve, Shown(f"{name}.{BUILDS_ON}", version, good, now)
 
     def _is_new(self, valve: int, name: str, thing: object, *facts: object) -> bool:
-        """Whether it is another thing, or one of the facts is another than last time."""
+        """Whether the object or any of the facts differs from the last published ones.
+
+        The object is compared by identity, the facts by equality.
+        """
         key = valve, name
         before = self._said.get(key)
         if before is not None and before[0] is thing and before[1:] == facts:

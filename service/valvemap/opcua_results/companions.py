@@ -1,7 +1,8 @@
-"""Valves by the names of Devices (DI, OPC 10000-100) and Machinery (OPC 40001-1).
+"""Valves in the terms of Devices (DI, OPC 10000-100) and Machinery (OPC 40001-1).
 
-What these namespaces have stands in ``node_sets``, a part of each at its own ids. Valves are below
-DI's DeviceSet as well as below our own root, and have by further references what is shown here.
+``node_sets`` holds the part of each namespace that the server uses, with the original NodeIds.
+Valves are organized by DI's DeviceSet as well as by our own root. Further references add the
+Identification and DeviceHealth.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ NODE_SETS = Path(__file__).parent / "node_sets"
 _FILES = "di.NodeSet2.xml", "machinery.NodeSet2.xml"  # the second one needs the first
 _DEVICE_SET, _I_DEVICE_HEALTH, _HEALTH_ENUMERATION = 5001, 15051, 6244  # of DI
 _COMPONENT_IDENTIFICATION, _I_MACHINE_TAG_NAMEPLATE = 1005, 1011  # of Machinery
-_NEEDED = {"Manufacturer", "SerialNumber"}  # by the type, whether anybody knows them or not
+_NEEDED = {"Manufacturer", "SerialNumber"}  # mandatory in the type
 _LOCALIZED = {"Manufacturer", "Model", "ComponentName"}
 _LOCATION = "Location"
 _UNKNOWN = ua.StatusCodes.UncertainInitialValue
@@ -34,23 +35,29 @@ _UNKNOWN = ua.StatusCodes.UncertainInitialValue
 
 @dataclass(frozen=True)
 class Companions:
-    """Where the namespaces of DI and Machinery are at one server."""
+    """The namespace indices of DI and Machinery at one server."""
 
     server: HardenedServer
     di: int
     machinery: int
 
     def list_device(self, owner: ua.NodeId) -> None:
-        """Have the DeviceSet organize a valve; before that is put aside."""
+        """Add an Organizes reference from the DeviceSet to a valve.
+
+        Call this before the valve's folder is deferred with ``add_later``.
+        """
         self.server.refer(self.device_set, ua.ObjectIds.Organizes, owner)
 
     @property
     def device_set(self) -> ua.NodeId:
-        """What organizes valves."""
+        """NodeId of the DeviceSet, which organizes the valves."""
         return self._of_di(_DEVICE_SET)
 
     async def add_identification(self, owner: ua.NodeId, plate: Nameplate) -> None:
-        """Say who made a valve; what nobody said is not there, or uncertain where it must be."""
+        """Add the Identification of a valve, from its name plate.
+
+        Optional properties that are not configured are left out; mandatory ones are Uncertain.
+        """
         server = self.server
         server.refer_back(self.device_set, ua.ObjectIds.Organizes, owner)
         own = await add_object(
@@ -108,7 +115,7 @@ class Companions:
 
 
 async def add_companions(server: HardenedServer) -> Companions:
-    """Add what the server has of DI and Machinery; before anything refers to it."""
+    """Add the nodes of DI and Machinery; call this before other nodes refer to them."""
     for text in _texts():
         await server.add_node_set(text)
     return Companions(server, await server.namespace(DI), await server.namespace(MACHINERY))

@@ -1,4 +1,4 @@
-"""What the results server shows: every node with its name, type, unit, range and meaning.
+"""The information model of the results server: name, type, unit, range, meaning of every node.
 
 The identifiers and paths are a contract with every client and never change::
 
@@ -42,7 +42,7 @@ WAITING, TIMING = f"{DIAGNOSTICS}.Waiting", f"{DIAGNOSTICS}.Timing"
 BASELINE, BUILDS_ON = "Baseline", "BuildsOn"
 ARMED, FEED_FORWARD_STATUS = "Armed", "FeedForwardStatus"
 LAST_ACTION = f"{DIAGNOSTICS}.LastAction"
-IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # by the names of Devices
+IDENTIFICATION, DEVICE_HEALTH = "Identification", "DeviceHealth"  # browse names of DI
 NODE_VERSION = "NodeVersion"
 
 U_RANGE = (0.0, 100.0)
@@ -62,7 +62,7 @@ class VariableNode:
     """One variable.
 
     ``id`` is the string identifier; ``dimensions`` is None for a scalar, else the length of each
-    dimension (0 = any); ``statuses`` is the enumeration that an Int32 stands for.
+    dimension (0 = any); ``statuses`` is the enumeration of an Int32's values.
     """
 
     id: str
@@ -81,12 +81,12 @@ class VariableNode:
 
 
 def check_names(valves: Sequence[ValveDescription]) -> None:
-    """See to it that every NodeId is unique and every path is what the contract says.
+    """Check that names are valid and unique, so that NodeIds and paths keep to the contract.
 
     Raises
     ------
     ConfigurationError
-        naming valve or estimator.
+        if a name is invalid or taken; names the valve or estimator.
     """
     _check_unique("valve", [valve.name for valve in valves], {ROOT, SERVICE, TYPES})
     for valve in valves:
@@ -97,7 +97,7 @@ def check_names(valves: Sequence[ValveDescription]) -> None:
 def estimator_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
-    """What is shown of one estimator on one valve."""
+    """The variables of one estimator on one valve."""
     prefix, doubles = f"{valve.name}.{estimator.name}", ua.VariantType.Double
     return (
         VariableNode(
@@ -148,7 +148,7 @@ def signal_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
 def parameter_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
-    """Each parameter as a variable of its own, for clients that show no arrays."""
+    """Each parameter as a separate variable, for clients that cannot show arrays."""
     if not estimator.has_named_parameters:
         return ()
     prefix = f"{valve.name}.{estimator.name}.{PARAMETERS}"
@@ -161,7 +161,7 @@ def parameter_variables(
 def survey_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
-    """What is shown of how well one estimator knows the map."""
+    """The variables of an estimator's survey: coverage and certainty of its map."""
     prefix = f"{valve.name}.{estimator.name}"
     litres = Unit.LITRE_PER_MINUTE
     return (
@@ -208,7 +208,7 @@ def survey_variables(
 def discovery_variables(
     valve: ValveDescription, estimator: EstimatorDescription
 ) -> tuple[VariableNode, ...]:
-    """What an estimator finds out by itself: changes of the valve, the structure of its map."""
+    """The variables of what an estimator detects: changes of the valve and the map's structure."""
     prefix = f"{valve.name}.{estimator.name}"
     _, Q_max = valve.Q_range
     changes = (
@@ -239,7 +239,7 @@ def discovery_variables(
 
 
 def waiting_variable(valve: str) -> VariableNode:
-    """Why nothing is learnt from a valve."""
+    """The variable that explains why no samples are made of a valve's signals, or none are used."""
     return VariableNode(
         f"{valve}.{WAITING}",
         "Why no samples are made of the valve's signals, or none are learnt from: a sentence for "
@@ -250,7 +250,7 @@ def waiting_variable(valve: str) -> VariableNode:
 
 
 def timing_variable(valve: str) -> VariableNode:
-    """How a valve's signals come."""
+    """The variable that describes the timing of a valve's signals."""
     return VariableNode(
         f"{valve}.{TIMING}",
         "How each of the valve's signals comes, as found at the start and fixed since: with one "
@@ -261,7 +261,7 @@ def timing_variable(valve: str) -> VariableNode:
 
 
 def builds_on_variable(valve: str, estimator: str) -> VariableNode:
-    """Which approved map an estimator's results build on."""
+    """The variable with the version of the approved map that an estimator's results build on."""
     return VariableNode(
         f"{valve}.{estimator}.{BUILDS_ON}",
         "Version of the approved map that the results build on; empty where none was approved.",
@@ -270,7 +270,7 @@ def builds_on_variable(valve: str, estimator: str) -> VariableNode:
 
 
 def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
-    """How one alarm stands; ``prefix`` is the identifier of its object."""
+    """The variables of one alarm; ``prefix`` is the identifier of its object."""
     return (
         VariableNode(
             f"{prefix}.Active",
@@ -307,7 +307,7 @@ def alarm_variables(prefix: str) -> tuple[VariableNode, ...]:
 
 
 def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
-    """The map that was approved as new."""
+    """The variables of the baseline, the map that was approved as new."""
     prefix = f"{valve}.{BASELINE}"
     return (
         VariableNode(
@@ -328,7 +328,7 @@ def baseline_variables(valve: str) -> tuple[VariableNode, ...]:
 
 
 def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """The regions of every estimator's Coverage on one valve."""
+    """The axes of every estimator's Coverage on one valve."""
     prefix = f"{valve.name}.{DIAGNOSTICS}"
     return (
         VariableNode(
@@ -349,7 +349,7 @@ def survey_axes(valve: ValveDescription) -> tuple[VariableNode, ...]:
 
 
 def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """How late the signals come, where an estimator of the valve finds that out."""
+    """The lags of the signals; empty if no estimator of the valve estimates lags."""
     if not any(estimator.finds_lags for estimator in valve.estimators):
         return ()
     prefix = f"{valve.name}.{DIAGNOSTICS}"
@@ -370,7 +370,7 @@ def lag_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
 
 
 def last_action(valve: ValveDescription) -> VariableNode:
-    """What was done to a valve last."""
+    """The variable with the last action on a valve."""
     return VariableNode(
         f"{valve.name}.{LAST_ACTION}",
         "What a user did to this valve last, and who: the name, a colon, the method or the demand. "
@@ -380,7 +380,7 @@ def last_action(valve: ValveDescription) -> VariableNode:
 
 
 def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """What is shown and taken in of one valve's inverse map, but for the map itself."""
+    """The variables of one valve's inverse map, except the map itself."""
     prefix = f"{valve.name}.{INVERSE}"
     return (
         VariableNode(
@@ -435,7 +435,7 @@ def inverse_variables(valve: ValveDescription) -> tuple[VariableNode, ...]:
 
 
 def inverse_results(valve: ValveDescription) -> tuple[VariableNode, ...]:
-    """What changes of a valve's inverse map with each result."""
+    """The variables of a valve's inverse map that change with each result."""
     rare = f"{valve.name}.{INVERSE}.{ARMED}", f"{valve.name}.{INVERSE}.{FEED_FORWARD_STATUS}"
     return tuple(
         node
@@ -466,7 +466,7 @@ def counter_name(counter: str) -> str:
 
 
 def counter_variable(valve: str, counter: str) -> VariableNode:
-    """One counter of a valve."""
+    """The variable of one counter of a valve."""
     meaning = COUNTERS.get(counter, f"{counter.replace('_', ' ').capitalize()}.")
     return VariableNode(
         f"{valve}.{counter_name(counter)}",
@@ -476,7 +476,7 @@ def counter_variable(valve: str, counter: str) -> VariableNode:
 
 
 def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
-    """How fresh a valve's data are: age of the newest sample, samples that wait."""
+    """Freshness of a valve's data: the age of the newest sample and the pending samples."""
     return (
         VariableNode(
             f"{valve}.{SAMPLE_AGE}",
@@ -493,7 +493,7 @@ def health_variables(valve: str) -> tuple[VariableNode, VariableNode]:
 
 
 def service_variables() -> dict[str, tuple[VariableNode, ...]]:
-    """What is shown of the service itself, by part."""
+    """The variables of the service itself, by part."""
     counts = ua.VariantType.UInt64
     return {
         f"{SERVICE}.Checkpoint": (

@@ -1,7 +1,7 @@
-"""What changes of the nodes from one configuration to the next (Part 3, 9.32; Part 5, 12.16). Pure.
+"""Model changes from one configuration to the next (Part 3, 9.32; Part 5, 12.16). Pure.
 
-A NodeVersion is a digest of what there is: the same model has the same version after a restart, at
-another machine, too; a client that kept the old one sees whether it must browse anew.
+A NodeVersion is a digest of the model: the same model has the same version after a restart and on
+another machine. A client that cached the version can tell whether it must browse again.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ _Types = ua.VariantType
 
 
 def version_of_root(valves: Iterable[ValveDescription]) -> str:
-    """NodeVersion of ``s=Identification``: changes when a valve comes, goes or is made anew.
+    """NodeVersion of ``s=Identification``: changes when a valve is added, removed or changed.
 
     >>> one, two = ValveDescription("V1", ()), ValveDescription("V2", ())
     >>> version_of_root([one, two]) == version_of_root([two, one]) != version_of_root([one])
@@ -32,7 +32,7 @@ def version_of_root(valves: Iterable[ValveDescription]) -> str:
 
 
 def version_of_valve(valve: ValveDescription) -> str:
-    """NodeVersion of a valve: changes whenever its nodes are made anew."""
+    """NodeVersion of a valve: changes whenever its nodes are re-created."""
     return _digest(valve)
 
 
@@ -43,18 +43,18 @@ def model_change(
     valve_type: ua.NodeId,
     now: int,
 ) -> Event | None:
-    """The event that says what came, went or changed; None: nothing did.
+    """Return the event that lists added, removed and changed valves; None if there are none.
 
     Parameters
     ----------
     before, after
-        What was shown, and is.
+        The valves shown before and after the change.
     index
-        Of our namespace.
+        Index of our namespace.
     valve_type
-        The type of valves.
+        NodeId of the ValveType.
     now
-        UTC ns.
+        Time of the event, UTC ns.
     """
     old, new = ({valve.name: valve for valve in valves} for valves in (before, after))
     came = [name for name in new if name not in old]
@@ -65,7 +65,7 @@ def model_change(
     root = ua.NodeId(ROOT, index)
     verbs = [(name, _Verb.NodeAdded) for name in came]
     verbs += [(name, _Verb.NodeDeleted) for name in went]
-    verbs += [(name, _Verb.NodeAdded | _Verb.NodeDeleted) for name in changed]  # made anew
+    verbs += [(name, _Verb.NodeAdded | _Verb.NodeDeleted) for name in changed]  # re-created
     changes = [_change(ua.NodeId(name, index), valve_type, verb) for name, verb in verbs]
     if came or went:
         verb = (_Verb.ReferenceAdded if came else 0) | (_Verb.ReferenceDeleted if went else 0)

@@ -1,4 +1,4 @@
-"""The history of signals, results and alarms, as the guarded server asks for it."""
+"""The history of signals, results and alarms, in the form the guarded server reads."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
@@ -24,7 +24,7 @@ _PARTS: Final = {
 
 
 def has_past(id_: str) -> bool:
-    """Whether a variable of the results server is one of those that are kept.
+    """Whether the history of a variable of the results server is stored.
 
     >>> [has_past(id_) for id_ in ("V1.Signals.Q", "V1.RLS.Residual", "V1.RLS.Status")]
     [True, True, False]
@@ -41,7 +41,7 @@ class ResultsPast:
         self._store = store
 
     def raw(self, variable: ua.NodeId, span: Span, skip: int, most: int) -> Awaitable[Records]:
-        """What a variable was, see :class:`guarded_opcua.Historian`."""
+        """Past values of a variable, see :class:`guarded_opcua.Historian`."""
         return asyncio.to_thread(self._read, str(variable.Identifier), span, skip, most)
 
     def _read(self, id_: str, span: Span, skip: int, most: int) -> Records:
@@ -55,9 +55,9 @@ class ResultsPast:
 
 
 class AlarmsPast:
-    """Fulfils :class:`guarded_opcua.EventHistorian`: what alarms have been, as their events.
+    """Fulfils :class:`guarded_opcua.EventHistorian`: past changes of alarms, as events.
 
-    ``event_of`` makes the event of an owner's alarm as it stood.
+    ``event_of`` returns the event of an owner's alarm, from its report at that time.
     """
 
     def __init__(self, store: PastStore, event_of: Callable[[str, AlarmReport], Event]) -> None:

@@ -1,7 +1,7 @@
-"""The alarms of valves and service on the results server: one logic, shown twice.
+"""The alarms of valves and service on the results server, as plain tags and as conditions.
 
-As plain tags, since many clients know no others, and as conditions (Part 9): each is made of the
-same report, and what is done by way of the one shows at the other.
+Many clients support plain tags only; conditions follow Part 9. Both are built from the same
+report, so an acknowledgement through one appears in the other.
 """
 
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Sequence
@@ -48,7 +48,7 @@ from valvemap.pipeline.ports import (
 )
 
 CONDITION = "Condition"
-MOST_OF_A_COMMENT = 200  # characters, of what LastAction shows
+MOST_OF_A_COMMENT = 200  # characters shown in LastAction
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 _KIND = {
     "Changed": ConditionKind.OFF_NORMAL,
@@ -71,26 +71,28 @@ Act = Callable[[str | None, str, Remark], Answer[None]]
 
 
 class ResultAlarms:
-    """Shows alarms, reports their changes once; fulfils :class:`guarded_opcua.ConditionKeeper`.
+    """Publishes alarms and reports each change once.
+
+    Fulfils :class:`guarded_opcua.ConditionKeeper`.
 
     Parameters
     ----------
     server
-        Where.
+        The server that shows the alarms.
     valves
-        Whose; the service has alarms, too.
+        The valves with alarms; the service has alarms, too.
     operator
-        Knows how they stand and carries out what people do.
+        Holds the state of the alarms and carries out acknowledgements, confirmations and comments.
     clock
-        Stamps what no sample is behind.
+        Source time of values without a sample.
     show
         Writes a variable of a valve, or of the service.
     note
-        Shows what was done to a valve.
+        Records an action on a valve.
     stands
-        Takes how all alarms of a valve stand, when one of them changed.
+        Called with the reports of all alarms of a valve when one of them changed.
     keep
-        Takes what changed, for the history; None: there is none.
+        Stores a change in the history; None: no history.
     """
 
     def __init__(
@@ -114,7 +116,7 @@ class ResultAlarms:
         self._stands = stands
         self._keep = keep
         self._versions = np.zeros(len(self._names), np.int64)
-        self._reported: dict[tuple[str, str], int] = {}  # a digest of how each stood
+        self._reported: dict[tuple[str, str], int] = {}  # digest of each last report
         server.keep_conditions(self)
 
     def follow(
@@ -123,7 +125,7 @@ class ResultAlarms:
         shown: Collection[str],
         keep: Callable[[AlarmChange], None] | None,
     ) -> None:
-        """Go on with other valves: ``names`` by slot, those ``shown`` now; forget the others."""
+        """Switch to other valves: ``names`` by slot, and those ``shown`` now; drop the others."""
         self._names = list(names)
         self._valves = frozenset(shown)
         self._keep = keep
@@ -132,7 +134,7 @@ class ResultAlarms:
         self._reported = {key: at for key, at in self._reported.items() if key[0] in owners}
 
     def publish(self, results: Results, now: int) -> None:
-        """Show what changed of valves' alarms."""
+        """Publish the alarms of valves whose alarms changed."""
         if results.alarms is None:
             return
         valves, versions = results.valves, results.alarms.version
@@ -144,7 +146,7 @@ class ResultAlarms:
             self._stands(name, reports)
 
     def take(self, owner: str, reports: Iterable[AlarmReport], now: int) -> None:
-        """Show how alarms stand that ever came, and report each that changed."""
+        """Publish the state of alarms that were ever active or commented; report each change."""
         came = [report for report in reports if report.at or report.commented]
         for new in alarm_values(came, now):
             self._show(owner, new)
@@ -153,14 +155,14 @@ class ResultAlarms:
             before = self._reported.get((owner, report.name))
             self._reported[owner, report.name] = digest
             condition = _condition(self._key(owner, report.name), report)
-            is_news = before is not None or condition.retain  # else it was over before we began
+            is_news = before is not None or condition.retain  # else it ended before the start
             if before != digest and is_news:
                 self._server.report(condition)
                 if self._keep is not None:
                     self._keep(AlarmChange(owner, max(report.at, report.commented), report))
 
     def event_of(self, owner: str, report: AlarmReport) -> Event:
-        """The event of a change, from how the alarm stood then: the same for ever."""
+        """Return the event of a change, from the alarm's report at that time; deterministic."""
         return _condition(self._key(owner, report.name), report).event()
 
     async def add(self, parent: ua.NodeId, valve: str | None, add_variable: AddVariable) -> None:
@@ -186,7 +188,7 @@ class ResultAlarms:
             self._server.add_condition(folder, partial(self._standing, valve, alarm.name))
 
     async def declare(self, place: Place, kind: ua.NodeId) -> None:
-        """Declare what an alarm has beside its variables, for its type."""
+        """Declare the methods and the condition of an alarm, for its type."""
         await self._add_methods(place, kind, None, "")
         await _add_condition(place, kind, ua.NodeId(ua.ObjectIds.AlarmConditionType))
 
@@ -221,12 +223,12 @@ class ResultAlarms:
         return [self._key(owner, report.name) for report in self._operator.alarms(valve)]
 
     def find(self, condition: ua.NodeId) -> Condition | None:
-        """How a condition stands; None: there is no such one."""
+        """Return the state of a condition; None if it does not exist."""
         found = self._owner_of(condition)
         return None if found is None else self._standing(*found)
 
     def retained(self) -> Iterator[Sequence[Condition]]:
-        """Those that are to be shown, valve by valve."""
+        """The retained conditions, one sequence per owner."""
         for valve in (None, *self._operator.alarmed()):
             owner = SERVICE if valve is None else valve
             every = (
@@ -236,15 +238,15 @@ class ResultAlarms:
             yield [condition for condition in every if condition.retain]
 
     def acknowledge(self, condition: ua.NodeId, comment: str) -> Answer[None]:
-        """Note that it was seen."""
+        """Acknowledge a condition."""
         return self._act_on(condition, "Acknowledge", self._operator.acknowledge, comment)
 
     def confirm(self, condition: ua.NodeId, comment: str) -> Answer[None]:
-        """Note that it was dealt with."""
+        """Confirm a condition."""
         return self._act_on(condition, "Confirm", self._operator.confirm, comment)
 
     def remark(self, condition: ua.NodeId, comment: str) -> Answer[None]:
-        """Note what somebody said of it."""
+        """Add a comment to a condition."""
         return self._act_on(condition, "AddComment", self._operator.remark, comment)
 
     def _act_on(self, condition: ua.NodeId, name: str, act: Act, comment: str) -> Answer[None]:
@@ -268,7 +270,7 @@ class ResultAlarms:
             self._note(valve, f"{ALARMS}.{alarm} {name} {comment[:MOST_OF_A_COMMENT]!r}")
 
     def _owner_of(self, condition: ua.NodeId) -> tuple[str | None, str] | None:
-        """The valve (None: the service) and the alarm that a condition is of."""
+        """Return the valve (None: the service) and the alarm of a condition; None if unknown."""
         names = str(condition.Identifier).split(".")
         if (
             condition.NamespaceIndex != self._server.namespace_index

@@ -1,6 +1,6 @@
 """The results of all valves, written as blocks: one for each type and length of value.
 
-The blocks hold what is new of every valve, whether its nodes are made yet or not.
+The blocks hold the latest values of every valve, including valves whose nodes are not created yet.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -36,10 +36,11 @@ _Kind = tuple[ua.VariantType, int | None]
 class Changing:
     """A variable that changes with each result.
 
-    ``name`` is the variable's within the valve, ``length`` that of its value if it is an array.
-    Variables that are published side by side, in this order, share ``column``, the name under
-    which they are written. ``first`` is its value before any result, None if it waits for one.
-    ``ages``: it gets old with the sample that it is of.
+    ``name`` is the variable's name within the valve, ``length`` the length of its value if it is
+    an array. Variables that are published side by side, in this order, share ``column``, the name
+    under which they are written. ``first`` is the value before the first result; None: the
+    variable is BadWaitingForInitialData until then. ``ages``: the value becomes Uncertain when its
+    sample is old.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Changing:
 
 
 def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
-    """What changes with each result of a valve."""
+    """The variables of a valve that change with each result."""
     frame, _ = frame_variables(valve)
     yield _by_itself(frame, len(frame_names(valve)))
     for estimator in valve.estimators:
@@ -74,9 +75,10 @@ def changing_variables(valve: ValveDescription) -> Iterator[Changing]:
 
 
 class ResultBlocks:
-    """Writes what changes with each result; ``now`` (UTC ns) stamps what is there before any.
+    """Writes the variables that change with each result.
 
-    Valves are alike whatever their names and plates.
+    ``now`` (UTC ns) is the source time of the values before the first result. Valves whose
+    descriptions differ only in name and name plate share a layout.
     """
 
     def __init__(
@@ -93,7 +95,7 @@ class ResultBlocks:
             for kind, variables in _by_kind(changing_variables(described)).items():
                 begin = sizes.setdefault(kind, 0)
                 block, width = list(sizes).index(kind), len(variables)
-                for k in reversed(range(width)):  # side by side: the first one's place is theirs
+                for k in reversed(range(width)):  # side by side: the column starts at the first
                     places = begin + k + width * np.arange(len(numbers))
                     if variables[k].ages:
                         aging.append((block, places, numbers))
@@ -111,14 +113,14 @@ class ResultBlocks:
             self.write(np.array(numbers), [_at_first(v, len(numbers), now) for v in counters])
 
     def show(self, valve: int, name: str, variable: Variable) -> None:
-        """Let a variable, by its name within its valve, show what is written here of it."""
+        """Connect a variable, given by its name within its valve, to its place in a block."""
         where = self._where.get(name)
         if where is not None and where[valve, 0] >= 0:
             block, column = where[valve].tolist()
             self._server.show(variable, self._blocks[block], column)
 
     def write(self, valves: Times, columns: Iterable[Column]) -> None:
-        """Publish variables of valves that are treated alike; what is not there is passed over."""
+        """Publish variables of valves with the same layout; skip variables without a block."""
         if not len(valves):
             return
         parts: dict[int, list[_Part]] = {}
@@ -137,7 +139,7 @@ class ResultBlocks:
             )
 
     def doubt(self, valves: Times) -> None:
-        """Have what is shown as Good of some valves be Uncertain: it has become old."""
+        """Mark Good values of the given valves as UncertainLastUsableValue: their sample is old."""
         doubted = np.zeros(self._valves + 1, np.bool_)
         doubted[valves] = True
         for block, valve_of in zip(self._blocks, self._valve_of, strict=True):
@@ -149,14 +151,14 @@ class ResultBlocks:
 
 
 class Generations:
-    """The blocks of valves that came at different times: each has a slot for good."""
+    """The blocks of valves that were added at different times; slots are never reused."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[ResultBlocks, NDArray[np.intp]]] = []  # place by slot; -1: none
         self._slots = 0
 
     def add(self, server: HardenedServer, valves: Sequence[ValveDescription], now: int) -> None:
-        """Make room for more valves, in the next slots."""
+        """Add blocks for more valves, in the next slots."""
         if not valves:
             return
         count = len(valves)
@@ -166,17 +168,17 @@ class Generations:
         self._slots += count
 
     def keep(self, slots: Times) -> None:
-        """Let go of what holds none of these slots."""
+        """Drop the blocks that hold none of these slots."""
         self._parts = [(one, at) for one, at in self._parts if (at[slots] >= 0).any()]
 
     def show(self, slot: int, name: str, variable: Variable) -> None:
-        """Let a variable show what is written here of it."""
+        """Connect a variable to its place in a block."""
         for blocks, places in self._parts:
             if places[slot] >= 0:
                 blocks.show(int(places[slot]), name, variable)
 
     def write(self, slots: Times, columns: Iterable[Column]) -> None:
-        """Publish variables of valves that are treated alike."""
+        """Publish variables of valves with the same layout."""
         given = list(columns)
         for blocks, places in self._parts:
             own = places[slots] >= 0
@@ -186,7 +188,7 @@ class Generations:
                 blocks.write(places[slots][own], (column[own] for column in given))
 
     def doubt(self, slots: Times) -> None:
-        """Have what is shown as Good of the valves in some slots be Uncertain."""
+        """Mark Good values of the valves in the given slots as Uncertain."""
         for blocks, places in self._parts:
             own = places[slots]
             blocks.doubt(own[own >= 0])
@@ -222,7 +224,7 @@ def _at_first(changing: Changing, valves: int, now: int) -> Column:
 
 
 class _Part(NamedTuple):
-    """What is new of a block: at n places n values."""
+    """New values of a block: n values at n places."""
 
     places: NDArray[np.intp]
     t: Times

@@ -1,4 +1,4 @@
-"""What operators may do to valves: methods that change something, each noted as LastAction."""
+"""Operator commands on valves: methods that change state, each recorded in LastAction."""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,20 +18,20 @@ from valvemap.pipeline.ports import Answer, Operator
 
 
 class ResultCommands:
-    """Adds commands; what they changed shows at once, since who has called may read.
+    """Adds command methods; their effects are published before the call returns.
 
     Parameters
     ----------
     operator
-        Carries them out.
+        Carries out the commands.
     slots
-        Which valves are shown.
+        The valves that are shown.
     variables
-        Show what was changed.
+        Publish the changed values.
     notes
-        Show what was done, and what was refused.
+        Record actions and rejections.
     clock
-        Stamps what was changed.
+        Source time of the changed values.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class ResultCommands:
     async def add_to_estimator(
         self, place: Place, parent: ua.NodeId, valve: str, estimator: str
     ) -> None:
-        """Add what may be done to an estimator of a valve."""
+        """Add the commands of an estimator of a valve."""
         command = partial(self._add, place, parent, f"{valve}.{estimator}")
         who = (valve, estimator)
         await command("Reset", partial(self._operator.reset, *who), "Forget all samples.")
@@ -67,7 +67,7 @@ class ResultCommands:
         )
 
     async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add what may be done to a valve by its inverse map."""
+        """Add the commands of a valve's inverse map: Arm and Disarm."""
         command = partial(self._add, place, parent, f"{valve}.{INVERSE}")
         await command(
             "Arm",
@@ -81,7 +81,7 @@ class ResultCommands:
         )
 
     async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add what may be done to the map that was approved as new."""
+        """Add the commands of the baseline: Approve, RollBack and ValveReplaced."""
         command = partial(self._add, place, parent, f"{valve}.{BASELINE}")
         await command(
             "Approve",

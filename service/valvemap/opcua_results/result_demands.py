@@ -1,4 +1,4 @@
-"""What stands at the inverse maps: the flow that a client demands, and at which pressure drop."""
+"""The demands on the inverse maps: flow and pressure drop, as written by a client."""
 
 from collections.abc import Collection, Iterable
 from contextlib import suppress
@@ -17,16 +17,16 @@ _NOTHING = (np.nan, np.nan)
 
 
 class ResultDemands:
-    """Hands demands on, and keeps those that were taken: another operator must know them, too.
+    """Forwards demands to the operator and stores accepted ones, to repeat them to a successor.
 
     Parameters
     ----------
     operator
-        Takes demands: of a valve, in l/min at bar; NaN takes one back.
+        Accepts demands of a valve, in l/min at bar; NaN withdraws one.
     notes
-        Show what was demanded.
+        Record the demands.
     valves
-        Names of those that are shown.
+        Names of the valves that are shown.
     """
 
     def __init__(self, operator: Operator, notes: ResultNotes, valves: Iterable[str]) -> None:
@@ -35,20 +35,20 @@ class ResultDemands:
         self._standing = dict.fromkeys(valves, _NOTHING)  # l/min, bar
 
     def flow(self, valve: str, Q: float) -> Answer[None]:
-        """Demand another flow (l/min), at the pressure drop that stands."""
+        """Demand another flow (l/min) at the current pressure drop."""
         return self._demand(valve, Q, self._standing[valve][1])
 
     def pressure_drop(self, valve: str, dp: float) -> Answer[None]:
-        """Demand the flow that stands at another pressure drop (bar)."""
+        """Demand the current flow at another pressure drop (bar)."""
         return self._demand(valve, self._standing[valve][0], dp)
 
     def follow(self, valves: Iterable[str], gone: Collection[str]) -> None:
-        """Go on with other valves; nothing is demanded of those that came."""
+        """Switch to other valves; added valves start without a demand."""
         before = {name: of for name, of in self._standing.items() if name not in gone}
         self._standing = {name: before.get(name, _NOTHING) for name in valves}
 
     async def repeat(self) -> None:
-        """Have another operator know what stands; what it rejects it does not."""
+        """Repeat all demands to the new operator; demands that it rejects are ignored."""
         for name, (Q, dp) in self._standing.items():
             if not np.isnan(Q):
                 with suppress(CommandRejected):
@@ -58,7 +58,7 @@ class ResultDemands:
 
     def _demand(self, valve: str, Q: float, dp: float) -> Answer[None]:
         def demanded(_: None) -> None:
-            if valve in self._standing:  # it may have gone while the answer was on its way
+            if valve in self._standing:  # it may have been removed in the meantime
                 self._standing[valve] = (Q, dp)
             self._notes.acted(valve, f"{INVERSE} demand {Q:g} l/min at {dp:g} bar")
 

@@ -1,8 +1,8 @@
-"""One array per valve with all its numbers, so that a machine reads them together. Pure.
+"""One array per valve with all its numbers, so that a client reads them consistently. Pure.
 
-``s=<Valve>.Frame`` holds Doubles whose names ``s=<Valve>.FrameNames`` gives; its SourceTimestamp is
-that of the newest sample behind it. NaN is what is not known. The first column, ``Sequence``, grows
-by one with each frame: a jump is a loss.
+``s=<Valve>.Frame`` holds Doubles, ``s=<Valve>.FrameNames`` their names. Its SourceTimestamp is that
+of the newest sample used. Unknown values are NaN. The first column, ``Sequence``, increments by one
+with each frame: a larger step means lost frames.
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ from valvemap.vocabulary.statuses import Quality
 
 
 def frame_names(valve: ValveDescription) -> tuple[str, ...]:
-    """Names of the columns.
+    """Return the names of the frame's columns.
 
     >>> from valvemap.pipeline.ports import EstimatorDescription
     >>> rls = EstimatorDescription("RLS", "", ("a",), has_forgetting_factor=True)
@@ -45,7 +45,7 @@ def frame_names(valve: ValveDescription) -> tuple[str, ...]:
 
 
 def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode]:
-    """The frame, and the names of its columns."""
+    """Return the variables Frame and FrameNames."""
     count = len(frame_names(valve))
     return (
         VariableNode(
@@ -63,9 +63,9 @@ def frame_variables(valve: ValveDescription) -> tuple[VariableNode, VariableNode
 
 
 def frames(valve: ValveDescription, results: Results, sequence: Times, now: int) -> Column:
-    """The numbers of M valves that are described like ``valve``, one frame each.
+    """Return the frames of M valves that have the layout of ``valve``.
 
-    ``sequence`` (M,) numbers them.
+    ``sequence`` (M,) holds their sequence numbers.
     """
     M = len(results.valves)
     codes, t = np.full(M, ua.StatusCodes.Good, np.uint32), np.zeros(M, np.int64)
@@ -86,7 +86,7 @@ def frames(valve: ValveDescription, results: Results, sequence: Times, now: int)
 
 
 def _signals(results: Results) -> Floats:
-    """The newest sample of M valves, (M, 6); NaN where the sensors are lost."""
+    """Return the newest sample of M valves, (M, 6); NaN where the sensors are lost."""
     signals = results.signals
     if signals is None:
         return np.full((len(results.valves), len(SIGNAL_NAMES)), np.nan)

@@ -1,4 +1,4 @@
-"""DeviceHealth of valves and service, written when it changes; of those alone that have a node."""
+"""DeviceHealth of valves and service, written on change and only where the node exists."""
 
 from collections.abc import Iterable
 
@@ -10,14 +10,14 @@ from valvemap.pipeline.ports import AlarmReport
 
 
 class ResultHealth:
-    """Shows how devices are, by their alarms.
+    """Publishes DeviceHealth, derived from the active alarms.
 
     Parameters
     ----------
     server
-        Where.
+        The server that shows it.
     clock
-        Stamps what no alarm is behind.
+        Source time while no alarm has changed.
     """
 
     def __init__(self, server: HardenedServer, clock: Clock) -> None:
@@ -30,18 +30,18 @@ class ResultHealth:
         return owner in self._variables
 
     def forget(self, owner: str) -> None:
-        """Show it no more: its node is gone."""
+        """Drop an owner whose node was removed."""
         self._variables.pop(owner, None)
         self._shown.pop(owner, None)
 
     def add(self, owner: str, variable: Variable, reports: Iterable[AlarmReport] | None) -> None:
-        """Show an owner's from now on; None: it has been heard of nothing yet."""
+        """Start to publish an owner's health; ``reports`` is None before its first result."""
         self._variables[owner] = variable
         if reports is not None:
             self.stands(owner, reports)
 
     def stands(self, owner: str, reports: Iterable[AlarmReport]) -> None:
-        """Take in how all alarms of an owner stand."""
+        """Update an owner's health from the reports of all its alarms."""
         variable = self._variables.get(owner)
         if variable is None:
             return

@@ -1,4 +1,4 @@
-"""The nodes of valves: what leads to each at once, what is below it when somebody first looks."""
+"""The nodes of valves: folders are created at once, their children on first access."""
 
 from collections.abc import Callable, Collection
 from functools import partial
@@ -22,17 +22,17 @@ class ResultNodes:
     Parameters
     ----------
     server, companions
-        Where.
+        The server and its companion namespaces.
     parts
-        What is in the parts of a valve.
+        Adds the variables and methods of each part of a valve.
     alarms, health
-        What valves report, and how they are.
+        Publish the alarms and the DeviceHealth of valves.
     operator
-        Knows how alarms stand.
+        Holds the state of alarms.
     is_heard_of
-        Whether anything was published of a valve yet, by its name.
+        Whether a result of a valve, given by its name, was published.
     keep_events
-        Has clients find what an object reported.
+        Gives an object a history of its events.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ResultNodes:
         self._keep_events = keep_events
 
     async def add(self, valve: ValveDescription) -> None:
-        """Add a valve; what is below it is added later."""
+        """Add the folder of a valve; its children are added on first access."""
         server = self._server
         folder = await add_object(
             server,
@@ -66,13 +66,13 @@ class ResultNodes:
             type_definition=type_of(server, VALVE),
         )
         server.let_emit(folder)
-        # before it is put aside, or it would be made at once
+        # before add_later: a later access would create the children at once
         self._keep_events(folder)
         self._companions.list_device(folder)
         server.add_later(folder, partial(self._add_below, folder, valve))
 
     def remove(self, names: Collection[str]) -> None:
-        """Remove valves, and all that is below them."""
+        """Remove valves with all their child nodes."""
         index = self._server.namespace_index
         referrers = ua.NodeId(ROOT, index), self._companions.device_set
         self._server.remove([ua.NodeId(name, index) for name in names], referrers)
@@ -80,7 +80,7 @@ class ResultNodes:
             self._health.forget(name)
 
     async def _add_below(self, folder: ua.NodeId, valve: ValveDescription) -> None:
-        """Add what is below a valve's folder; what is in folders there is added later still."""
+        """Add the children of a valve's folder; the children of its parts are added on access."""
         server, parts = self._server, self._parts
         server.refer_to_conditions(folder, self._alarms.keys(valve.name))
         await add_property(server, folder, NODE_VERSION, version_of_valve(valve))

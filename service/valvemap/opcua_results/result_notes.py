@@ -1,4 +1,4 @@
-"""What was done to a valve, and why something was not, as variables of the valve."""
+"""The last action on a valve and the last refusal, as variables of the valve."""
 
 from asyncua import ua
 
@@ -9,18 +9,18 @@ from valvemap.opcua_results.result_variables import ResultVariables
 
 
 class ResultNotes:
-    """Writes them; ``clock`` stamps them."""
+    """Writes LastAction and LastRefusal; ``clock`` gives their source time."""
 
     def __init__(self, variables: ResultVariables, clock: Clock) -> None:
         self._variables = variables
         self._clock = clock
 
     def acted(self, valve: str, action: str) -> None:
-        """Show what was done to a valve, and by whom."""
+        """Publish an action on a valve, with the name of the caller."""
         self._show(valve, LAST_ACTION, f"{caller()}: {action}")
 
     def refused(self, valve: str, why: str) -> None:
-        """Show why an action on the baseline was refused: a StatusCode alone does not say it."""
+        """Publish why an action on the baseline was refused; a StatusCode carries no reason."""
         self._show(valve, f"{BASELINE}.LastRefusal", why)
 
     def _show(self, valve: str, name: str, words: str) -> None:

@@ -1,4 +1,4 @@
-"""What is in each part of a valve: its variables and methods, of instances and types alike."""
+"""The variables and methods of each part of a valve, for instances and types alike."""
 
 from functools import partial
 from typing import Any
@@ -49,18 +49,18 @@ _IMAGE_ITEM_TYPE = ua.NodeId(12047)
 
 
 class ResultParts:
-    """Adds what is in the parts of a valve, each when somebody first looks there.
+    """Adds the contents of each part of a valve on first access.
 
     Parameters
     ----------
     variables
-        Show what is new.
+        Adds and writes variables.
     commands, questions
-        What may be done and asked.
+        Add the methods.
     demands
-        Take what is demanded of inverse maps.
+        Accepts the demands on inverse maps.
     alarms
-        Add their own.
+        Adds the nodes of alarms.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class ResultParts:
         self._alarms = alarms
 
     def of_every_valve(self) -> dict[str, tuple[str, AddPart]]:
-        """What every valve has: what it is, and what adds what is in it."""
+        """The parts of every valve: description, and the function that adds the contents."""
         words = "What became of the valve's data on their way into the model."
         return {
             SIGNALS: ("The newest sample.", self._add_signals),
@@ -89,7 +89,7 @@ class ResultParts:
         }
 
     async def add_frame(self, place: Place, folder: ua.NodeId, valve: ValveDescription) -> None:
-        """Add a valve's own variables: all numbers of a result in one array, and their names."""
+        """Add the variables Frame and FrameNames of a valve."""
         of_frame, of_names = frame_variables(valve)
         await self._variables.add(place, folder, of_names, frame_names(valve))
         await self._variables.add(place, folder, of_frame, None)
@@ -101,7 +101,7 @@ class ResultParts:
         parent: ua.NodeId,
         valve: ValveDescription,
     ) -> None:
-        """Add what one estimator of a valve has."""
+        """Add the variables and methods of one estimator of a valve."""
         add = partial(self._variables.add, place)
         names = list(estimator.parameter_names)
         for node in estimator_variables(valve, estimator):
@@ -122,7 +122,7 @@ class ResultParts:
         await self._questions.add_to_estimator(place, parent, valve.name, estimator.name)
 
     async def declare_alarm(self, place: Place, own: ua.NodeId) -> None:
-        """Add what an alarm has, for its type."""
+        """Declare the variables, methods and condition of an alarm, for its type."""
         for node in alarm_variables(str(own.Identifier)):
             await self._variables.add(place, own, node, None)
         await self._alarms.declare(place, own)
@@ -152,7 +152,7 @@ class ResultParts:
         await self._questions.add_to_inverse(place, parent, valve.name)
 
     async def _add_map(self, place: Place, parent: ua.NodeId, valve: ValveDescription) -> None:
-        """Add the map, and make it an ImageItemType: SCADA clients draw it without our help."""
+        """Add the map as an ImageItemType, which SCADA clients can plot directly."""
         variable = await self._variables.add(
             place, parent, map_variable(valve), None, type_definition=_IMAGE_ITEM_TYPE
         )

@@ -1,4 +1,4 @@
-"""The publishing of results: what is new of many valves, as few writes of arrays."""
+"""Publishes the results of many valves in a few array writes."""
 
 from dataclasses import replace
 
@@ -22,23 +22,23 @@ from valvemap.vocabulary.statuses import Quality
 
 
 class ResultPublishing:
-    """Shows results, and remembers of each valve what was shown and when.
+    """Publishes results and tracks per valve when its scalars are due.
 
     Parameters
     ----------
     slots
-        Which valves are shown.
+        The valves that are shown.
     blocks, variables
-        Where stands what changes with each result, and what is rare or large.
+        Hold the values that change with each result, and those that are rare or large.
     alarms, health
-        What valves report, and how they are.
+        Publish the alarms and the DeviceHealth of valves.
     operator
-        Knows how alarms stand.
+        Holds the state of alarms.
     clock
-        Stamps what no sample is behind.
+        Source time of values without a sample.
     scalars_interval_s
-        Shortest time between two results of a valve in its single variables. What is Bad never
-        waits.
+        Minimum time between two updates of a valve's scalar variables. Bad values are always
+        published immediately.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class ResultPublishing:
         self._changed = ChangedResults(len(slots), slots.most_counters)
 
     def follow(self, scalars_interval_s: float) -> None:
-        """Go on with what the slots hold now; all that is rare or large is published anew."""
+        """Switch to the valves that the slots hold now; republish all rare or large values."""
         came = len(self._slots) - len(self._sequences)
         self._scalars_interval_s = scalars_interval_s
         self._sequences = np.append(self._sequences, np.zeros(came, np.int64))
@@ -73,12 +73,12 @@ class ResultPublishing:
         self._changed = ChangedResults(len(self._slots), self._slots.most_counters)
 
     def is_heard_of(self, valve: str) -> bool:
-        """Whether anything was published of a valve yet."""
+        """Whether a result of a valve was published."""
         slot = self._slots.find(valve)
         return slot is not None and bool(self._sequences[slot])
 
     def publish(self, results: Results) -> None:
-        """Show results of valves that are treated alike, which have the operator's numbers."""
+        """Publish results of valves with the same layout, numbered as the operator numbers them."""
         results = replace(results, valves=self._slots.of(results.valves))
         now, valves = self._clock.now(), results.valves
         self._sequences[valves] += 1
@@ -100,11 +100,11 @@ class ResultPublishing:
                 self._health.stands(name, self._operator.alarms(name))
 
     def doubt(self, valves: Times) -> None:
-        """Have what is shown of the operator's valves, by number, be at best Uncertain."""
+        """Mark Good values of the operator's valves, given by number, as Uncertain."""
         self._blocks.doubt(self._slots.of(valves))
 
     def publish_waits(self, health: Health, now: int) -> None:
-        """Show how old each valve's newest sample is, and how many wait; ``now`` in UTC ns."""
+        """Publish each valve's sample age and pending samples; ``now`` in UTC ns."""
         every = self._slots.every
         t = np.full(len(every), now)
         good = np.full(len(every), ua.StatusCodes.Good, np.uint32)
@@ -116,7 +116,7 @@ class ResultPublishing:
         )
 
     def _due(self, results: Results) -> NDArray[np.bool_]:
-        """Whose single variables are written now, (M,)."""
+        """Return which valves' scalar variables are due now, (M,)."""
         now, valves = self._clock.monotonic(), results.valves
         due = now >= self._scalars_due[valves]
         for estimator in results.estimators.values():

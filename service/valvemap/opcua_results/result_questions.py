@@ -1,4 +1,4 @@
-"""What anybody may ask of valves: methods that change nothing."""
+"""Query methods of valves: read-only, allowed for every user."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -26,14 +26,14 @@ _T = Argument(
 
 
 class ResultQuestions:
-    """Adds questions.
+    """Adds the query methods.
 
     Parameters
     ----------
     operator
-        Answers them.
+        Answers the queries.
     notes
-        Show what of the baseline could not be answered.
+        Record refused comparisons with the baseline.
     """
 
     def __init__(self, operator: Operator, notes: ResultNotes) -> None:
@@ -43,7 +43,7 @@ class ResultQuestions:
     async def add_to_estimator(
         self, place: Place, parent: ua.NodeId, valve: str, estimator: str
     ) -> None:
-        """Add what may be asked of an estimator: flows at a point of its map."""
+        """Add the queries of an estimator: Predict and PredictMeasurement."""
         prefix, who, flow = f"{valve}.{estimator}", (valve, estimator), Unit.LITRE_PER_MINUTE
         await add_method(
             place,
@@ -77,7 +77,7 @@ class ResultQuestions:
         )
 
     async def add_to_inverse(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add what may be asked of an inverse map: the control voltage for a flow."""
+        """Add the query of an inverse map: Invert, the control voltage for a flow."""
         await add_method(
             place,
             parent,
@@ -95,7 +95,7 @@ class ResultQuestions:
         )
 
     async def add_to_baseline(self, place: Place, parent: ua.NodeId, valve: str) -> None:
-        """Add what may be asked of the map that was approved: how far another is from it."""
+        """Add the query of the baseline: Compare, the deviation of an estimator's map from it."""
         flow = Unit.LITRE_PER_MINUTE
         await add_method(
             place,

@@ -1,4 +1,4 @@
-"""The service's own nodes: how it stands itself, and the method Reload."""
+"""The nodes of the service itself: its health, its alarms and the method Reload."""
 
 from collections.abc import Awaitable, Callable
 from functools import partial
@@ -28,13 +28,13 @@ class ResultService:
     Parameters
     ----------
     server, companions
-        Where.
+        The server and its companion namespaces.
     variables
-        Show what is new.
+        Adds and writes variables.
     alarms, health
-        What the service reports, and how it is.
+        Publish the alarms and the DeviceHealth of the service.
     on_reload
-        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
+        Carries out the method Reload; raises CommandRejected on failure. None: no such method.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class ResultService:
             )
 
     def show(self, health: Health, now: int) -> None:
-        """Show how the service stands; ``now`` in UTC ns."""
+        """Publish the state of the service; ``now`` in UTC ns."""
         self._variables.write(service_values(health), now)
         self._health.stands(SERVICE, health.alarms)
         if health.alarms != self._reports:
@@ -93,4 +93,4 @@ class ResultService:
 
 
 def _done(_: None) -> None:
-    """Nothing is said when it is done."""
+    """Reload returns no output arguments."""

@@ -1,4 +1,4 @@
-"""Which valves are shown, and how others follow them over a reload. Pure."""
+"""The slots of the valves that are shown, stable across reloads. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from valvemap.pipeline.ports import ValveDescription
 
 @dataclass(frozen=True)
 class Changeover:
-    """What a reload changed of the valves that are shown.
+    """The changes of a reload to the valves that are shown.
 
-    ``before`` and ``after`` are all of them; a valve that is described otherwise than before has
-    ``gone`` by its name and ``came`` as well. ``kept`` are the slots of the others, (K,).
+    ``before`` and ``after`` are all valves. A valve whose description changed is in ``gone``, by
+    name, and in ``came``. ``kept`` are the slots of the unchanged valves, (K,).
     """
 
     before: Sequence[ValveDescription]
@@ -26,15 +26,14 @@ class Changeover:
 
 
 class ValveSlots:
-    """The rows of what is remembered of valves: each valve has its slot for good.
+    """Row numbers (slots) of per-valve state; a slot is never reused.
 
-    An operator counts its own valves from 0: at first these numbers are the slots, and after a
-    reload no more.
+    An operator numbers its valves from 0. Numbers and slots are equal until the first reload.
 
     Parameters
     ----------
     valves
-        The first operator's, by number.
+        The first operator's valves, by number.
 
     >>> boom, stick = ValveDescription("Boom", ()), ValveDescription("Stick", ())
     >>> slots = ValveSlots([boom, stick])
@@ -44,21 +43,21 @@ class ValveSlots:
     """
 
     def __init__(self, valves: Sequence[ValveDescription]) -> None:
-        self._valves = list(valves)  # by slot, also those that are gone
+        self._valves = list(valves)  # by slot, removed valves included
         self._slots = {valve.name: slot for slot, valve in enumerate(self._valves)}
         self._slot_of = np.arange(len(self._valves))  # of each of the operator's valves
 
     def __len__(self) -> int:
-        """How many slots there are, also of valves that are gone."""
+        """Number of slots, those of removed valves included."""
         return len(self._valves)
 
     def __getitem__(self, slot: int) -> ValveDescription:
-        """The valve that has a slot, or had it."""
+        """The valve of a slot, even if it was removed."""
         return self._valves[slot]
 
     @property
     def names(self) -> list[str]:
-        """By slot."""
+        """Names of the valves by slot, removed valves included."""
         return [valve.name for valve in self._valves]
 
     @property
@@ -68,7 +67,7 @@ class ValveSlots:
 
     @property
     def most_counters(self) -> int:
-        """The largest number of counters that a valve has."""
+        """The largest number of counters of any valve."""
         return max((len(valve.counters) for valve in self._valves), default=0)
 
     @property
@@ -77,19 +76,19 @@ class ValveSlots:
         return self._slot_of
 
     def of(self, numbers: Times) -> NDArray[np.intp]:
-        """The slots of the operator's valves of these numbers, (M,)."""
+        """Return the slots of the operator's valves with the given numbers, (M,)."""
         return self._slot_of[numbers]
 
     def find(self, name: str) -> int | None:
-        """A valve's slot; None: it is not shown."""
+        """Return a valve's slot; None if it is not shown."""
         return self._slots.get(name)
 
     def number(self, name: str) -> int:
-        """The operator's number of a valve that is shown."""
+        """Return the operator's number of a valve that is shown."""
         return int(np.flatnonzero(self._slot_of == self._slots[name])[0])
 
     def follow(self, valves: Sequence[ValveDescription]) -> Changeover:
-        """Go on with another operator's valves; those that come have the next slots."""
+        """Switch to another operator's valves; added valves get the next slots."""
         before, first_new = self.shown, len(self._valves)
         after = {valve.name: valve for valve in valves}
         gone = frozenset(valve.name for valve in before if after.get(valve.name) != valve)

@@ -1,4 +1,4 @@
-"""The types of what the results server shows, from the code that makes the instances."""
+"""The ObjectTypes of the results server, built by the code that creates the instances."""
 
 from collections.abc import Callable, Coroutine
 from functools import partial
@@ -33,7 +33,7 @@ _NOT_OF_ALL = {
     *("ChangeCount", "ChangeTime", "ChangeSize", "Structure", PARAMETERS, "LagU", "LagQ", "Map"),
     *("Condition",),
 }
-# of everything that a valve or an estimator may have
+# has every optional part of a valve and of an estimator
 _TEMPLATE = ValveDescription(
     name=TYPES,
     estimators=(
@@ -56,7 +56,7 @@ AddPart = Callable[[Place, ua.NodeId, ValveDescription], Coroutine[Any, Any, Non
 
 
 def type_of(server: HardenedServer, part: str) -> ua.NodeId:
-    """The type of a part of a valve, or of the valve."""
+    """Return the NodeId of the type of a valve or of one of its parts."""
     return ua.NodeId(f"{TYPES}.{part}", server.namespace_index)
 
 
@@ -67,18 +67,18 @@ async def add_types(
     add_alarm: Callable[[Any, ua.NodeId], Coroutine[Any, Any, None]],
     parts: dict[str, tuple[str, AddPart]],
 ) -> None:
-    """Add all types; what is below them is made when somebody first looks.
+    """Add all types; their children are created on first access.
 
     Parameters
     ----------
     add_valves_own
         Adds the variables of the valve itself.
     add_estimator
-        Adds what an estimator has.
+        Adds the variables and methods of an estimator.
     add_alarm
-        Adds what an alarm has.
+        Adds the variables and methods of an alarm.
     parts
-        Description, and what adds what it has, of each part of every valve.
+        For each part of every valve: its description, and the function that adds its contents.
     """
 
     async def declare_valve(place: Declarations, own: ua.NodeId) -> None:

@@ -1,20 +1,20 @@
-"""Results → values with StatusCodes that mean something (Part 4, 7.39; Part 8, 6). Pure.
+"""Maps results to values with specific StatusCodes (Part 4, 7.39; Part 8, 6). Pure.
 
 =====================================  ==========================================================
-nothing known yet                      BadWaitingForInitialData
+no result yet                          BadWaitingForInitialData
 parameters not determined              UncertainInitialValue
 inputs without variety, parameters held UncertainSubNormal
 the newest sample is unusable          BadSensorFailure
-no samples any more                    BadNoCommunication
+no samples arrive                      BadNoCommunication
 RequiredU at the end of the range      UncertainEngineeringUnitsExceeded
 RequiredU where nothing was measured   UncertainSubNormal
-U beyond what an estimator can do      UncertainEngineeringUnitsExceeded
+U outside the estimator's range        UncertainEngineeringUnitsExceeded
 nothing demanded                       BadNoData
 the map falls with U                   BadInvalidState
 =====================================  ==========================================================
 
-Status, SampleCount and the like are the service's own words: they stay readable, as
-UncertainLastUsableValue, while the rest is Bad, or uncertain because it is old.
+Status, SampleCount and similar values describe the service, not the valve. They stay readable as
+UncertainLastUsableValue while the other values are Bad, or Uncertain because of their age.
 """
 
 import math
@@ -65,7 +65,7 @@ StatusCodes = NDArray[np.uint32]
 class Column:
     """One variable of M valves: its name within the valve, values, StatusCodes, source times.
 
-    Or k variables that are published side by side: then values and codes are (M, k).
+    For k variables that are published side by side, values and codes are (M, k).
     """
 
     name: str
@@ -88,10 +88,10 @@ class Shown:
 
 
 def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Iterator[Column]:
-    """All numbers that are shown of M valves, but for maps and counters.
+    """Yield all numeric variables of M valves, except maps and counters.
 
-    ``now`` (UTC ns) stamps what no sample is behind yet; ``by_name`` are the estimators whose
-    parameters are variables of their own, too.
+    ``now`` (UTC ns) is the source time of values without a sample. ``by_name`` are the estimators
+    whose parameters are also published as separate variables.
     """
     for name, estimator in results.estimators.items():
         yield from _estimator_columns(name, estimator, now, by_name=name in by_name)
@@ -101,7 +101,7 @@ def columns_of(results: Results, now: int, by_name: Collection[str] = ()) -> Ite
 
 
 def survey_values(name: str, survey: Survey | None, code: int, t: int) -> Iterator[Shown]:
-    """How well an estimator knows its map; nothing before the first survey."""
+    """Yield the variables of an estimator's survey; nothing before the first survey."""
     if survey is None:
         return
     for variable, value in (
@@ -118,7 +118,7 @@ def survey_values(name: str, survey: Survey | None, code: int, t: int) -> Iterat
 def discovery_values(
     name: str, found: Change | None, structure: str | None, own: int, t: int
 ) -> Iterator[Shown]:
-    """What an estimator found out by itself: changes of the valve, the structure of its map."""
+    """Yield the detected changes of a valve and the chosen structure of its map."""
     code = own if found else int(_Codes.BadNoData)
     yield Shown(f"{name}.ChangeCount", found.count if found else 0, own, t)
     moment = datetime.fromtimestamp(found.t / 1e9, UTC) if found else None
@@ -128,14 +128,14 @@ def discovery_values(
 
 
 def lag_values(lags: tuple[float, float], own: int, t: int) -> Iterator[Shown]:
-    """How late U's effect and the flow meter are, s."""
+    """Yield the lags of U's effect and of the flow meter, s."""
     for name, lag in zip((LAG_U, LAG_Q), lags, strict=True):
         code = own if np.isfinite(lag) else int(_Codes.BadNoData)
         yield Shown(f"{DIAGNOSTICS}.{name}", lag, code, t)
 
 
 def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
-    """The map that was approved as new, in the service's own words; when it was found so."""
+    """Yield the variables of the baseline; ``now`` (UTC ns) is their source time."""
     code = int(_Codes.Good if found is not None else _Codes.BadNoData)
     moment = None if found is None else datetime.fromtimestamp(found.t / 1e9, UTC)
     version, digest = ("", "") if found is None else (found.version, found.digest)
@@ -145,7 +145,7 @@ def baseline_values(found: Version | None, now: int) -> Iterator[Shown]:
 
 
 def alarm_values(alarms: Iterable[AlarmReport], now: int) -> Iterator[Shown]:
-    """How alarms stand, in the service's own words; ``now`` where none ever came."""
+    """Yield the variables of alarms; ``now`` (UTC ns) stamps alarms that never changed."""
     good = int(_Codes.Good)
     for alarm in alarms:
         prefix, t = f"{ALARMS}.{alarm.name}", alarm.at or now
@@ -159,13 +159,13 @@ def alarm_values(alarms: Iterable[AlarmReport], now: int) -> Iterator[Shown]:
 
 
 def feed_forward_values(*, armed: bool, status: int, t: int) -> Iterator[Shown]:
-    """Whether the answer is written to the valve: the service's own words, whatever sensors do."""
+    """Yield Armed and FeedForwardStatus; both are Good regardless of the sensors."""
     yield Shown(f"{INVERSE}.{ARMED}", armed, int(_Codes.Good), t)
     yield Shown(f"{INVERSE}.{FEED_FORWARD_STATUS}", status, int(_Codes.Good), t)
 
 
 def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
-    """Identifier, value and StatusCode of what is shown of the service itself."""
+    """Yield identifier, value and StatusCode of each variable of the service itself."""
     never = math.isnan(health.checkpoint_age_s)
     age_code = _Codes.BadWaitingForInitialData if never else _Codes.Good
     yield f"{SERVICE}.Checkpoint.Age", health.checkpoint_age_s, int(age_code)
@@ -187,19 +187,22 @@ def service_values(health: Health) -> Iterator[tuple[str, Any, int]]:
 
 
 def map_value(table: Floats, code: int, t: int) -> Shown:
-    """The inverse map; ``code`` is one of `inverse_codes`."""
+    """Return the value of the inverse map; ``code`` is one of `inverse_codes`."""
     if not np.isfinite(table).any():
         code = int(worse(np.array([code]), _Codes.BadWaitingForInitialData)[0])
     return Shown(f"{INVERSE}.Map", table, code, t)
 
 
 def estimator_codes(results: EstimatorResults) -> StatusCodes:
-    """StatusCodes (M,) of what an estimator knows."""
+    """Return the StatusCodes (M,) of an estimator's numeric results."""
     return _of_estimators(_ESTIMATOR, results)
 
 
 def estimator_own_words(results: EstimatorResults) -> StatusCodes:
-    """StatusCodes (M,) of what the service knows for certain, whatever its sensors do."""
+    """Return the StatusCodes (M,) of Status, SampleCount and similar values.
+
+    They are never Bad: these values do not depend on the sensors.
+    """
     words = _of_estimators(_ESTIMATOR_ITSELF, results)
     if results.old is None:
         return words
@@ -207,12 +210,12 @@ def estimator_own_words(results: EstimatorResults) -> StatusCodes:
 
 
 def inverse_codes(results: InverseResults) -> StatusCodes:
-    """StatusCodes (M,) of what is known of the inverse maps."""
+    """Return the StatusCodes (M,) of the inverse maps."""
     return _of_inverses(_INVERSE, results)
 
 
 def worse(codes: StatusCodes, others: StatusCodes | int) -> StatusCodes:
-    """The StatusCodes of the worse severity; the first, if they are equal."""
+    """Return elementwise the StatusCode of worse severity; the first if they are equal."""
     second = np.asarray(others, np.uint32)
     return np.where(codes >> 30 >= second >> 30, codes, second).astype(np.uint32)
 
@@ -225,7 +228,7 @@ def _estimator_columns(
     t = np.where(results.t, results.t, now)
     yield Column(f"{name}.ParameterVector", results.theta, codes, t)
     yield Column(f"{name}.ParameterStd", results.std, codes, t)
-    of_nan = {  # a number that is none is not Good
+    of_nan = {  # StatusCodes where the value is NaN
         Undetermined.UNCERTAIN: doubtful,
         Undetermined.BAD: worse(codes, _Codes.BadNoData),
     }
@@ -247,7 +250,7 @@ def _signal_column(signals: SignalResults, now: int) -> Column:
 
 
 def _each(name: str, values: Floats, codes: StatusCodes, of_none: StatusCodes, t: Times) -> Column:
-    """Variables side by side; a number that is none has a StatusCode that says so."""
+    """Return variables side by side; values that are not finite get the codes ``of_none``."""
     each = np.where(np.isfinite(values), codes[:, None], of_none[:, None])
     return Column(name, values, each, t)
 
@@ -313,7 +316,7 @@ _OF_ANSWER: dict[InverseStatus, int] = {
     InverseStatus.EXTRAPOLATING: _Codes.UncertainSubNormal,
 }
 
-# By "nothing known yet" (0 or 1), quality, status.
+# By "no result yet" (0 or 1), quality, status.
 _ESTIMATOR = np.array(
     [[[_of_estimator(t, q, s) for s in Status] for q in Quality] for t in (1, 0)], np.uint32
 )

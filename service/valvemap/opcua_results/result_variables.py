@@ -1,4 +1,4 @@
-"""The variables of the results server, by id: what is new of each waits for its node."""
+"""The variables of the results server, by id; values are cached until the node exists."""
 
 from collections.abc import Callable, Collection, Iterable
 from typing import Any
@@ -16,18 +16,18 @@ from valvemap.pipeline.ports import Answer
 
 
 class ResultVariables:
-    """Adds variables and writes them, whether they have a node yet or not.
+    """Adds variables and writes them; values of variables without a node are cached.
 
     Parameters
     ----------
     server
-        Where.
+        The server that shows them.
     slots
-        Which valves are shown.
+        The valves that are shown.
     blocks
-        Where stands what changes with each result.
+        Hold the values that change with each result.
     past
-        What variables have been; None: that cannot be asked.
+        The history of variables; None: no history.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class ResultVariables:
         self._blocks = blocks
         self._past = past
         self._added: dict[str, Variable] = {}
-        self._waiting: dict[str, Shown] = {}  # the newest of what has no node yet
+        self._waiting: dict[str, Shown] = {}  # latest values without a node
 
     async def add(
         self,
@@ -53,20 +53,20 @@ class ResultVariables:
         on_write: Callable[[float], Answer[None]] | None = None,
         type_definition: ua.NodeId | None = None,
     ) -> Variable:
-        """Add a variable that shows what is newest of it; ``value`` where nothing came yet.
+        """Add a variable with its latest value, or ``value`` if none was published.
 
         Parameters
         ----------
         place, parent
-            Where.
+            The server or type declaration, and the parent node.
         node
-            What it is.
+            The description of the variable.
         value
-            Of its type; None: it waits for its first.
+            The initial value; None: BadWaitingForInitialData until the first value.
         on_write
-            Takes what a client writes, in the variable's unit.
+            Called with the value that a client writes, in the variable's unit.
         type_definition
-            None: the standard's type of all data.
+            None: BaseDataVariableType.
         """
         variable = await add_variable(
             place,
@@ -81,7 +81,7 @@ class ResultVariables:
             enum_strings=node.enum_strings,
             writable_by=Role.OPERATOR if node.writable else None,
             on_write=on_write,
-            or_nan=node.writable,  # NaN takes a demand back
+            or_nan=node.writable,  # NaN withdraws a demand
             type_definition=type_definition,
         )
         self._added[node.id] = variable
@@ -96,12 +96,12 @@ class ResultVariables:
         return variable
 
     async def add_standing(self, parent: ua.NodeId, node: VariableNode, now: Shown) -> None:
-        """Add a variable that shows how something stands, unless something newer came."""
+        """Add a variable with the value ``now``, unless a newer value is cached."""
         self._waiting.setdefault(node.id, now)
         await self.add(self._server, parent, node, None)
 
     def show(self, owner: str, new: Shown) -> None:
-        """Write a variable of a valve, or of the service; or keep it until there is a node."""
+        """Write a variable of a valve or of the service; cache the value if it has no node."""
         id_ = f"{owner}.{new.name}"
         variable = self._added.get(id_)
         if variable is None:
@@ -110,14 +110,14 @@ class ResultVariables:
             self._server.write([(variable, new.value, new.code, new.t)])
 
     def write(self, values: Iterable[tuple[str, Any, int]], t: int) -> None:
-        """Write variables that have nodes: id, value and StatusCode of each, all of one time.
+        """Write variables that have nodes, each given as id, value and StatusCode.
 
-        ``t`` is in UTC ns.
+        ``t`` (UTC ns) is the source time of all.
         """
         self._server.write((self._added[id_], value, code, t) for id_, value, code in values)
 
     def forget(self, valves: Collection[str]) -> None:
-        """Know no more of these valves: their nodes are gone."""
+        """Drop the variables of these valves: their nodes were removed."""
         for known in (self._added, self._waiting):
             for id_ in [id_ for id_ in known if id_.partition(".")[0] in valves]:
                 del known[id_]

@@ -1,4 +1,4 @@
-"""The results server: what was identified, for any OPC UA client, and what operators may do."""
+"""The results server: publishes the results to OPC UA clients and accepts operator commands."""
 
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
@@ -53,11 +53,11 @@ from valvemap.pipeline.ports import (
 
 __all__ = ["NAMESPACE", "ResultsServer"]
 
-_SAID_FOR_S = 600.0  # what another configuration changed, to clients that come back
+_SAID_FOR_S = 600.0  # a model change event is kept for clients that reconnect
 
 
 class ResultsServer(Startable):
-    """Shows results and takes commands; fulfils :class:`~valvemap.pipeline.ports.ResultSink`.
+    """Publishes results, accepts commands; fulfils :class:`~valvemap.pipeline.ports.ResultSink`.
 
     Use it with ``async with``, or call :meth:`start` and :meth:`stop`.
 
@@ -66,23 +66,23 @@ class ResultsServer(Startable):
     settings
         Address, security, users; the namespace must be ``urn:valvemap:service``.
     valves
-        What there is to show.
+        The valves to show.
     operator
-        Who carries out commands and answers questions.
+        Carries out commands and answers queries.
     clock
-        Stamps what no sample is behind.
+        Source time of values without a sample.
     scalars_interval_s
-        Shortest time between two results of a valve in its single variables; its Frame has them
-        all. What is Bad never waits.
+        Minimum time between two updates of a valve's scalar variables; its Frame has every result.
+        Bad values are always published immediately.
     on_reload
-        Carries out the method Reload: raises CommandRejected where it cannot; None: there is none.
+        Carries out the method Reload; raises CommandRejected on failure. None: no such method.
     past
-        What signals, results and alarms have been; None: that cannot be asked.
+        The history of signals, results and alarms; None: no history.
     on_alarm
-        Takes each change of an alarm, to be kept.
+        Called with each change of an alarm, to store it.
     before
-        What was shown until now, where this server follows another: who comes back hears what has
-        changed; None: nobody comes back.
+        The valves shown by the previous server, if this one replaces it: clients that reconnect
+        receive a model change event. None: there was no previous server.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class ResultsServer(Startable):
         self._slots = ValveSlots(valves)
         self._blocks = Generations()
         self._server: HardenedServer | None = None
-        self._variables: ResultVariables  # this and what follows is there from the start on
+        self._variables: ResultVariables  # this and the following are set by start()
         self._alarms: ResultAlarms
         self._alarms_past: AlarmsPast | None
         self._demands: ResultDemands
@@ -119,20 +119,20 @@ class ResultsServer(Startable):
 
     @property
     def url(self) -> str:
-        """Where clients connect."""
+        """The endpoint URL that clients connect to."""
         return self._settings.url if self._server is None else self._server.url
 
     async def start(self) -> None:
-        """Make the nodes that lead to each valve, then listen.
+        """Create the folders of all valves, then listen.
 
-        What is below a valve is made when somebody first looks at it.
+        The children of a valve's folder are created on first access.
 
         Raises
         ------
         ServerError
-            if the address is in use or not ours.
+            if the address is in use or not an address of this host.
         CertificateError
-            if certificate or key cannot be had.
+            if the certificate or key cannot be loaded or created.
         """
         server = await HardenedServer.create(self._settings, self._clock)
         root = await add_object(
@@ -167,15 +167,16 @@ class ResultsServer(Startable):
         scalars_interval_s: float = 0.0,
         on_alarm: Callable[[AlarmChange], None] | None = None,
     ) -> None:
-        """Go on with other valves, of another operator; sessions and subscriptions live on.
+        """Switch to the valves of another operator; sessions and subscriptions continue.
 
-        Valves that are described as before keep their nodes, and who monitors these misses nothing.
-        Nodes of the others come and go; who listens to the Server object hears it.
+        Valves with an unchanged description keep their nodes, so clients that monitor them lose no
+        data. Nodes of other valves are added and removed; the Server object emits a model change
+        event.
 
         Raises
         ------
         ConfigurationError
-            if a name cannot be; nothing has changed then.
+            if a name is invalid; nothing has changed then.
         """
         check_names(valves)
         server, names = self._server, [valve.name for valve in valves]
@@ -196,7 +197,7 @@ class ResultsServer(Startable):
         self._say_what_changed(server, change.before, change.after)
 
     def take_no_commands(self) -> None:
-        """Refuse what would change the operator, until another one follows."""
+        """Reject commands until another operator follows; queries are still answered."""
         self._in_charge.refuses = True
 
     async def stop(self) -> None:
@@ -206,24 +207,24 @@ class ResultsServer(Startable):
             await server.stop()
 
     async def publish(self, results: Results) -> None:
-        """Show results; a later call for the same valve replaces the earlier one."""
+        """Publish results; a later call for the same valve replaces the earlier one."""
         if self._server is not None and len(results.valves):
             self._publishing.publish(results)
 
     async def doubt(self, valves: Times) -> None:
-        """Have what is shown of some valves be at best Uncertain: it has become old."""
+        """Mark Good values of the given valves as Uncertain: their sample is old."""
         if self._server is not None and len(valves):
             self._publishing.doubt(valves)
 
     async def show_health(self, health: Health) -> None:
-        """Show how the service itself stands."""
+        """Publish the state of the service itself."""
         if self._server is not None:
             now = self._clock.now()
             self._publishing.publish_waits(health, now)
             self._service.show(health, now)
 
     async def _furnish(self, server: HardenedServer) -> ResultParts:
-        """Make all that adds nodes and writes them, each with what it stands on."""
+        """Create the objects that add nodes and write them, in the order of their dependencies."""
         operator, clock, slots = self._in_charge.as_operator(), self._clock, self._slots
         past = None if self._past is None else ResultsPast(self._past)
         if past is not None:

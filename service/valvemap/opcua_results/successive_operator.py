@@ -1,4 +1,4 @@
-"""Whoever carries out commands, while one follows the other."""
+"""A proxy for the current operator, which a reload replaces."""
 
 from typing import Any, cast
 
@@ -12,7 +12,7 @@ _QUESTIONS = {
 
 
 class SuccessiveOperator:
-    """Hands each call to who is in charge then, also those that were bound before.
+    """Forwards each call to the current operator, including methods bound before a hand-over.
 
     >>> class Answers:
     ...     def __init__(self, names): self.names = names
@@ -26,14 +26,14 @@ class SuccessiveOperator:
 
     def __init__(self, in_charge: Operator) -> None:
         self._in_charge = in_charge
-        self.refuses = False  # commands: what they did would be lost
+        self.refuses = False  # rejects commands: their effects would be lost
 
     def hand_over(self, to: Operator) -> None:
-        """Have another one in charge from now on."""
+        """Make ``to`` the current operator."""
         self._in_charge, self.refuses = to, False
 
     def as_operator(self) -> Operator:
-        """The same, to be called."""
+        """Return this object, typed as an Operator."""
         return cast("Operator", self)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - a method of the operator's

@@ -1,4 +1,4 @@
-"""A foreign server's numbers: found by browsing, each with its names, unit and range."""
+"""Finds the numeric variables of a foreign server by browsing, with names, unit and range."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -14,8 +14,8 @@ from valvemap.opcua_source.source_units import read_units
 from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.naming import Candidate
 
-MOST_NODES: Final = 50_000  # browsed; a server that has more is asked for a part of it
-DEEPEST: Final = 12  # folders within each other
+MOST_NODES: Final = 50_000  # browsed; further nodes are ignored
+DEEPEST: Final = 12  # levels of folders
 _ATTRIBUTES: Final = (
     ua.AttributeIds.Value,
     ua.AttributeIds.ValueRank,
@@ -23,8 +23,8 @@ _ATTRIBUTES: Final = (
     ua.AttributeIds.Description,
 )
 _LONGEST: Final = 4_096  # characters; the most that an identifier may have (Part 3, 8.2.4)
-_LONGEST_NAME: Final = 300  # characters of a name that are judged
-_FARTHEST: Final = 1e9  # of a range, in whatever unit
+_LONGEST_NAME: Final = 300  # characters of a name that are used
+_FARTHEST: Final = 1e9  # of a range, in any unit
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _NO_SIGNALS: Final = {ua.VariantType.Boolean.value}
 _SCALARS: Final = {-3, -2, -1}
@@ -34,9 +34,9 @@ _Place = tuple[ua.NodeId, tuple[str, ...]]
 
 
 async def find_numbers(connection: Connection) -> tuple[list[Candidate], list[str]]:
-    """All scalar numbers below the Objects folder that can be read, the server's own left out.
+    """Return all readable scalar numbers below the Objects folder, except the Server object's.
 
-    Besides, a line for each whose NodeId no configuration can hold.
+    The second list has a line for each variable whose NodeId cannot be written in a configuration.
 
     Raises
     ------
@@ -105,14 +105,14 @@ def _words(answer: ua.DataValue) -> str:
 
 
 def _bounds(given: tuple[float, float] | None) -> tuple[float, float] | None:
-    """A range that says something."""
+    """Return a range if it is plausible, else None."""
     return given if given and -_FARTHEST < given[0] < given[1] < _FARTHEST else None
 
 
 def _text(node: ua.NodeId, namespaces: Sequence[str]) -> str | None:
-    """The NodeId as it stays the same whatever order the server gives its namespaces.
+    """Return the text form of a NodeId with its namespace URI, independent of namespace indices.
 
-    None where there is no text that TOML can hold and that is read as this node again.
+    None if no text form can be stored in TOML and parsed back to the same node.
     """
     try:
         own = ua.NodeId(node.Identifier, 0, node.NodeIdType).to_string()

@@ -1,4 +1,4 @@
-"""The source adapter: an OPC UA client that hands out arrays and never retries by itself."""
+"""The source adapter: an OPC UA client that returns arrays and never retries."""
 
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
@@ -50,12 +50,12 @@ __all__ = ["OpcUaSource", "Security", "SourceSettings", "ValveNodes"]
 
 
 class OpcUaSource:
-    """Data changes of some valves from one OPC UA server.
+    """Data changes of the given valves from one OPC UA server.
 
     Fulfils :class:`~valvemap.pipeline.ports.Source`.
-    Every sample is asked for, constant signals included (trigger StatusValueTimestamp), in queues
-    long enough that nothing is lost between two publishings. A change's time is its
-    SourceTimestamp, exact to the nanosecond; where the server sends none, its ServerTimestamp.
+    Every sample is requested, constant signals included (trigger StatusValueTimestamp), with queues
+    long enough that none is lost between two publishing cycles. The time of a change is its
+    SourceTimestamp, exact to the nanosecond, or the ServerTimestamp if the server sends none.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class OpcUaSource:
         The nodes of each valve; the order gives the valves their numbers in
         :class:`~valvemap.pipeline.data_changes.DataChanges`.
     clock
-        For the watchdog.
+        Clock of the watchdog and of the comparison with the source's clock.
     ready
-        Waited for before the first changes are handed out; what comes meanwhile is held.
+        Awaited before the first changes are returned; changes that arrive earlier are buffered.
     """
 
     def __init__(
@@ -82,14 +82,14 @@ class OpcUaSource:
         self._clock = clock or SystemClock()
         self._ready = ready
         self._heir: Callable[[Estate], None] | None = None
-        self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: there is none
+        self._surplus: tuple[int, ...] | None = None  # items of a predecessor; None: no predecessor
         self._tally = Tally()
         self._source_clock = SourceClock(self._clock)
         self._connection: Connection | None = None
         self._ticket: Ticket | None = None
         self._left: Left | None = None
         self._left_at = 0.0
-        self._parts: deque[Part] = deque()  # arrived, not handed out
+        self._parts: deque[Part] = deque()  # received, not returned yet
         self._knowledge = Knowledge(len(self._valves) * SIGNALS_PER_VALVE)
         self._history = SourceHistory()
         self._mark: Mark | None = None
@@ -101,28 +101,28 @@ class OpcUaSource:
 
     @property
     def counters(self) -> SourceCounters:
-        """What was seen so far, over all connections."""
+        """Counters over all connections."""
         return SourceCounters(**vars(self._tally))
 
     @property
     def started(self) -> int:
-        """When the source was started, UTC ns, as it said when we connected; 0 if it did not."""
+        """Start time of the server, UTC ns, as read on connecting; 0 if it has none."""
         return self._source_clock.started
 
     @property
     def clock_offset_s(self) -> float:
-        """By how much the source's clock is ahead of ours."""
+        """Offset of the source's clock, s; positive if it is ahead of ours."""
         return self._source_clock.ahead_s
 
     async def connect(self) -> None:
-        """Connect; go on with what the server holds for us, or check every node and subscribe.
+        """Connect; resume the subscription kept by the server, or check every node and subscribe.
 
         Raises
         ------
         SourceLost
-            if the server cannot be reached: worth another try.
+            if the server cannot be reached; a retry may succeed.
         SourceRejected
-            if it refuses certificate, user or node: names the node and what is allowed.
+            if it rejects the certificate, the user or a node; names the node and what is allowed.
         CertificateError
             if our own certificate or key cannot be used.
         """
@@ -140,14 +140,14 @@ class OpcUaSource:
             self._history.over(connection, (item.node for item in subscription.items))
 
     async def receive(self) -> DataChanges:
-        """Wait for data changes and return all that have arrived, in order and in our units.
+        """Wait for data changes and return all received ones, in order and in our units.
 
-        Before what comes behind a hole, what the source's history has of it is returned.
+        A gap is filled from the source's history before the changes after it are returned.
 
         Raises
         ------
         SourceLost
-            if the connection was cut, or fell silent for longer than its keep-alives allow.
+            if the connection was lost, or three keep-alives are missing.
         """
         if self._ready is not None:
             await self._ready()
@@ -162,7 +162,7 @@ class OpcUaSource:
         return self._scales(changes)
 
     async def _next(self) -> DataChanges:
-        """What is to be handed out next: what has arrived, or what was missed before it."""
+        """Return the next changes: received ones, or missed ones from the history before them."""
         whole = 0
         for part in self._parts:
             if len(self._holes_before(part)):
@@ -181,7 +181,7 @@ class OpcUaSource:
         return max(self._settings.history_s, self._settings.warm_start_s)
 
     def _holes_before(self, part: Part) -> Holes:
-        """What the source's history may know of the time before a message."""
+        """Return the gaps before a message that the source's history may fill."""
         known, changes = self._knowledge, part.changes
         if not self._history.is_there:
             return Holes.none()
@@ -194,7 +194,7 @@ class OpcUaSource:
         return known.holes(changes, round(self._history_s * 1e9))
 
     async def _missed(self, part: Part) -> DataChanges:
-        """The oldest of what was missed before a message; nothing where nobody knows of it."""
+        """Read the oldest missed changes before a message; empty if the history has none."""
         known = self._knowledge
         changes, read, reached = await self._history.read(self._holes_before(part))
         known.fill(read, reached)
@@ -205,31 +205,31 @@ class OpcUaSource:
 
     @property
     def mark(self) -> Mark | None:
-        """How far changes have been handed out; None: none were."""
+        """The position of the last returned changes; None before the first."""
         return self._mark
 
     def hold_back(self) -> None:
-        """Let the source keep what is handed out until `commit` says that it is safe."""
+        """Acknowledge messages from now on only after `commit`, so that the source keeps them."""
         self._holds_back = True
         if self._subscription is not None:
             self._subscription.hold_back()
 
     def commit(self, mark: Mark) -> None:
-        """What was handed out up to a mark is safe: the source need not keep it any more."""
+        """Acknowledge all messages up to a mark: their changes are stored."""
         if self._subscription is not None:
             self._subscription.commit(mark.subscription, mark.message)
 
     def position(self, mark: Mark) -> bytes:
-        """What `resume_at` goes on from after a restart."""
+        """Return the position of a mark as bytes, for `resume_at` after a restart."""
         known = self._subscription or self._left
         if known is None or known.created.SubscriptionId != mark.subscription:
             return position_to_bytes(self._binding, mark, None, ())
         return position_to_bytes(self._binding, mark, known.created, known.items)
 
     def resume_at(self, position: bytes) -> bool:
-        """Go on from a position that was kept, if the source still has the subscription.
+        """Resume at a stored position on the next connect, if the server has the subscription.
 
-        False: it cannot be one of this source, and is forgotten.
+        Returns False if the position is damaged or belongs to another source; it is ignored then.
         """
         items = len(self._knowledge.known_to)
         latest = self._clock.now() + _MOST_AHEAD_NS
@@ -237,7 +237,7 @@ class OpcUaSource:
         return self._known_position is not None
 
     async def check(self) -> None:
-        """Connect, check every node, and leave: nothing is subscribed to.
+        """Connect, check every node and disconnect, without a subscription.
 
         Raises
         ------
@@ -251,12 +251,12 @@ class OpcUaSource:
             await connection.close()
 
     async def recall(self, start: int, stop: int) -> AsyncIterator[DataChanges]:
-        """Yield what the source's history has of a span of time (UTC ns), and leave.
+        """Yield the changes of a time span (UTC ns) from the source's history, then disconnect.
 
         Raises
         ------
         SourceLost, SourceRejected, CertificateError
-            as :meth:`connect`; or if it keeps no history.
+            as :meth:`connect`; SourceRejected also if the source keeps no history.
         """
         connection = await open_connection(self._settings)
         try:
@@ -268,25 +268,26 @@ class OpcUaSource:
             await connection.close()
 
     def succeed(self, before: "OpcUaSource") -> None:
-        """Take over from another one when it is closed: signals of both miss nothing by it.
+        """Take over the subscription of another source when that is closed.
 
-        It must be the same user of the same server; else each is on its own.
+        Signals that both sources monitor lose no data. Both must have the same `identity`;
+        otherwise this source subscribes separately.
         """
         if before.identity == self.identity:
             before.bequeath(self.inherit)
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """What a session belongs to: the server, and its user."""
+        """The owner of a session: server, security and credentials."""
         settings = self._settings
         return settings.url, settings.security, settings.user, settings.password
 
     def bequeath(self, heir: Callable[[Estate], None]) -> None:
-        """Have somebody go on where this source stops, instead of saying good-bye."""
+        """Hand the subscription to ``heir`` on `close`, instead of deleting it."""
         self._heir = heir
 
     def inherit(self, estate: Estate) -> None:
-        """Go on where another source stopped."""
+        """Continue with the state of another source that was closed."""
         ours = divided(estate, self._valves)
         self._knowledge, self._tally, self._ticket = ours.knowledge, ours.tally, ours.ticket
         self._parts.extend(part for part in ours.parts if len(part.changes))
@@ -298,9 +299,9 @@ class OpcUaSource:
         Raises
         ------
         SourceLost
-            if the connection is gone.
+            if the connection is lost.
         SourceRejected
-            if the valve has no such node, or the server refuses the value.
+            if the valve has no such node, or the server rejects the value.
         """
         scaling = self._valves[valve].measure(REQUIRED_U).scaling(REQUIRED_U)
         await self._write(valve, REQUIRED_U, scaling.back(float(U)))
@@ -342,11 +343,11 @@ class OpcUaSource:
 
     @property
     def is_held(self) -> bool:
-        """Whether the server may still hold for us what we have not heard."""
+        """Whether the server may still hold our subscription with unread changes."""
         return self._left is not None and self._clock.monotonic() - self._left_at < LIFETIME_S
 
     async def drop(self) -> None:
-        """Hang up without a word; the server goes on to collect for us. Safe to call twice."""
+        """Close the socket only; the server keeps the subscription. Safe to call twice."""
         await self._source_clock.stop()
         subscription, self._subscription = self._subscription, None
         connection, self._connection = self._connection, None
@@ -363,7 +364,7 @@ class OpcUaSource:
         self._parts += left.buffer
 
     async def _take_over(self, connection: Connection) -> Subscription | None:
-        """Go on with the subscription of the connection before, if the server still has it."""
+        """Resume the subscription of the previous connection, if the server still has it."""
         if self._left is None and self._known_position is not None:
             nodes = await self._check_nodes(connection)
             self._resume(self._known_position, nodes.monitored)
@@ -401,7 +402,7 @@ class OpcUaSource:
 
     @cached_property
     def _binding(self) -> str:
-        """What a position belongs to: server, user, nodes in their order; 0.1 ms a valve."""
+        """Key of server, user and nodes in their order, checked on resume; 0.1 ms per valve."""
         return key_of(_Binding(self._settings.url, self._settings.user, self._valves))
 
     async def _subscribe(self, connection: Connection) -> Subscription:
@@ -417,7 +418,7 @@ class OpcUaSource:
         )
 
     def _begin_earlier(self, nodes: Sequence[MonitoredNode]) -> None:
-        """At a first start, go on as if we had heard the source some time ago."""
+        """At the first start, mark the last ``warm_start_s`` as missed: the history fills them."""
         known_to, warm_start_s = self._knowledge.known_to, self._settings.warm_start_s
         if warm_start_s > 0.0 and (known_to == NEVER).all():
             now = self._clock.now() + round(self.clock_offset_s * 1e9)
@@ -458,5 +459,5 @@ class _Binding:
     valves: tuple[ValveNodes, ...]
 
 
-_MOST_AHEAD_NS = 86_400_000_000_000  # a day: no source's clock is so far ahead of ours
+_MOST_AHEAD_NS = 86_400_000_000_000  # 1 day; limit on a stored time ahead of our clock
 _FLOATS = {ua.VariantType.Float, ua.VariantType.Double}

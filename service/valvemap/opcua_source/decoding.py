@@ -2,10 +2,10 @@
 
 A DataChangeNotification is a list of records: ClientHandle (u4), DataValue mask (u1), Variant
 encoding (u1), value, then status (u4), source time (i8, then picoseconds u2) and server time
-(i8, then u2) as far as the mask says. Records differ in size, so one compiled loop walks
-them, looks at every mask and every type byte, and takes in all numeric scalars; strings and
-arrays become NaN. What it does not know (structures and the like) is passed over by
-:mod:`valvemap.opcua_source.wire`, becomes NaN too, and the loop goes on behind it.
+(i8, then u2), each only if the mask has its bit. Records differ in size, so one compiled loop
+walks them, checks every mask and type byte, and decodes all numeric scalars; strings and arrays
+become NaN. Other types (e.g. structures) are skipped by :mod:`valvemap.opcua_source.wire` and
+become NaN, too; the loop then continues with the next record.
 
 Nothing here does I/O.
 """
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 EPOCH_TICKS = 116_444_736_000_000_000
-"""1970-01-01 in units of 100 ns since 1601-01-01, as OPC UA counts."""
+"""1970-01-01 as an OPC UA DateTime: units of 100 ns since 1601-01-01."""
 
 _PUBLISH_RESPONSE = 829
 _REPUBLISH_RESPONSE = 835
@@ -46,16 +46,16 @@ _HISTORY_DATA = 658
 _DATA_CHANGE_NOTIFICATION = 811
 _STATUS_CHANGE_NOTIFICATION = 820
 
-# what fits into int64 ns, picoseconds included: a tick less than 2**63 ns, years 1677 to 2262
+# limits of int64 ns, picoseconds included: one tick less than 2**63 ns, years 1677 to 2262
 _MOST_TICKS = (2**63 - 1) // 100 - 1
 _MAX_TICKS = EPOCH_TICKS + _MOST_TICKS
 _MIN_TICKS = EPOCH_TICKS - _MOST_TICKS
 _MOST_PICOSECONDS = 9_999  # units of 10 ps; larger values are read as this one (Part 6, 5.2.2.17)
 _OVERFLOW_MASK = 0x0C80  # InfoType (bits 10 and 11) and Overflow (bit 7)
 _OVERFLOW = 0x0480  # InfoType = DataValue, Overflow
-_HANDLE = 4  # bytes of a client handle, where one goes before a value
-_MOST_RECORDS = 600_000  # what the largest message holds with a Double in each
-_ELEMENTS_PER_RECORD = 4  # to pass over a record costs as much as to walk so many elements
+_HANDLE = 4  # bytes of the client handle before a value
+_MOST_RECORDS = 600_000  # records with a Double in the largest message
+_ELEMENTS_PER_RECORD = 4  # cost of skipping a record, in walked elements
 _RESERVED = 0xC0  # bits of a DataValue mask
 _SMALLEST_RESULT = 11  # bytes of a HistoryReadResult: status, no continuation point, nothing
 _NO_TIME = -(2**63)
@@ -69,20 +69,20 @@ class Message:
     Attributes
     ----------
     sequence_number : int
-        Of this message; of the *next* one if this is a keep-alive.
+        Number of this message; of the *next* one if this is a keep-alive.
     publish_time : int
-        When the server made it, UTC ns.
+        PublishTime of the server, UTC ns.
     changes : DataChanges
-        ``item`` is the client handle as sent. Time is the source's; the server's where the source
-        gives none; ``publish_time`` where there is neither.
+        ``item`` is the client handle as sent. The time is the SourceTimestamp, else the
+        ServerTimestamp, else ``publish_time``.
     keep_alive : bool
-        There is nothing in it.
+        Whether the message has no notifications.
     status_change : int or None
         StatusCode of the subscription, if it changed.
     overflows : int
         Changes marked with the Overflow bit: the server's queue was full and dropped some.
     not_numeric : int
-        Changes with a value that is no numeric scalar.
+        Changes whose value is not a numeric scalar.
     """
 
     sequence_number: int
@@ -109,7 +109,7 @@ class PublishResponse:
 def ns_from_ticks(ticks: int, picoseconds: int = 0) -> int:
     """UTC ns of an OPC UA DateTime (100 ns since 1601) and its picoseconds (units of 10 ps).
 
-    Exact; times that int64 cannot hold become the earliest or latest it can.
+    Exact; times outside int64 are clipped to the earliest or latest representable time.
 
     >>> ns_from_ticks(EPOCH_TICKS + 1), ns_from_ticks(EPOCH_TICKS, 1_234)
     (100, 12)
@@ -133,7 +133,7 @@ def decode_publish_response(data: bytes) -> PublishResponse:
     Raises
     ------
     DecodeError
-        if it is cut short, or no PublishResponse.
+        if it is truncated, or not a PublishResponse.
     """
     reader = Reader(data)
     service_result = _enter_response(reader, _PUBLISH_RESPONSE)
@@ -153,7 +153,7 @@ def decode_data_changes(body: bytes) -> DataChanges:
     Raises
     ------
     DecodeError
-        if the bytes are no such notification.
+        if the bytes are not such a notification.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def decode_republish_response(data: bytes) -> Message:
     Raises
     ------
     DecodeError
-        if it is cut short, or no RepublishResponse.
+        if it is truncated, or not a RepublishResponse.
     """
     reader = Reader(data)
     _enter_response(reader, _REPUBLISH_RESPONSE)
@@ -178,7 +178,7 @@ def decode_republish_response(data: bytes) -> Message:
 
 @dataclass(frozen=True)
 class HistoryPiece:
-    """What one variable was: ``status`` of the reading, ``point`` where it can be gone on with."""
+    """Past changes of one variable: ``status`` of the read, and ``point``, to continue it."""
 
     status: int
     point: bytes
@@ -188,14 +188,15 @@ class HistoryPiece:
 def decode_history_response(data: bytes, items: Sequence[int]) -> list[HistoryPiece]:
     """Decode the body of a HistoryReadResponse, from its TypeId on.
 
-    ``items`` are those that were asked for; a value without any time has the earliest there is.
+    ``items`` are the requested items. A value without a timestamp gets the earliest
+    representable time.
 
     Raises
     ------
     DecodeError
-        if it is cut short, or no HistoryReadResponse, or not of so many variables.
+        if it is truncated, not a HistoryReadResponse, or has another number of variables.
     UaStatusCodeError
-        if the server refuses.
+        if the ServiceResult is not Good.
     """
     reader = Reader(data)
     ua.StatusCode(_enter_response(reader, _HISTORY_READ_RESPONSE)).check()
@@ -306,7 +307,7 @@ def _pass_over(
     status: NDArray[np.uint32],
     time: NDArray[np.int64],
 ) -> None:
-    """Take in one record whose value is of some other type: NaN, but its status and time."""
+    """Decode status and time of one record of another type; its value becomes NaN."""
     if handle:
         item[row] = np.uint32(reader.u4()).view(np.int32)
     mask = reader.u1()
@@ -330,8 +331,8 @@ def _pass_over(
         time[row] = publish_time
 
 
-_SIZES = np.zeros(256, np.int64)  # of a value, by its Variant encoding byte
-_ELEMENTS = np.zeros(256, np.int64)  # of one element, where an Int32 length goes before them
+_SIZES = np.zeros(256, np.int64)  # bytes of a value, by its Variant encoding byte
+_ELEMENTS = np.zeros(256, np.int64)  # bytes of an element, for types with an Int32 length
 for _kind, _size in FIXED_SIZES.items():
     _SIZES[_kind] = _size
     _ELEMENTS[_kind | 0x80] = _size
@@ -341,7 +342,7 @@ _NUMERIC[[0, *NUMERIC_FORMATS]] = True
 
 
 def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Numbers as float64; integers beyond 2**53 are rounded."""
+    """Return the values as float64; integers beyond 2**53 are rounded."""
     values = bits.view(np.float64)
     present = np.bincount(kind, minlength=256).nonzero()[0]
     for number in present.tolist():
@@ -362,7 +363,7 @@ def _values(bits: NDArray[np.uint64], kind: NDArray[np.uint8]) -> NDArray[np.flo
 
 
 def overflown(status: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """Which changes say that the server dropped some before them."""
+    """Return which changes have the Overflow bit: the server dropped earlier ones."""
     return (status & _OVERFLOW_MASK) == _OVERFLOW
 
 
@@ -396,9 +397,9 @@ def _scan(  # noqa: C901, PLR0912, PLR0915 - one compiled loop
     status: NDArray[np.uint32],
     time: NDArray[np.int64],
 ) -> tuple[int, int]:
-    """Take in records until all rows are filled, or one is not known, or cut short.
+    """Decode records until all rows are filled, or one is of an unknown type or truncated.
 
-    ``handle`` bytes go before each value.
+    Each value is preceded by ``handle`` bytes.
 
     Returns the next row and the position of its record.
     """

@@ -1,4 +1,4 @@
-"""What a source remembers of the time in which we heard nothing of it: raw HistoryRead."""
+"""Fills gaps in the data changes from the source's history (raw HistoryRead)."""
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -21,11 +21,11 @@ from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, DataChanges
 _log = bounded_logger(__name__)
 
 NEVER = -(2**63)
-_VALUES_AT_ONCE = 6_000  # of all nodes together: 1,000 samples of a valve, then others go on
+_VALUES_AT_ONCE = 6_000  # of all nodes together: 1,000 samples of a valve per request
 _NODES_AT_ONCE = 16 * SIGNALS_PER_VALVE
-_TOGETHER_NS = 1_000_000_000  # holes that begin within it are read together
-_MOST_FAILURES = 3  # on end, until a hole is given up: else a source that fails is never heard
-_MICROSECOND_NS = 1_000  # what Python's times can say
+_TOGETHER_NS = 1_000_000_000  # holes that start within 1 s are read together
+_MOST_FAILURES = 3  # in a row, then the hole is skipped: a failing history must not block
+_MICROSECOND_NS = 1_000  # resolution of datetime
 _UNSUPPORTED = {
     ua.StatusCodes.BadServiceUnsupported,
     ua.StatusCodes.BadHistoryOperationUnsupported,
@@ -40,14 +40,14 @@ _UNSUPPORTED = {
 
 
 class Knowledge:
-    """Up to what source time each item is known, and behind which of them something may lie.
+    """The last known source time of each item, and which items may have missed changes since.
 
     Attributes
     ----------
     known_to : int64
-        By item, UTC ns: all that the source has up to here was handed out. NEVER: nothing was.
+        By item, UTC ns: all changes up to this time were returned. NEVER: none were.
     doubtful : bool
-        By item: what comes next may not be what comes next at the source.
+        By item: changes may be missing before the next one.
     """
 
     def __init__(self, items: int) -> None:
@@ -55,23 +55,23 @@ class Knowledge:
         self.doubtful = np.zeros(items, np.bool_)
 
     def doubt(self, items: NDArray[np.int32] | None = None) -> None:
-        """Something may be missing before the next change of some items; None: of all."""
+        """Mark that changes may be missing before the next one of ``items``; None: of all."""
         if items is None:
             self.doubtful = self.known_to != NEVER
         else:
             self.doubtful[items[self._are_ours(items)]] = True
 
     def note(self, changes: DataChanges) -> None:
-        """These changes are handed out."""
+        """Record that these changes were returned."""
         ours = self._are_ours(changes.item)
         self.known_to[changes.item[ours]] = changes.source_time[ours]
         self.doubtful[changes.item[ours]] = False
 
     def holes(self, ahead: DataChanges, longest_ns: int) -> "Holes":
-        """What may be missing before changes that come next.
+        """Return the possible gaps before the changes ``ahead``, at most ``longest_ns`` long.
 
-        Where something is, the valve's other signals are asked for, too, so that samples become
-        complete in their order.
+        A gap in one signal includes the valve's other doubtful signals, so that samples are
+        completed in order.
         """
         ahead = ahead[self._are_ours(ahead.item)]
         items, at = np.unique(ahead.item, return_index=True)
@@ -87,7 +87,7 @@ class Knowledge:
         return Holes(chosen, low[chosen], high[chosen])
 
     def fill(self, holes: "Holes", reached: int) -> None:
-        """What the source has of these up to a time is handed out."""
+        """Record that the history of these holes was returned up to ``reached``."""
         self.known_to[holes.items] = np.minimum(holes.high, reached)
 
     def _are_ours(self, items: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -95,13 +95,13 @@ class Knowledge:
 
 
 def _of_valve(by_valve: NDArray[Any]) -> NDArray[Any]:
-    """For each item what holds for its valve."""
+    """Repeat a value per valve for each of its items."""
     return np.repeat(by_valve, SIGNALS_PER_VALVE)
 
 
 @dataclass(frozen=True)
 class Holes:
-    """Times of which some items are not known, both ends included: arrays of equal length."""
+    """Missing time spans by item, both ends included: arrays of equal length."""
 
     items: NDArray[np.intp]
     low: NDArray[np.int64]
@@ -109,7 +109,7 @@ class Holes:
 
     @classmethod
     def none(cls) -> "Holes":
-        """There are none."""
+        """Return no holes."""
         return cls(np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int64))
 
     def __len__(self) -> int:
@@ -120,12 +120,12 @@ class Holes:
 
 
 class SourceHistory:
-    """The memory of one source, over all connections.
+    """The history of one source, over all connections.
 
     Attributes
     ----------
     is_there
-        Whether it makes sense to ask for it; not before there is a connection.
+        Whether the source supports history reads; False before the first connection.
     """
 
     def __init__(self) -> None:
@@ -136,21 +136,21 @@ class SourceHistory:
         self._failures = 0
 
     def over(self, connection: Connection, nodes: Iterable[MonitoredNode]) -> None:
-        """Ask over another connection from now on."""
+        """Use another connection from now on."""
         self.is_there = True
         self._connection = connection
         self._node_of = {node.item: node.node for node in nodes}
         self._nodes_at_once = _NODES_AT_ONCE
 
     async def read(self, holes: Holes) -> tuple[DataChanges, Holes, int]:
-        """Read the oldest part of some holes.
+        """Read the oldest part of the given holes.
 
         Returns
         -------
         changes
-            What the source remembers, in the order of time.
+            The changes of the source's history, in order of time.
         read, reached
-            Of which holes, and up to what time.
+            The holes that were read, and the time (UTC ns) up to which they were read.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class SourceHistory:
         return changes[in_order], oldest, reached
 
     async def _ask(self, holes: Holes, most: int, last: int) -> list[HistoryPiece] | str:
-        """What the source says, or why it says nothing."""
+        """Return the response for each hole, or the reason if there is none."""
         wanted = [
             ua.HistoryReadValueId(NodeId=self._node_of[item]) for item in holes.items.tolist()
         ]
@@ -221,7 +221,7 @@ class SourceHistory:
         pieces: Sequence[HistoryPiece],
         details: ua.ReadRawModifiedDetails,
     ) -> None:
-        """Give back what the source keeps for us to go on with: we go on by time."""
+        """Release the continuation points; the next read continues by time instead."""
         points = [
             ua.HistoryReadValueId(NodeId=value.NodeId, ContinuationPoint=piece.point)
             for value, piece in zip(wanted, pieces, strict=True)
@@ -252,9 +252,9 @@ class SourceHistory:
 
 
 def _reached(piece: HistoryPiece, most: int) -> int:
-    """Up to what time a variable's history is known now."""
+    """Return the time (UTC ns) up to which a variable's history is known now."""
     t = piece.changes.source_time
     if not len(t) or (not piece.point and len(t) < most):
         return 2**63 - 1
-    # of several values with the last time some may be still to come
+    # further values with the last time may follow
     return int(t[-1]) - 1 if t[-1] > t[0] else int(t[-1])

@@ -1,4 +1,4 @@
-"""The monitored items of a subscription: made, checked, given longer queues."""
+"""The monitored items of a subscription: create, check, enlarge queues, delete."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ _ITEMS_AT_ONCE = 20 * SIGNALS_PER_VALVE  # between two requests the server publi
 
 @dataclass(frozen=True)
 class Item:
-    """A monitored item: its node, its number at the server, the queue that was granted.
+    """A monitored item: its node, its id at the server and the revised queue size.
 
-    ``handle`` is what its changes are marked with.
+    ``handle`` is the client handle of its changes.
     """
 
     node: MonitoredNode
@@ -33,12 +33,12 @@ class Item:
 async def create_items(
     connection: Connection, subscription: int, nodes: Mapping[int, MonitoredNode]
 ) -> tuple[Item, ...]:
-    """Watch every sample of every node; the keys are the handles.
+    """Monitor every sample of every node; the keys are the client handles.
 
     Raises
     ------
     SourceRejected
-        naming the node that cannot be watched.
+        if a node cannot be monitored; names it.
     UaError
     """
     settings = connection.settings
@@ -88,7 +88,7 @@ async def create_items(
 
 
 async def delete_items(connection: Connection, subscription: int, numbers: Sequence[int]) -> None:
-    """Watch some items no longer.
+    """Delete the given monitored items.
 
     Raises
     ------
@@ -107,7 +107,7 @@ async def delete_items(connection: Connection, subscription: int, numbers: Seque
 async def enlarge_queues(
     connection: Connection, subscription: int, items: Sequence[Item], size: int
 ) -> tuple[Item, ...]:
-    """Have queues of ``size`` values; return the items with what was granted.
+    """Request queues of ``size`` values; return the items with their revised queue sizes.
 
     Raises
     ------
@@ -139,7 +139,7 @@ async def enlarge_queues(
 
 
 def _parameters(handle: int, connection: Connection, queue_size: int) -> ua.MonitoringParameters:
-    """Report every sample: a constant signal too, so the trigger looks at the timestamp."""
+    """Report every sample: the trigger includes the timestamp, so constant signals are reported."""
     return ua.MonitoringParameters(
         ClientHandle=handle,
         SamplingInterval=connection.settings.sampling_interval_ms,
@@ -153,7 +153,7 @@ def _parameters(handle: int, connection: Connection, queue_size: int) -> ua.Moni
 
 
 def _check_queues(connection: Connection, items: Sequence[Item], asked: int) -> None:
-    """Warn of what a cut will cost."""
+    """Warn if queues are smaller than requested: an outage then loses samples earlier."""
     smallest = min(item.queue_size for item in items)
     if smallest < asked:
         _log.warning(

@@ -1,4 +1,4 @@
-"""How far a source was heard, as bytes: what a restarted service goes on from."""
+"""The position in a source's data as bytes, from which a restarted service resumes."""
 
 import json
 from collections.abc import Sequence
@@ -14,15 +14,15 @@ from valvemap.opcua_source.source_nodes import MonitoredNode
 from valvemap.opcua_source.subscription import Left
 
 _FORMAT = 2
-_LARGEST = 2**32 - 1  # of OPC UA's numbers
-_LONGEST_MS = 1e7  # between two messages
+_LARGEST = 2**32 - 1  # largest UInt32
+_LONGEST_MS = 1e7  # longest publishing interval
 
 
 @dataclass(frozen=True)
 class Mark:
-    """How far changes were handed out: the last message, and of each item the last time.
+    """The position of the last returned changes: the last message, and the last time by item.
 
-    ``subscription`` is 0 while nothing of the present one was.
+    ``subscription`` is 0 before the first change of the current subscription.
     """
 
     subscription: int
@@ -32,13 +32,13 @@ class Mark:
 
 @dataclass(frozen=True)
 class Position:
-    """What a restarted service knows: the last time by item, and what there is to take over."""
+    """A restored position: the last time by item, and the subscription to resume, if any."""
 
     known_to: NDArray[np.int64]
     subscription: "Kept | None"
 
     def left(self, nodes: Sequence[MonitoredNode]) -> Left | None:
-        """What there is to take over, with the nodes that the server has now."""
+        """Return the subscription to resume, with the server's current nodes; None if none."""
         kept, by_item = self.subscription, {node.item: node for node in nodes}
         if kept is None or any(item not in by_item for item, *_ in kept.items):
             return None
@@ -58,7 +58,7 @@ class Position:
 
 @dataclass(frozen=True)
 class Kept:
-    """A subscription; ``items`` are item, number, queue size and handle of each."""
+    """A stored subscription; each of ``items`` is item, id, queue size and client handle."""
 
     number: int
     message: int
@@ -70,9 +70,9 @@ class Kept:
 def position_to_bytes(
     binding: str, mark: Mark, created: ua.CreateSubscriptionResult | None, items: Sequence[Item]
 ) -> bytes:
-    """Pack a position; ``binding`` names server, user and nodes that it belongs to.
+    """Encode a position; ``binding`` identifies the server, user and nodes that it belongs to.
 
-    ``created`` is None where there is nothing to take over.
+    ``created`` is None if there is no subscription to resume.
     """
     kept = {
         "format": _FORMAT,
@@ -94,9 +94,9 @@ def position_to_bytes(
 
 
 def position_from_bytes(position: bytes, binding: str, items: int, latest: int) -> Position | None:
-    """Unpack a position; None if it is damaged, belongs to others or cannot be.
+    """Decode a position; None if it is damaged, invalid or belongs to another source.
 
-    ``items`` is how many items there may be, ``latest`` the newest time that one can have, UTC ns.
+    ``items`` is the number of items, ``latest`` the latest valid time, UTC ns.
     """
     try:
         kept = json.loads(position)

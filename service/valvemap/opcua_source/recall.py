@@ -1,4 +1,4 @@
-"""What a source remembers of a span of time: all its signals, in order."""
+"""Reads all signals of a source for a time span from its history, in order."""
 
 from collections.abc import AsyncIterator, Sequence
 
@@ -20,7 +20,7 @@ async def recall(
     ------
     SourceLost
     SourceRejected
-        if the source keeps no history: says what helps.
+        if the source keeps no history; the message has the remedy.
     """
     history = SourceHistory()
     history.over(connection, nodes)

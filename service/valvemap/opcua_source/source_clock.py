@@ -1,4 +1,4 @@
-"""What time a source has: read when we connect, and again now and then."""
+"""The offset of a source's clock: read on connecting and periodically afterwards."""
 
 import asyncio
 from collections import deque
@@ -13,34 +13,34 @@ from valvemap.opcua_client.connection import Connection
 from valvemap.opcua_client.requests import read_values
 
 READ_EVERY_S = 10.0
-_READINGS = 6  # that are remembered: so long a source may be too busy to say the right time
-_CLOCKS_AGREE_S = 0.1  # closer together the source's clock gives no better age
-_RENEWED_S = 1.0  # between two times that a server says
+_READINGS = 6  # kept: one minute, in which a busy source may report late times
+_CLOCKS_AGREE_S = 0.1  # smaller offsets are treated as zero
+_RENEWED_S = 1.0  # longest update interval of a server's CurrentTime
 
 
 class Reading(NamedTuple):
-    """By how much a source's time was ahead of ours, s, and how long it took to read it, s."""
+    """One reading: offset of the source's clock (positive: ahead of ours) and round trip, s."""
 
     ahead_s: float
     took_s: float
 
 
 class SourceClock:
-    """By how much a source's clock is ahead of ours.
+    """The offset of a source's clock against ours.
 
-    What it says is never too late, and may be too early: by the way to us, by up to a second, as
-    many servers renew it as seldom, and by more from one that is busy. So the reading that is most
-    ahead counts, of those of the last minute.
+    A reading never overestimates the server's time. It may be too early by the transmission delay,
+    by up to 1 s because many servers update CurrentTime once per second, and by more if the server
+    is busy. The estimate is therefore the maximum over the last minute.
 
     Parameters
     ----------
     clock
-        Ours.
+        Our clock.
 
     Attributes
     ----------
     started
-        When the server was started, UTC ns, as it said; 0 if it did not.
+        StartTime of the server, UTC ns; 0 if it has none.
 
     Examples
     --------
@@ -63,7 +63,7 @@ class SourceClock:
 
     @property
     def ahead_s(self) -> float:
-        """By how much it is ahead of ours, s; 0 where both may be the same, or it does not say."""
+        """Offset, s, positive if ahead of ours; 0 if unknown or within the uncertainty."""
         if not self._readings:
             return 0.0
         ahead_s, took_s = max(self._readings)
@@ -71,11 +71,11 @@ class SourceClock:
         return 0.0 if -_RENEWED_S - doubt_s <= ahead_s <= doubt_s else ahead_s
 
     def note(self, reading: Reading) -> None:
-        """Take one more reading into account."""
+        """Add a reading."""
         self._readings.append(reading)
 
     async def read(self, connection: Connection) -> None:
-        """Read it once.
+        """Read the server's StartTime and CurrentTime once.
 
         Raises
         ------
@@ -97,11 +97,11 @@ class SourceClock:
             self.note(Reading((said - self._clock.now()) * 1e-9, took_s))
 
     def follow(self, connection: Connection) -> None:
-        """Read it now and then, until `stop`."""
+        """Read the clock periodically, until `stop`."""
         self._following = asyncio.create_task(self._read_for_ever(connection))
 
     async def stop(self) -> None:
-        """Read it no more; safe to call twice."""
+        """Stop reading; safe to call twice."""
         following, self._following = self._following, None
         if following is not None:
             following.cancel()
@@ -113,7 +113,7 @@ class SourceClock:
             try:
                 await self.read(connection)
             except SourceError:
-                return  # who receives notices it, too
+                return  # the receiver gets the error, too
 
 
 def _ns_of(answer: ua.DataValue) -> int:

@@ -1,4 +1,4 @@
-"""The nodes of a source server: their names, whether they exist, whether they hold numbers."""
+"""The nodes of a source server: parses their NodeIds and checks existence, access and type."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from valvemap.opcua_source.wire import NUMERIC_FORMATS
 from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE, Signal
 from valvemap.pipeline.units import READ, Measure
 
-REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # what is written
+REQUIRED_U, HEARTBEAT = "required_U", "heartbeat"  # nodes that are written
 
 _NODE_ID = re.compile(
     r"(?:ns=(?P<index>\d{1,5});|nsu=(?P<uri>[^;]+);)?(?P<kind>[isgb])=(?P<name>.+)", re.DOTALL
@@ -36,12 +36,12 @@ _SCALARS = {-3, -2, -1}  # ScalarOrOneDimension, Any, Scalar
 
 @dataclass(frozen=True)
 class ValveNodes:
-    """Where one valve's signals are; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
+    """The nodes of one valve's signals; each a NodeId such as ``nsu=urn:plant;s=Valve7.U``.
 
-    ``T``, ``sequence`` (a counter that grows by one with each sample), ``required_U`` (where the
-    feed-forward voltage is written) and ``heartbeat`` (UInt32, where the source sees that it still
-    is) may be missing. ``measures`` says by name in what units the signals come and the command
-    goes; with ``insist`` the source may say otherwise.
+    Optional are ``T``, ``sequence`` (a counter that increments with each sample), ``required_U``
+    (to which the feed-forward voltage is written) and ``heartbeat`` (UInt32, incremented while
+    feed-forward is active). ``measures`` holds by name the units of the signals and of the command;
+    ``insist`` accepts them even if the source's EngineeringUnits or EURange differ.
     """
 
     valve: str
@@ -62,17 +62,17 @@ class ValveNodes:
         Raises
         ------
         ConfigurationError
-            naming node and valve.
+            if a NodeId is malformed.
         """
         for wanted in _of_valve(0, self):
             parse_node_id(wanted.text, ())
 
     def measure(self, name: str) -> Measure:
-        """What is known of a signal, or of the command, beforehand."""
+        """Return the configured unit and scaling of a signal or of the command."""
         return self.measures.get(name, Measure())
 
     def signals(self) -> Iterator[tuple[Signal, str, str]]:
-        """Signal, name and NodeId of all that is to be read."""
+        """Yield signal, name and NodeId of all nodes to read."""
         named = zip(Signal, READ, strict=True)
         for signal, name in named:
             text = getattr(self, name)
@@ -101,7 +101,7 @@ class MonitoredNode:
 
 @dataclass(frozen=True)
 class WritableNode:
-    """A node to write to, the type it takes, and how to name it in an error."""
+    """A node to write to, its data type, and its label in error messages."""
 
     node: ua.NodeId
     type: ua.VariantType
@@ -110,26 +110,26 @@ class WritableNode:
 
 @dataclass(frozen=True)
 class CheckedNodes:
-    """What can be subscribed to and, by valve and role, written to."""
+    """The nodes to subscribe to, and the nodes to write to by valve and role."""
 
     monitored: tuple[MonitoredNode, ...]
     writable: dict[tuple[int, str], WritableNode]
 
 
 def parse_node_id(text: str, namespaces: Sequence[str] | None = None) -> ua.NodeId:
-    """Turn the text of a NodeId into one.
+    """Parse the text form of a NodeId.
 
     Parameters
     ----------
     text
-        As in OPC UA Part 6, 5.3.1.10.
+        The text form (OPC UA Part 6, 5.3.1.10).
     namespaces
-        The server's NamespaceArray; an empty one checks the form only.
+        The server's NamespaceArray; if empty, only the form is checked.
 
     Raises
     ------
     ConfigurationError
-        if the form is wrong.
+        if the form is invalid.
     SourceRejected
         if the server does not know the namespace.
 
@@ -169,7 +169,7 @@ async def check_nodes(connection: Connection, valves: Sequence[ValveNodes]) -> C
     Raises
     ------
     SourceRejected
-        naming the first node that is missing, unreadable, not writable or not a number.
+        if a node is missing, unreadable, not writable or not a number; names the first one.
     SourceLost
     """
     url = connection.settings.url
@@ -188,7 +188,7 @@ def _checked(
     ids: Sequence[ua.NodeId],
     answers: Sequence[Sequence[ua.DataValue]],
 ) -> CheckedNodes:
-    """Refuse what cannot be used."""
+    """Return the usable nodes; raise SourceRejected if any is unusable."""
     monitored, writable, faults = [], {}, []
     for node, node_id, answer in zip(wanted, ids, answers, strict=True):
         label = f"node '{node.text}' ({node.role} of valve {valves[node.valve].valve})"
@@ -224,7 +224,7 @@ def _uint32(text: str) -> int:
 
 
 def _fault(answer: Sequence[ua.DataValue], *, write: bool) -> str | None:
-    """What is wrong with a node, as the end of a sentence with a place for the url."""
+    """Return the fault of a node as the end of a sentence with ``{url}``; None if it has none."""
     node_class, data_type, rank, access, value = answer
     return (
         _fault_of_class(node_class)
@@ -273,7 +273,7 @@ def _type_of(answer: Sequence[ua.DataValue]) -> ua.VariantType:
 
 
 def _kind(data_type: ua.DataValue, value: ua.DataValue) -> int | None:
-    """Built-in type of a variable's values; None if only the future can say."""
+    """Return the built-in type of a variable's values; None if it is not known yet."""
     if value.Value is not None and value.Value.VariantType != ua.VariantType.Null:
         return int(value.Value.VariantType.value)
     node_id = data_type.Value.Value if data_type.Value is not None else None

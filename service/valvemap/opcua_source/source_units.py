@@ -1,4 +1,4 @@
-"""Units at the source: numbers turned into ours, and what the source itself says of them."""
+"""Units of the source: conversion to our units, and checks against the node properties."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,12 +26,12 @@ from valvemap.pipeline.units import (
 
 _HAS_PROPERTY: Final = ua.NodeId(ua.ObjectIds.HasProperty)
 _PROPERTIES: Final = ("EngineeringUnits", "EURange")
-_SLACK: Final = 0.01  # of a range: rounding of who set it up
+_SLACK: Final = 0.01  # of a range: rounding in its configuration
 _ELECTRICAL_SPANS: Final = ((4.0, 20.0), (0.0, 20.0), (0.0, 10.0), (-10.0, 10.0), (0.0, 5.0))
 
 
 class Scales:
-    """Turns data changes into the units that are used inside."""
+    """Converts data changes to the internal units."""
 
     def __init__(self, valves: Sequence[ValveNodes]) -> None:
         n = len(valves) * SIGNALS_PER_VALVE
@@ -44,7 +44,7 @@ class Scales:
         self._has_none = bool((self._gain == 1.0).all() and (self._offset == 0.0).all())
 
     def __call__(self, changes: DataChanges) -> DataChanges:
-        """The same changes in our units; the very same ones where none has a unit of its own."""
+        """Return the changes in internal units; the same object if no signal needs conversion."""
         if self._has_none:
             return changes
         gain, offset = self._gain[changes.item], self._offset[changes.item]
@@ -54,7 +54,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class SaidOfNode:
-    """What a node's properties say: its unit, that unit's own symbol, and its range."""
+    """The properties of a node: its unit, the symbol as sent, and its EURange."""
 
     unit: Unit | None = None
     symbol: str = ""
@@ -64,14 +64,14 @@ class SaidOfNode:
 async def check_units(
     connection: Connection, valves: Sequence[ValveNodes], nodes: CheckedNodes
 ) -> None:
-    """Compare the nodes' EngineeringUnits and EURange with what the configuration says of them.
+    """Compare the nodes' EngineeringUnits and EURange with the configuration.
 
-    A server that has neither, or cannot look them up, is believed.
+    Nodes without these properties pass, as do servers that cannot translate browse paths.
 
     Raises
     ------
     SourceRejected
-        naming the first node that says otherwise.
+        if a node contradicts its configuration; names the first one.
     SourceLost
     """
     wanted = list(_wanted(valves, nodes))
@@ -90,7 +90,7 @@ async def check_units(
 
 
 def contradiction(name: str, measure: Measure, said: SaidOfNode) -> str | None:
-    """What speaks against a signal's configuration, as the end of a sentence; None if nothing.
+    """Return how a node contradicts its configuration, as the end of a sentence; None if not.
 
     >>> contradiction("p1", Measure(), SaidOfNode(unit_of("psi")))
     "comes in psi, configured is bar: set unit = 'psi'"
@@ -132,7 +132,7 @@ def _of_range(name: str, measure: Measure, said: SaidOfNode) -> str | None:
 
 
 async def read_units(connection: Connection, nodes: Sequence[ua.NodeId]) -> list[SaidOfNode]:
-    """What EngineeringUnits and EURange say of some nodes; nothing where there are none.
+    """Read EngineeringUnits and EURange of nodes; missing properties give empty fields.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""One subscription, its publish requests, and the buffer of what they brought.
+"""One subscription, its publish requests, and the buffer of received changes.
 
-Several publish requests are in flight; responses are taken in the order of their arrival.
-A gap in the sequence numbers is asked for again (Republish) before what comes after it is
-handed on. Every response is acknowledged with the next request.
+Several publish requests are in flight; responses are processed in order of arrival. Messages
+missing in the sequence are requested again (Republish) before later ones are delivered. Every
+message is acknowledged with the next request.
 """
 
 import asyncio
@@ -35,27 +35,27 @@ from valvemap.pipeline.data_changes import DataChanges
 
 _log = bounded_logger(__name__)
 
-_STALL_S = 1.0  # a wait that lasts so much too long shows our own standstill
+_STALL_S = 1.0  # a wait longer than its timeout by this: our process was stalled
 _LOST_KEEP_ALIVES = 3
-_LONGEST_ANSWER_S = 1.5  # on top of them
+_LONGEST_ANSWER_S = 1.5  # added to the missing keep-alives
 _LIFETIME_KEEP_ALIVES = 10
 LIFETIME_S = 120.0
-QUEUED_S = 60.0  # of samples that the server shall keep while the line is cut
-_NOTICEABLY = 1.1  # larger must a queue be to be asked for
+QUEUED_S = 60.0  # of samples that the server should queue during an outage
+_NOTICEABLY = 1.1  # smallest ratio of new to old queue size worth a request
 _MEASURE_S = 2.0
-_SPARE = 1.2  # of a queue, for a source that is a little faster than it was measured
-_MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then as often as the last
+_SPARE = 1.2  # margin of the queue size over the measured rate
+_MEASURE_AFTER_S = (2.0, 10.0, 60.0)  # … then repeated at the last interval
 _MAX_REPUBLISH = 100
-_MOST_KEPT_BACK = 10_000  # messages; no server keeps so many
-_LONGEST_SILENCE_S = 86_400.0  # whoever may be silent for longer cannot be watched
+_MOST_KEPT_BACK = 10_000  # messages; more than a server retains
+_LONGEST_SILENCE_S = 86_400.0  # upper limit of the keep-alive watchdog
 _NOTIFICATIONS_PER_PUBLISH = 100_000
-_MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers count generously
+_MOST_CHANGES = 2 * _NOTIFICATIONS_PER_PUBLISH  # some servers exceed the limit
 _GOOD_TRANSFERRED = 0x002D0000
 
 
 @dataclass
 class Tally:
-    """What was seen so far; grows over all connections."""
+    """Counters over all connections."""
 
     notifications: int = 0
     publish_responses: int = 0
@@ -67,9 +67,9 @@ class Tally:
 
 @dataclass(frozen=True)
 class Part:
-    """What one message brought: the changes, which message, and what is known to be lost before.
+    """The changes of one message, its sequence number, and the losses before it.
 
-    ``behind_gap``: messages before it never came; ``overflows``: queues at the server were full.
+    ``behind_gap``: messages before it are missing. ``overflows``: changes with the Overflow bit.
     """
 
     changes: DataChanges
@@ -81,24 +81,24 @@ class Part:
 
 @dataclass(frozen=True)
 class Left:
-    """A subscription that was left alone at the server, as far as it was heard.
+    """The state of a subscription that still exists at the server, without a connection.
 
     Attributes
     ----------
     created
-        What the server said of it.
+        The server's response to CreateSubscription.
     next_message
-        Sequence number of the message to come; None before the first.
+        Sequence number of the next message; None before the first.
     acknowledgements
-        What was to be acknowledged.
+        Acknowledgements that were not sent.
     buffer
-        What nobody has taken yet.
+        Received changes that were not fetched.
     items
-        The monitored items: node, number at the server, queue granted.
+        The monitored items.
     kept_back
-        Messages that are not to be acknowledged before they are committed; None: all may be.
+        Sequence numbers to acknowledge only after a commit; None: acknowledge at once.
     behind_gap
-        Whether messages before the next one never came.
+        Whether messages before the next one are missing.
     """
 
     created: ua.CreateSubscriptionResult
@@ -111,7 +111,7 @@ class Left:
 
 
 class Subscription:
-    """A running subscription; made by :func:`subscribe` or :func:`take_over`."""
+    """A running subscription; created by :func:`subscribe` or :func:`take_over`."""
 
     def __init__(
         self,
@@ -122,12 +122,12 @@ class Subscription:
     ) -> None:
         self._created = created
         self._items: tuple[Item, ...] = ()
-        self._item_of_handle: NDArray[np.int32] | None = None  # None: they are the same
+        self._item_of_handle: NDArray[np.int32] | None = None  # None: they are equal
         self._asked = 0
         self._tidies = False
-        self._kept_back: deque[int] | None = None  # messages that nobody has committed yet
+        self._kept_back: deque[int] | None = None  # messages not committed yet
         self._behind_gap = False
-        self._counted: NDArray[np.int64] | None = None  # changes by item, while they are measured
+        self._counted: NDArray[np.int64] | None = None  # changes by item, during a measurement
         self._connection = connection
         self._session = connection.session
         self._settings = connection.settings
@@ -150,7 +150,7 @@ class Subscription:
         self._publishers: set[asyncio.Task[None]] = set()
 
     def left(self) -> Left:
-        """What another connection needs to go on with it; its buffer is empty then."""
+        """Return the state needed to resume over another connection; empties the buffer."""
         buffer = tuple(self._buffer)
         self._buffer.clear()
         self._buffered = 0
@@ -165,7 +165,7 @@ class Subscription:
         )
 
     def go_on_from(self, left: Left) -> None:
-        """Begin where another one was left."""
+        """Start from the state of a previous connection."""
         self._next = left.next_message
         self._acknowledgements = list(left.acknowledgements)
         self.watch(left.items)
@@ -175,12 +175,12 @@ class Subscription:
         self._behind_gap = left.behind_gap
 
     def hold_back(self) -> None:
-        """Acknowledge from now on only what `commit` says."""
+        """Acknowledge from now on only committed messages."""
         self._kept_back = deque(maxlen=_MOST_KEPT_BACK)
 
     @property
     def created(self) -> ua.CreateSubscriptionResult:
-        """What the server said of it."""
+        """The server's response to CreateSubscription."""
         return self._created
 
     @property
@@ -189,7 +189,7 @@ class Subscription:
         return self._items
 
     def commit(self, subscription: int, message: int) -> None:
-        """What was handed out up to a message need not be had again."""
+        """Acknowledge all messages up to ``message``."""
         if self._kept_back is None or subscription != self._id:
             return
         while self._kept_back and (message - self._kept_back[0]) % 2**32 < 2**31:
@@ -197,12 +197,12 @@ class Subscription:
             self._acknowledgements.append(_acknowledgement(self._id, number))
 
     def watch(self, items: Sequence[Item]) -> None:
-        """See to it from now on that the queues of these items hold what they must."""
+        """Set the monitored items; their queues are adapted to their rates from now on."""
         self._items = tuple(items)
         self._item_of_handle = _items_by_handle(self._items)
 
     async def change_items(self, nodes: Sequence[MonitoredNode], surplus: Sequence[int]) -> None:
-        """Watch just these nodes: some more than before, and the surplus items no longer.
+        """Monitor exactly these nodes: create missing items and delete the surplus ones.
 
         Raises
         ------
@@ -220,12 +220,12 @@ class Subscription:
                 self.watch((*self._items, *added))
 
     async def catch_up(self, available: Sequence[int] = ()) -> bool:
-        """Ask for all messages again that were sent over the connection before.
+        """Request all unread messages of the previous connection again (Republish).
 
         Returns
         -------
         bool
-            False if the server does not know the subscription any more.
+            False if the subscription no longer exists at the server.
 
         Raises
         ------
@@ -251,8 +251,8 @@ class Subscription:
             self._publishers.add(asyncio.create_task(self._publish_until_it_fails()))
 
     async def receive(self) -> list[Part]:
-        """Wait for changes and take all there are; a failure comes after them."""
-        listening = self._clock.monotonic()  # before, it was we who were silent
+        """Wait for changes and return all; a failure is raised when the buffer is empty."""
+        listening = self._clock.monotonic()  # silence before this call does not count
         while not self._buffer:
             if self._failure is not None:
                 raise self._failure
@@ -274,12 +274,12 @@ class Subscription:
         parts, self._buffer = self._buffer, []
         self._buffered = 0
         if not self._room.is_set():
-            self._heard = self._clock.monotonic()  # it was we who were silent
+            self._heard = self._clock.monotonic()  # no publish requests: not the server's silence
             self._room.set()
         return parts
 
     async def stop(self) -> None:
-        """Send no more publish requests; the session's end deletes the subscription."""
+        """Cancel publishing; closing the session deletes the subscription."""
         for publisher in self._publishers:
             publisher.cancel()
         await asyncio.gather(*self._publishers, return_exceptions=True)
@@ -340,7 +340,7 @@ class Subscription:
             self._fail(SourceLost(f"{self._settings.url}: the subscription ended: {name}"))
 
     def _tidy(self, response: PublishResponse) -> None:
-        """Acknowledge what was to be over the connection before."""
+        """Acknowledge received messages that the previous connection did not acknowledge."""
         self._tidies = False
         known = {ack.SequenceNumber for ack in self._acknowledgements} | set(self._kept_back or ())
         for number in response.available:
@@ -352,13 +352,13 @@ class Subscription:
         return self._next is not None and message.sequence_number != self._next
 
     def _accept(self, message: Message) -> None:
-        """Take a message in; whatever happens then, it is not asked for again."""
+        """Buffer a message and acknowledge it, so that it is not requested again."""
         self._keep(message)
         self._acknowledge(message.sequence_number)
         self._next = _after(message.sequence_number)
 
     async def _fill_gap(self, response: PublishResponse) -> None:
-        """Ask again for what lies between the last message and this one."""
+        """Request the messages between the last one and this one again."""
         number = response.message.sequence_number
         if self._next is None:
             self._next = number
@@ -398,7 +398,7 @@ class Subscription:
             return None
 
     def _skip_to_oldest(self, available: Sequence[int]) -> None:
-        """Go on with the oldest message that the server still has."""
+        """Continue with the oldest message that the server still has; count skipped ones."""
         begin = self._next or 1
         ahead = sorted((n - begin) % 2**32 for n in available)
         ahead = [steps for steps in ahead if steps < 2**31]
@@ -437,7 +437,7 @@ class Subscription:
         self._arrived.set()
 
     def _of_items(self, changes: DataChanges) -> DataChanges:
-        """The changes that are ours, marked by item instead of handle."""
+        """Return the changes with known handles, numbered by item instead of handle."""
         table = self._item_of_handle
         if table is None or not len(changes):
             return changes
@@ -446,7 +446,7 @@ class Subscription:
         return replace(changes, item=item)[item >= 0]
 
     async def _adapt_queues(self) -> None:
-        """Measure how fast nodes change, and have queues that hold a minute of it."""
+        """Measure the rate of changes and enlarge queues to hold one minute of them."""
         for pause_s in chain(_MEASURE_AFTER_S, repeat(_MEASURE_AFTER_S[-1])):
             await asyncio.sleep(pause_s - _MEASURE_S)
             if not self._items:
@@ -457,7 +457,7 @@ class Subscription:
             passed, counted = self._clock.monotonic() - began, self._counted
             self._counted = None
             wanted = math.ceil(_SPARE * QUEUED_S * int(counted.max()) / passed)
-            with suppress(SourceError):  # publishing says so, too
+            with suppress(SourceError):  # publishing reports it, too
                 await self._have_queues_of(wanted)
 
     async def _have_queues_of(self, size: int) -> None:
@@ -483,7 +483,7 @@ async def subscribe(
 ) -> Subscription:
     """Subscribe to every sample of every node.
 
-    The first items report while the last are still made: no queue must hold all of that time.
+    Publishing starts before the items are created, so queues need not hold the time that takes.
 
     Raises
     ------
@@ -523,9 +523,10 @@ async def subscribe(
 async def take_over(
     connection: Connection, left: Left, tally: Tally, clock: Clock
 ) -> tuple[Subscription, Sequence[int]] | None:
-    """Take over a subscription that was left at the server; None if it gives it to us no more.
+    """Take over a subscription that still exists at the server; None if it cannot be transferred.
 
-    It is to catch up from what is ``available``, and to be started then.
+    Returns the subscription and the sequence numbers available for Republish. Call `catch_up` with
+    these, then `start`.
 
     Raises
     ------
@@ -557,7 +558,7 @@ def _items_by_handle(items: Sequence[Item]) -> NDArray[np.int32] | None:
 
 
 def _check_pace(created: ua.CreateSubscriptionResult) -> None:
-    """Refuse a revised publishing that would keep us busy, or waiting, for ever."""
+    """Reject revised intervals that are zero, or too long for the keep-alive watchdog."""
     interval_ms, count = created.RevisedPublishingInterval, created.RevisedMaxKeepAliveCount
     silence_ms = _LOST_KEEP_ALIVES * count * interval_ms
     if not (interval_ms > 0.0 and count and silence_ms <= _LONGEST_SILENCE_S * 1e3):
@@ -569,7 +570,7 @@ def _acknowledgement(subscription: int, number: int) -> ua.SubscriptionAcknowled
 
 
 def _after(number: int) -> int:
-    """Sequence numbers run from 1 to 2**32 - 1 and begin anew (Part 4, 7.8)."""
+    """Return the next sequence number; they wrap from 2**32 - 1 to 1 (Part 4, 7.8)."""
     return number + 1 if number < 2**32 - 1 else 1
 
 

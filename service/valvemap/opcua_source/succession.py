@@ -1,4 +1,4 @@
-"""What a source leaves to the one that goes on in its place, with other valves perhaps."""
+"""The state that a closed source transfers to its successor, which may have other valves."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,18 +15,18 @@ from valvemap.pipeline.data_changes import SIGNALS_PER_VALVE
 
 @dataclass(frozen=True)
 class Estate:
-    """What there is when a source stops.
+    """The state of a source when it is closed.
 
     Attributes
     ----------
     valves
-        By which items are numbered.
+        The valves that define the item numbers.
     knowledge, parts
-        How far each item is known, and what has arrived since.
+        The last time known of each item, and the changes received since.
     tally, ticket, left, left_at
-        Counts, session and subscription; the time (monotonic, s) since when it is alone.
+        Counters, session and subscription, and the time of the disconnection (monotonic, s).
     surplus
-        Numbers of monitored items that nobody needs any more.
+        Ids of monitored items that are no longer needed.
     """
 
     valves: tuple[ValveNodes, ...]
@@ -40,7 +40,7 @@ class Estate:
 
 
 def divided(estate: Estate, valves: Sequence[ValveNodes]) -> Estate:
-    """What concerns these valves: signals of the same name and node, by their new numbers."""
+    """Return the part for these valves: signals of the same name and node, renumbered."""
     ours = {key: item for item, key in _keys(valves)}
     item_of = np.full(len(estate.knowledge.known_to), -1, np.int32)
     for item, key in _keys(estate.valves):
@@ -74,7 +74,7 @@ def _of(part: Part, item_of: NDArray[np.int32]) -> Part:
 
 
 def _keys(valves: Sequence[ValveNodes]) -> Iterator[tuple[int, tuple[object, ...]]]:
-    """The items of some valves, and by what each is known again."""
+    """Yield the items of the given valves, each with the key that identifies it."""
     for number, valve in enumerate(valves):
         for signal, _, text in valve.signals():
             yield number * SIGNALS_PER_VALVE + signal, (valve.valve, signal, text)

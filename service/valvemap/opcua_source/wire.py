@@ -1,16 +1,16 @@
 """Walk through OPC UA binary data (Part 6, 5.2): bounded, strict, without building objects.
 
-Lengths are believed only as far as there are bytes, nesting only to :data:`MAX_DEPTH`.
+Lengths are checked against the bytes available, nesting against :data:`MAX_DEPTH`.
 """
 
 import struct
 from dataclasses import dataclass
 
 MAX_DEPTH = 16
-"""Variants, DataValues and DiagnosticInfos may contain themselves; ours may not for ever."""
+"""Limit on the nesting of Variants, DataValues and DiagnosticInfos."""
 
 MAX_ELEMENTS = 50_000
-"""Elements of a message that are walked one by one (2 to 5 µs each); numbers never are."""
+"""Limit on the elements of a message walked one by one (2 to 5 µs each); numbers are not."""
 
 _U2 = struct.Struct("<H")
 _U4 = struct.Struct("<I")
@@ -46,18 +46,18 @@ _KIND = 0x3F
 
 
 class DecodeError(ValueError):
-    """The bytes are no valid OPC UA binary message."""
+    """The bytes are not a valid OPC UA binary message."""
 
 
 @dataclass
 class _Walked:
-    """How many elements of a message were walked one by one."""
+    """The number of elements of a message walked one by one."""
 
     elements: int = 0
 
 
 class Reader:
-    """A position in some bytes; every read checks that there is something to read.
+    """A position in a buffer; every read checks the remaining size.
 
     Examples
     --------
@@ -73,18 +73,18 @@ class Reader:
         self._walked = _Walked()
 
     def part(self, start: int, stop: int) -> "Reader":
-        """Return a reader of some of the bytes; it shares the count of elements."""
+        """Return a reader of the bytes from ``start`` to ``stop``; it shares the element count."""
         part = Reader(self.data)
         part.position, part.stop, part._walked = start, stop, self._walked
         return part
 
     @property
     def at_end(self) -> bool:
-        """Whether everything is read."""
+        """Whether all bytes are read."""
         return self.position == self.stop
 
     def skip(self, size: int) -> int:
-        """Move on and return the position before."""
+        """Advance by ``size`` bytes and return the previous position."""
         before = self.position
         if size < 0 or size > self.stop - before:
             raise DecodeError(
@@ -138,11 +138,11 @@ class Reader:
         return struct.unpack_from(f"<{count}I", self.data, self.skip(4 * count))
 
     def skip_string(self) -> None:
-        """Pass over a String, ByteString or XmlElement."""
+        """Skip a String, ByteString or XmlElement."""
         self.skip(max(self.i4(), 0))
 
     def skip_diagnostic_info(self, depth: int = 0) -> None:
-        """Pass over a DiagnosticInfo."""
+        """Skip a DiagnosticInfo."""
         _check_depth(depth)
         mask = self.u1()
         for bit in (0x01, 0x02, 0x04, 0x08):
@@ -156,7 +156,7 @@ class Reader:
             self.skip_diagnostic_info(depth + 1)
 
     def node_id(self) -> int | None:
-        """Read a NodeId or ExpandedNodeId: the number, if it is one of namespace 0."""
+        """Read a NodeId or ExpandedNodeId; return its number in namespace 0, else None."""
         encoding = self.u1()
         number, namespace = None, 0
         match encoding & 0x3F:
@@ -180,7 +180,7 @@ class Reader:
         return number if namespace == 0 and encoding < 0x40 else None
 
     def extension_object(self) -> tuple[int | None, "Reader"]:
-        """Read the type and enter the body of an ExtensionObject; this reader is behind it."""
+        """Read an ExtensionObject; return its type and a reader of its body, and skip the body."""
         kind = self.node_id()
         encoding = self.u1()
         if encoding == 0:
@@ -192,12 +192,12 @@ class Reader:
         return (kind if encoding == 1 else None), self.part(start, start + size)
 
     def skip_variant(self, depth: int = 0) -> None:
-        """Pass over a Variant of whatever type."""
+        """Skip a Variant of any type."""
         encoding = self.u1()
         self.skip_variant_body(encoding, depth)
 
     def skip_variant_body(self, encoding: int, depth: int = 0) -> None:
-        """Pass over what follows a Variant's encoding byte."""
+        """Skip a Variant after its encoding byte."""
         _check_depth(depth)
         kind = encoding & _KIND
         if not encoding & _IS_ARRAY:
@@ -234,11 +234,11 @@ class Reader:
                 self.skip_diagnostic_info(depth + 1)
             case _ if kind in FIXED_SIZES:
                 self.skip(FIXED_SIZES[kind])
-            case _:  # String, ByteString, XmlElement, and 26-31, which travel as ByteString
+            case _:  # String, ByteString, XmlElement, and 26-31, encoded as ByteString
                 self.skip_string()
 
     def skip_data_value(self, depth: int = 0) -> None:
-        """Pass over a DataValue."""
+        """Skip a DataValue."""
         _check_depth(depth)
         mask = self.u1()
         if mask & 0x01:

@@ -1,1 +1,1 @@
-"""Files: checkpoints and recordings."""
+"""Files: checkpoints, history, recordings and models."""

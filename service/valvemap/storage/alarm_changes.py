@@ -1,4 +1,4 @@
-"""Changes of alarms in the history's file: one row each, until they are old or too many."""
+"""Changes of alarms in the history file, one row each, limited in age and number."""
 
 import json
 import sqlite3
@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from valvemap.pipeline.ports import AlarmChange, AlarmReport
 
-MOST_CHANGES: Final = 100_000  # some 50 MB; the oldest go first
+MOST_CHANGES: Final = 100_000  # rows; some 50 MB; the oldest are dropped first
 _SCHEMA = (
     """
     CREATE TABLE IF NOT EXISTS alarm_change (
@@ -30,13 +30,13 @@ _KNOWN = frozenset(field.name for field in fields(AlarmReport))
 
 
 def prepare(connection: sqlite3.Connection) -> None:
-    """Make the table, if it is not there."""
+    """Create the table if it does not exist."""
     for statement in _SCHEMA:
         connection.execute(statement)
 
 
 def insert(connection: sqlite3.Connection, changes: Sequence[AlarmChange]) -> None:
-    """Keep changes; one that is kept already is passed over."""
+    """Insert changes; skip those already stored."""
     rows = []
     for change in changes:
         report = json.dumps(asdict(change.report))
@@ -58,7 +58,7 @@ def select(
     skip: int,
     most: int,
 ) -> list[AlarmChange]:
-    """Changes within a span (UTC ns, both ends belong to it); what is damaged is left out."""
+    """Return the changes within a span (UTC ns, both ends included); damaged rows are skipped."""
     whose, values = ("", ()) if owner is None else ("owner = ? AND ", (owner,))
     order = "DESC" if backwards else "ASC"
     rows = connection.execute(
@@ -71,20 +71,20 @@ def select(
 
 
 def is_whole(row: Sequence[Any]) -> bool:
-    """Whether a row (t, owner, digest, report, checksum) is as it was written."""
+    """Whether the checksum of a row (t, owner, digest, report, checksum) is correct."""
     *_, report, checksum = row
     return all(map(isinstance, row, KINDS)) and _checksum(report) == checksum
 
 
 def forget(connection: sqlite3.Connection, before: int) -> None:
-    """Drop what is older (UTC ns), and what is too much."""
+    """Drop rows older than the given time (UTC ns), and the oldest above the limit."""
     connection.execute("DELETE FROM alarm_change WHERE t < ?", (before,))
     excess = "SELECT id FROM alarm_change ORDER BY t DESC LIMIT -1 OFFSET ?"
     connection.execute(f"DELETE FROM alarm_change WHERE id IN ({excess})", (MOST_CHANGES,))  # noqa: S608
 
 
 def _digest(report: AlarmReport) -> str:
-    """What tells two changes of one time apart."""
+    """Return a digest that distinguishes two changes of the same time."""
     stands = (report.active, report.acked, report.confirmed)
     return f"{report.name} {report.count} {stands} {report.commented}"
 

@@ -33,7 +33,7 @@ _INSERT = f"INSERT OR REPLACE INTO checkpoint ({_COLUMNS}) VALUES ({', '.join('?
 _DIGEST_BYTES = 16
 _SMALLEST_BYTES = 512  # of any SQLite file
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, of a write-ahead log
-_MOST_ROWS = 1_000_000  # are looked for in a damaged file
+_MOST_ROWS = 1_000_000  # limit on the row ids tried in a damaged file
 _SCHEMA = (
     """
     CREATE TABLE checkpoint (
@@ -57,40 +57,39 @@ _TABLES = frozenset({"checkpoint"})
 
 
 class CheckpointFile(Closing):
-    """Keeps checkpoints; fulfils :class:`valvemap.pipeline.ports.CheckpointStore`.
+    """Stores checkpoints; fulfils :class:`valvemap.pipeline.ports.CheckpointStore`.
 
-    A save is one transaction in a write-ahead log: readers are never held up, and whatever kills
-    the process, the file holds the last complete save. Each save folds its log into the file: it
-    waits for the disk when the log is written and when the file is, a few ms at an interval of
-    seconds. What ``save`` returned from survives a power cut, too.
+    A save is one transaction in a write-ahead log: readers are never blocked, and if the process is
+    killed, the file holds the last complete save. Each save checkpoints its log into the file. It
+    waits for the disk twice, for the log and for the file: a few ms at an interval of seconds. A
+    completed ``save`` also survives a power failure.
 
-    Each state is kept in two generations, each row with a digest of all that it says: of what a
-    flipped bit has reached, the one before is taken; a file that is damaged is set aside, and what
-    can still be read of it goes into the new one. A file of another format is set aside, too.
+    Each state is stored in two generations, each row with a digest of its contents. If the digest
+    of the newest one is wrong, the previous generation is loaded. A damaged file is set aside and
+    its readable rows are copied to a new one. A file of another format is set aside, too.
 
     May be used from any thread, by one at a time.
 
     Parameters
     ----------
     path
-        The file; it and its folder are made if missing.
+        The file; it and its folder are created if missing.
     timeout
-        How long to wait for another process's lock, s.
+        Timeout for another process's lock, s.
 
     Attributes
     ----------
     set_aside : Path or None
-        Where a damaged file, or one of another format, was moved when this one was opened: to be
-        said once, and looked at.
+        Where a damaged file, or one of another format, was moved on opening; the caller reports it.
     damaged : list of str
-        ``<Valve>.<Estimator>`` whose newest state could not be believed at `load`; LOG where the
-        log held more than could be read: by a kill amid a save, or by damage.
+        ``<Valve>.<Estimator>`` whose newest state was damaged at `load`; LOG if the log had more
+        frames than could be read, because of a kill during a save, or of damage.
 
     Raises
     ------
     StorageError
-        from every method, one line naming the file: it cannot be written, is locked, full, belongs
-        to another program or to a newer version.
+        from every method, in one line that names the file: it cannot be written, is locked, full,
+        or belongs to another program or to a newer version.
 
     Examples
     --------
@@ -109,7 +108,7 @@ class CheckpointFile(Closing):
         self._log_was_torn = False
         self.damaged: list[str] = []
         self._lock = Lock()
-        self._generations: dict[tuple[str, str], int] = {}  # the newest's
+        self._generations: dict[tuple[str, str], int] = {}  # the newest generation
         self._saved = 0
         with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -132,11 +131,11 @@ class CheckpointFile(Closing):
             self._generations[row.valve, row.estimator] = row.generation
 
     def save(self, checkpoints: Sequence[Checkpoint]) -> None:
-        """Keep all of them or none; each replaces the one of the same valve and estimator."""
+        """Store all checkpoints or none; each replaces that of the same valve and estimator."""
         with self._lock, naming(self.path):
             saved = self._saved + 1
             rows = [_Row.of(c, 1 - self._generations.get(_name(c), 1), saved) for c in checkpoints]
-            self._connection.execute("PRAGMA synchronous = OFF")  # the fold waits for the disk
+            self._connection.execute("PRAGMA synchronous = OFF")  # _fold_log waits for the disk
             try:
                 with transaction(self._connection):
                     self._connection.executemany(_INSERT, rows)
@@ -147,9 +146,9 @@ class CheckpointFile(Closing):
             self._generations.update(((r.valve, r.estimator), r.generation) for r in rows)
 
     def load(self) -> list[Checkpoint]:
-        """Return the newest of each (valve, estimator) that is whole, in the order of these names.
+        """Return the newest valid checkpoint of each (valve, estimator), in order of the names.
 
-        Where one of a valve is not, the others are of the same save as the one before it.
+        If one of a valve is damaged, the valve's other checkpoints are from the same earlier save.
         """
         with self._lock, naming(self.path):
             rows = self._rows()
@@ -186,13 +185,13 @@ class CheckpointFile(Closing):
         return sum(part.stat().st_size for part in parts if part.exists())
 
     def close(self) -> None:
-        """Close the file and fold its log into it; safe to call twice."""
+        """Checkpoint the log and close the file; safe to call twice."""
         with self._lock, naming(self.path):
             self._connection.close()
 
 
 class _Row(NamedTuple):
-    """One row; damaged ones may hold anything."""
+    """One row; a damaged row may hold any values."""
 
     valve: str
     estimator: str
@@ -241,7 +240,7 @@ def _name(thing: Checkpoint | _Row) -> tuple[str, str]:
 
 
 def _salvaged(path: Path) -> list[_Row]:
-    """The rows of a damaged file that can be read and believed."""
+    """Return the rows of a damaged file that are readable and have a valid digest."""
     rows = []
     try:
         with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as damaged:
@@ -258,7 +257,7 @@ def _salvaged(path: Path) -> list[_Row]:
 
 
 def _frames_in_log(path: Path) -> int:
-    """How many pages a write-ahead log seems to hold."""
+    """Return the number of frames of a write-ahead log, by its size."""
     log = path.with_name(f"{path.name}-wal")
     if not log.exists() or log.stat().st_size < _LOG_HEADER:
         return 0
@@ -268,14 +267,14 @@ def _frames_in_log(path: Path) -> int:
 
 
 def _fold_log(connection: sqlite3.Connection) -> int:
-    """Write the log's pages into the file, which then stands by itself; return how many."""
+    """Write the log's pages into the file; return their number."""
     _, pages, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
     return max(int(pages), 0)
 
 
 def _open(path: Path, timeout: float) -> sqlite3.Connection:
-    """Open and check the file, furnish it if it is new."""
+    """Open and check the file; create the tables of a new one."""
     connection = sqlite3.connect(
         path, timeout=timeout, isolation_level=None, check_same_thread=False
     )
@@ -295,7 +294,7 @@ def _open(path: Path, timeout: float) -> sqlite3.Connection:
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise if this is not our file, before anything in it is touched."""
+    """Raise if the file belongs to another program, before it is changed."""
     is_new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION, _TABLES)
     version = pragma(connection, "user_version")
     if not is_new and version < SCHEMA_VERSION:

@@ -1,11 +1,11 @@
-"""Files that are closed where their ``with`` ends."""
+"""A base class of files that are closed at the end of their ``with`` block."""
 
 from types import TracebackType
 from typing import Self
 
 
 class Closing:
-    """What has a ``close`` that is safe to call twice."""
+    """A context manager that calls ``close``, which is safe to call twice."""
 
     def close(self) -> None:
         """Close it."""

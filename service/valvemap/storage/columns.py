@@ -1,7 +1,6 @@
-"""What stands in the columns of a recording: from text to arrays, exactly.
+"""Converts the columns of a recording from text to arrays, exactly.
 
-A cell that cannot be read raises :class:`CellError`; the reader that knows file and line turns
-it into a sentence.
+A cell that cannot be parsed raises :class:`CellError`; the reader adds file and line to it.
 """
 
 import re
@@ -30,7 +29,7 @@ ALLOWED_QUALITY = "0, 1, 2, Good, Uncertain, Bad or an OPC UA status code"
 ALLOWED_VALVE = "a name"
 
 _FRACTION = re.compile(r"[.,](\d+)")
-_EXACT_SECONDS = 1e6  # below, the nearest double still tells one ns from the next
+_EXACT_SECONDS = 1e6  # below, doubles still resolve 1 ns
 _SMALLEST, _LARGEST = -(2**63) + 1, 2**63 - 1  # -2**63 is NaT elsewhere
 
 
@@ -60,8 +59,8 @@ def times(cells: Sequence[str], form: DateForm | None = None) -> Times:
     """Read times as UTC ns, each cell by its own form and exact to the ns.
 
     An integer of at least 1e15 is UTC ns, any other number is seconds since 1970 (or since the
-    recording's own zero), everything else is ISO 8601; without an offset it is UTC. Digits behind
-    the ns are cut off. ``form`` says how a spreadsheet's dates are meant, where there are any.
+    recording's own origin), anything else is ISO 8601, in UTC if it has no offset. Digits beyond
+    the ns are truncated. ``form`` is the date format of a spreadsheet, if any.
 
     >>> times(["1700000000123456789", "0.01", "1970-01-01T01:00:00.000000001+01:00"])
     array([1700000000123456789,            10000000,                   1])
@@ -87,7 +86,7 @@ def times(cells: Sequence[str], form: DateForm | None = None) -> Times:
 
 
 def times_of_integers(values: NDArray[np.int64]) -> Times:
-    """UTC ns from integers: those of at least 1e15 are ns, the others seconds."""
+    """Return UTC ns from integers: those of at least 1e15 are ns, the others seconds."""
     is_ns = values >= NANOSECONDS_FROM
     seconds = np.where(is_ns, 0, values)
     limit = _LARGEST // 10**9
@@ -96,7 +95,7 @@ def times_of_integers(values: NDArray[np.int64]) -> Times:
 
 
 def times_of_floats(values: Floats) -> Times:
-    """UTC ns from doubles: those of at least 1e15 are ns, the others seconds."""
+    """Return UTC ns from doubles: those of at least 1e15 are ns, the others seconds."""
     is_ns = values >= NANOSECONDS_FROM
     limit = np.where(is_ns, 2.0**63, _LARGEST // 10**9)
     _refuse_times(~(np.abs(values) < limit), values)
@@ -107,7 +106,7 @@ def times_of_floats(values: Floats) -> Times:
 
 
 def qualities(cells: Sequence[str]) -> Codes:
-    """Read qualities; words count by their beginning, status codes by their severity.
+    """Parse qualities: words by their prefix, status codes by their severity.
 
     >>> qualities(["0", "Bad", "UncertainLastUsableValue", "2147483648", "0x40000000"])
     array([0, 2, 1, 2, 1], dtype=uint8)
@@ -120,7 +119,7 @@ def qualities(cells: Sequence[str]) -> Codes:
 
 
 def qualities_of_integers(values: NDArray[np.int64]) -> Codes:
-    """Qualities from 0, 1, 2 and OPC UA status codes."""
+    """Return qualities from 0, 1, 2 and OPC UA status codes."""
     if values.size and values.min() >= Quality.GOOD and values.max() <= Quality.BAD:
         return values.astype(np.uint8)
     distinct, where = np.unique(values, return_inverse=True)
@@ -131,7 +130,7 @@ def qualities_of_integers(values: NDArray[np.int64]) -> Codes:
 
 
 def names(cells: Sequence[str]) -> tuple[list[str], NDArray[np.intp]]:
-    """Distinct names in their order of appearance, and the index of each row's name."""
+    """Return distinct names in order of appearance, and the index of each row's name."""
     distinct = list(dict.fromkeys(cells))
     if "" in distinct:
         raise CellError(list(cells).index(""), "valve", "", ALLOWED_VALVE)
@@ -142,14 +141,14 @@ def names(cells: Sequence[str]) -> tuple[list[str], NDArray[np.intp]]:
 def by_valve(
     samples: Samples, valves: Sequence[str], index: NDArray[np.intp]
 ) -> Iterator[tuple[str, Samples]]:
-    """Part a batch by valve, the rows of each in their order."""
+    """Split a batch by valve, preserving the order of rows."""
     present = np.flatnonzero(np.bincount(index)).tolist()
     for i in present:
         yield valves[i], samples if len(present) == 1 else samples[index == i]
 
 
 def time_text(t: int) -> str:
-    """Write a time so that :func:`times` reads the same ns: as ns where that is unambiguous.
+    """Format a time so that :func:`times` returns the same ns: as ns where unambiguous.
 
     >>> time_text(1_700_000_000_123_456_789), time_text(-10_000_001)
     ('1700000000123456789', '-0.010000001')
@@ -200,7 +199,7 @@ def _nanoseconds(cell: str) -> int | None:
 
 
 def _iso_nanoseconds(cell: str) -> int:
-    moment = datetime.fromisoformat(cell)  # cuts the fraction off after six digits
+    moment = datetime.fromisoformat(cell)  # truncates the fraction to six digits
     fraction = _FRACTION.search(cell)
     rest = int(fraction[1][6:9].ljust(3, "0")) if fraction else 0
     return utc_ns(moment) + rest
@@ -220,7 +219,7 @@ def _quality(cell: str) -> Quality | None:
 def _quality_of_code(code: int) -> Quality | None:
     if code in (0, 1, 2):
         return Quality(code)
-    if 1024 <= code < 2**32:  # below lie the qualities of OPC Classic, where 192 is good
+    if 1024 <= code < 2**32:  # smaller codes are OPC Classic qualities, where 192 is good
         return Quality(min(code >> 30, 2))
     return None
 

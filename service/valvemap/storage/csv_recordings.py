@@ -1,4 +1,4 @@
-"""Recordings as text: CSV, plain or packed by gzip or xz."""
+"""Recordings as text: CSV, plain or compressed with gzip or xz."""
 
 import csv
 import gzip
@@ -29,13 +29,13 @@ PACKINGS = (".csv", ".csv.gz", ".csv.xz")
 _HEADER_LIMIT = 65_536
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 _SAID_FIRST = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # Excel's own first line
-_PEEKED = 64  # lines from which the form of the dates is judged
+_PEEKED = 64  # lines used to detect the date format
 _PEEK = 65_536  # bytes
 _NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x81\x8d\x8f\x90\x9d]")
 _WIDE = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # by the byte order mark
 _DAMAGE = (EOFError, zlib.error, lzma.LZMAError, gzip.BadGzipFile, csv.Error)
 
-_BLOCK = 2_048  # lines whose cells stay in the processor's cache: nearly twice the speed
+_BLOCK = 2_048  # lines; their cells fit in the CPU cache, nearly twice as fast
 
 Rows = list[list[str]]
 Block = tuple[Samples, NDArray[np.intp]]
@@ -44,9 +44,9 @@ Block = tuple[Samples, NDArray[np.intp]]
 class CsvReader:
     """Reads a recording of one of :data:`PACKINGS` chunk by chunk.
 
-    Separated by comma, semicolon, tab or bar, as the header is; the decimal comma is understood
-    wherever it does not separate. UTF-8 or UTF-16, with or without a byte order mark; what is
-    neither is read as Windows writes it in western Europe. Any line ends.
+    The separator is that of the header: comma, semicolon, tab or bar. A decimal comma is accepted
+    unless the comma separates columns. The encoding is UTF-8 or UTF-16, with or without a byte
+    order mark, else cp1252. Any line endings are accepted.
     """
 
     def __init__(self, path: Path, packing: str, chunk_rows: int, layout: Layout) -> None:
@@ -76,17 +76,17 @@ class CsvReader:
 
     @property
     def fraction(self) -> float:
-        """How much of the file's bytes have been read, 0 to 1."""
+        """The fraction of the file's bytes read, 0 to 1."""
         return 1.0 if self._raw.closed else min(self._raw.tell() / self._size, 1.0)
 
     def close(self) -> None:
         """Close the file."""
-        with suppress(*_DAMAGE, OSError):  # it was only read
+        with suppress(*_DAMAGE, OSError):  # nothing was written
             self._text.close()
         self._raw.close()
 
     def _read_header(self) -> tuple[str, list[str], int]:
-        """Separator, headings, and how many lines they end with."""
+        """Return separator, headings and the number of header lines."""
         said, number = None, 1
         with _Faults(self._path, lambda: 0):
             line = self._text.readline(_HEADER_LIMIT)
@@ -101,7 +101,7 @@ class CsvReader:
         return separator, [name.strip() for name in found], number
 
     def _date_form(self, peeked: Sequence[str]) -> DateForm:
-        """How the times are meant, by the first of them."""
+        """Return the date format, detected from the first times."""
         place = self._columns.parts[0].t
         rows = csv.reader(peeked, delimiter=self._separator, skipinitialspace=True)
         with suppress(csv.Error):
@@ -109,9 +109,9 @@ class CsvReader:
         return DateForm()
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
-        """Yield (valve, samples), so many lines at a time.
+        """Yield (valve, samples), chunk by chunk.
 
-        What stands before damage is handed out before the damage is raised.
+        Samples before damage are yielded before the error is raised.
         """
         more, problem = True, None
         while more:
@@ -131,17 +131,17 @@ class CsvReader:
             raise problem
 
     def _read(self, limit: int) -> tuple[Rows, RecordingError | None]:
-        """Lines up to ``limit``, and what stopped them before."""
+        """Return up to ``limit`` lines, and the error that stopped reading, if any."""
         rows: Rows = []
         try:
             with _Faults(self._path, lambda: self._lines.line_num + self._skipped):
-                rows.extend(islice(self._lines, limit))  # keeps what came before a fault
+                rows.extend(islice(self._lines, limit))  # keeps the lines before an error
         except RecordingError as error:
             return rows, error
         return rows, None
 
     def _parsed(self, rows: Rows, before: int) -> list[Block]:
-        """Samples and their valves' numbers; none where all lines are blank."""
+        """Return samples and their valves' numbers; none if all lines are blank."""
         lines: Sequence[int] = range(before + 1, before + 1 + len(rows))
         if set(map(len, rows)) != {len(self._header)}:
             lines, rows = self._without_blank_lines(lines, rows)
@@ -154,7 +154,7 @@ class CsvReader:
             raise RecordingError(f"{self._path}, line {lines[error.row]}: {error}") from None
 
     def _blocks(self, cells: Sequence[Sequence[str]]) -> Iterator[Block]:
-        """Samples of every part of the file, and their valves' numbers."""
+        """Yield the samples of every part of the file, and their valves' numbers."""
         found = self._columns
         quality = None if found.quality is None else columns.qualities(cells[found.quality])
         names, index = None, None
@@ -188,7 +188,7 @@ class CsvReader:
             return columns.numbers(_with_points(cells), name)
         try:
             return columns.numbers(cells, name)
-        except CellError:  # a decimal comma within quotes
+        except CellError:  # a quoted decimal comma
             if not any("," in cell for cell in cells):
                 raise
             return columns.numbers(_with_points(cells), name)
@@ -212,7 +212,7 @@ class CsvReader:
 
 
 class _Faults:
-    """Turns what reading text can raise into one sentence."""
+    """Converts exceptions of reading text to a RecordingError."""
 
     def __init__(self, path: Path, line: Callable[[], int]) -> None:
         self._path = path
@@ -239,7 +239,7 @@ class _Faults:
 
 
 def csv_rows(valve: str, samples: Samples) -> bytes:
-    r"""Write samples as lines of text which read back as the same bits.
+    r"""Return samples as CSV lines that read back bit-identically.
 
     >>> csv_rows("V1", Samples.of(t=[10**15], U=[0.1], p1=[200], p2=[1e-9], Q=[30]))
     b'1000000000000000,0.1,200.0,1e-09,30.0,nan,V1,0\n'
@@ -258,12 +258,12 @@ def csv_rows(valve: str, samples: Samples) -> bytes:
 
 
 def csv_header() -> bytes:
-    """Return the header line that :func:`csv_rows` fits to."""
+    """Return the header line for :func:`csv_rows`."""
     return (",".join(columns.COLUMNS) + "\n").encode()
 
 
 def packed(packing: str, text: bytes) -> bytes:
-    """Pack text so that it can be appended: a gzip member or an xz stream of its own."""
+    """Compress text for appending, as a separate gzip member or xz stream."""
     match packing:
         case ".csv.gz":
             return gzip.compress(text, compresslevel=6, mtime=0)
@@ -288,7 +288,7 @@ def _with_points(cells: Sequence[str]) -> list[str]:
 
 
 def _encoding(beginning: bytes) -> str:
-    """How the text is written, judged by its first bytes."""
+    """Return the encoding, detected from the first bytes."""
     if beginning[:2] in _WIDE:
         return _WIDE[beginning[:2]]
     if beginning[1:2] == b"\0" and beginning[3:4] == b"\0":
@@ -300,5 +300,5 @@ def _encoding(beginning: bytes) -> str:
     except UnicodeDecodeError as error:
         cut_off = error.start >= len(beginning) - 4
         if not cut_off and not _NO_TEXT.search(beginning):
-            return "cp1252"  # a spreadsheet's °C
+            return "cp1252"  # e.g. the ° of °C from a spreadsheet
     return "utf-8-sig"

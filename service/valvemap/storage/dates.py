@@ -15,9 +15,9 @@ _DATE = re.compile(
     r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})"
     r"(?:[ ,T]\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*([AaPp]\.?[Mm]\.?)?)?"
 )
-_SERIAL_EPOCH_DAYS: Final = 25_569  # 1970-01-01 as Excel counts days
+_SERIAL_EPOCH_DAYS: Final = 25_569  # 1970-01-01 as an Excel day number
 _SERIALS: Final = (20_000, 80_000)  # days: 1954 to 2119
-_SHORTEST_STEP_S: Final = 5e-4  # seconds that step by less would be days: nothing samples at 2 kHz
+_SHORTEST_STEP_S: Final = 5e-4  # s; smaller steps are days: no source has 2 kHz
 _DAY_NS: Final = 86_400 * 10**9
 
 
@@ -31,9 +31,10 @@ class Order(Enum):
 
 @dataclass(frozen=True)
 class DateForm:
-    """How the times of one file are to be read, beside ISO 8601, ns and seconds.
+    """The date format of one file, in addition to ISO 8601, ns and seconds.
 
-    ``serial``: numbers are days since 1899-12-30; ``order`` is that of dates with names of none.
+    ``serial``: numbers are days since 1899-12-30; ``order``: order of day and month in numeric
+    dates.
     """
 
     serial: bool = False
@@ -41,7 +42,7 @@ class DateForm:
 
 
 def date_form(cells: Sequence[str]) -> DateForm:
-    """Judge from a file's first times how all of them are meant.
+    """Detect the date format of a file from its first times.
 
     >>> date_form(["13/02/2026 08:00:00"]).order, date_form(["46000.25", "46000.2500001"]).serial
     (<Order.DAY_FIRST: 'day first'>, True)
@@ -72,7 +73,7 @@ def _are_serial(cells: Sequence[str]) -> bool:
 
 
 def date_nanoseconds(cell: str, form: DateForm) -> int | None:
-    """UTC ns of one cell; None if it is no such date, or day and month cannot be told apart."""
+    """Return UTC ns of one cell; None if it is no such date, or day and month are ambiguous."""
     text = cell.strip()
     if form.serial:
         try:
@@ -99,6 +100,6 @@ def date_nanoseconds(cell: str, form: DateForm) -> int | None:
 
 
 def is_ambiguous(cell: str, form: DateForm) -> bool:
-    """Whether it is a date of which the day cannot be told from the month."""
+    """Whether it is a date whose day and month are ambiguous."""
     match = _DATE.fullmatch(cell.strip())
     return match is not None and match[2] != "." and form.order is Order.UNKNOWN

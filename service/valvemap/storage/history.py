@@ -1,4 +1,4 @@
-"""What signals and results have been, in one SQLite file: columns in blocks of successive rows."""
+"""The history of signals and results in one SQLite file: columns in blocks of successive rows."""
 
 import sqlite3
 import time
@@ -29,23 +29,23 @@ from valvemap.storage.sqlite_files import (
     transaction,
 )
 
-BLOCK: Final = 4_096  # rows of a block that is full: 41 s of 100 Hz, 32 kB of each column
-AT_START_S: Final = 1.0  # s; time for checks and copies that a start waits for
-IN_TURN_S: Final = 0.1  # s; time for the rest after each save, of which there is one a second
-AGAIN_S: Final = 60.0  # s; a file that is damaged sooner than this after another is left as it is
-_PAGES_AT_ONCE = 1_000  # given back to the disk in one go
+BLOCK: Final = 4_096  # rows of a full block: 41 s at 100 Hz, 32 kB per column
+AT_START_S: Final = 1.0  # s; time for checks and copies during the start
+IN_TURN_S: Final = 0.1  # s; time for the remaining ones after each save, once a second
+AGAIN_S: Final = 60.0  # s; shortest time between two files set aside
+_PAGES_AT_ONCE = 1_000  # freed in one step
 _SMALL = """
     SELECT id, rows FROM block WHERE series = :series AND first > ifnull(
         (SELECT max(last) FROM block WHERE series = :series AND rows >= :full), -9223372036854775808
     ) ORDER BY first
-"""  # behind the last one that is full
+"""  # blocks after the last full one
 
 Result = TypeVar("Result")
 
 
 @dataclass
 class _Series:
-    """What is known of a series while it is written: its number, its last row, its small blocks."""
+    """The write state of a series: its number, its last row and its small blocks."""
 
     number: int
     last: int
@@ -54,44 +54,45 @@ class _Series:
 
 
 class HistoryFile(Closing):
-    """Keeps pieces of series, and gives back what they were.
+    """Stores pieces of series and reads them back.
 
-    A series is a table of successive rows: a time, a status code and some columns. Rows come in the
-    order of their times; one that is not newer than the last of its series is left out. A save is
-    one transaction; what kills the process loses what was not saved, nothing else. Small blocks are
-    joined as they come, so that a day of 100 Hz is 211 blocks.
+    A series is a table of successive rows: a time, a status code and value columns. Rows are saved
+    in order of time; a row that is not newer than the last of its series is left out. A save is
+    one transaction, so a kill loses only unsaved rows. Small blocks are joined, so that a day at
+    100 Hz is 211 blocks.
 
-    A damaged file never stops its owner. Where its structure is hit, when it is opened or later, it
-    is set aside under a name with its time, and its readable blocks are copied into a new file;
-    where a column is hit, the column is dropped. What is lost is counted. Both are done a little
-    with each save, so that a large file holds up neither start nor saves.
+    A damaged file never stops the service. If its structure is damaged, the file is set aside under
+    a name with its time, and its readable blocks are copied to a new file. If a column is damaged,
+    the column is dropped. Lost rows are counted. Both repairs proceed a little with each save, so
+    that a large file delays neither start nor saves.
 
-    May be used from any thread, by one at a time; readers do not wait for who writes.
+    May be used from any thread, by one at a time; readers do not wait for the writer.
 
     Parameters
     ----------
     path
-        The file; it and its folder are made if missing.
+        The file; it and its folder are created if missing.
     keep_s
-        Rows older than this are forgotten, block by block.
+        Age at which rows are dropped, block by block, s.
     most_bytes
-        So large may the file become; the oldest blocks go first.
+        Maximum size of the file; the oldest blocks are dropped first.
     mends
-        Whether damage may be mended; else it is a StorageError. Only the file's owner may.
+        Whether to repair damage, which only the owner of the file may do; else it raises
+        StorageError.
     clock
-        Seconds, for the time that mending takes.
+        Returns seconds; limits the time spent on repairs.
 
     Attributes
     ----------
     size : int
-        Bytes in use after the last save: who asks waits for no disk.
+        Bytes in use after the last save; reading it needs no disk access.
     lost : int
-        Rows that damage took, as far as is known; a row of which one column is lost counts, too.
+        Rows known to be lost by damage; a row with one lost column is included.
 
     Raises
     ------
     StorageError
-        from every method, one line naming the file.
+        from every method, in one line that names the file.
 
     Examples
     --------
@@ -135,7 +136,7 @@ class HistoryFile(Closing):
             self.size = self._bytes()
 
     def save(self, pieces: Iterable[Piece]) -> int:
-        """Keep all pieces or none; return how many values were left out as not newer."""
+        """Store all pieces or none; return how many values were left out as not newer."""
         return self._write(lambda: sum([self._append(piece) for piece in pieces]))
 
     def read(
@@ -149,7 +150,7 @@ class HistoryFile(Closing):
         skip: int = 0,
         most: int,
     ) -> Past:
-        """Rows from ``low`` to ``high`` (UTC ns, both belong to it), but for the first ``skip``."""
+        """Return rows from ``low`` to ``high`` (UTC ns, both included) after ``skip`` others."""
 
         def find() -> Past:
             if not self._names.keys() >= {series, column, T, CODES}:
@@ -168,7 +169,7 @@ class HistoryFile(Closing):
         return self._ask(find)
 
     def note(self, changes: Sequence[AlarmChange]) -> None:
-        """Keep changes of alarms; those that are kept already are not kept twice."""
+        """Store changes of alarms; skip those already stored."""
         self._write(lambda: alarm_changes.insert(self._writer, changes))
 
     def changes(
@@ -181,7 +182,7 @@ class HistoryFile(Closing):
         skip: int = 0,
         most: int,
     ) -> list[AlarmChange]:
-        """Changes of an owner's alarms (None: of all) from ``low`` to ``high``, as :meth:`read`."""
+        """Return changes of an owner's alarms (None: of all), from ``low`` to ``high``."""
         return self._ask(
             lambda: alarm_changes.select(
                 self._reader, owner, (low, high), backwards=backwards, skip=skip, most=most
@@ -189,7 +190,7 @@ class HistoryFile(Closing):
         )
 
     def forget(self, now: int) -> int:
-        """Drop what is too old at ``now`` (UTC ns), or too much; return how many blocks."""
+        """Drop blocks that are too old at ``now`` (UTC ns) or exceed the size; return how many."""
 
         def drop() -> int:
             alarm_changes.forget(self._writer, now - self._keep_ns)
@@ -213,7 +214,7 @@ class HistoryFile(Closing):
         return dropped
 
     def take_notes(self) -> list[str]:
-        """Sentences about damage since they were last taken."""
+        """Return the messages on damage since the last call."""
         notes, self._notes = self._notes, []
         return notes
 
@@ -223,9 +224,9 @@ class HistoryFile(Closing):
             self._close()
 
     def _write(self, work: Callable[[], Result]) -> Result:
-        """Run ``work`` in a transaction, then a slice of the chores."""
+        """Run ``work`` in a transaction, then a slice of the pending repairs."""
         with self._writing, naming(self.path):
-            if not self._is_open:  # a new file could not be made
+            if not self._is_open:  # a new file could not be created
                 with self._reading:
                     self._open()
             try:
@@ -278,18 +279,18 @@ class HistoryFile(Closing):
             self._reader.close()
 
     def _remember(self) -> None:
-        """Know names and series as the file has them."""
+        """Load names and series from the file."""
         self._names = dict(self._writer.execute("SELECT name, id FROM name").fetchall())
         self._series = self._known_series()
 
     def _mend(self, error: sqlite3.Error) -> None:
-        """Set a damaged file aside, and begin a new one.
+        """Set a damaged file aside and create a new one.
 
         Raises
         ------
         sqlite3.Error
-            the same, where that does not help: the file is not damaged, belongs to another process,
-            or the last one was set aside a moment ago.
+            the given error, if the file is not damaged, belongs to another process, or the last one
+            was set aside less than ``AGAIN_S`` ago.
         """
         too_soon = self._clock() < self._damaged_at + AGAIN_S
         if not is_damage(error) or not self._mends or too_soon:
@@ -305,7 +306,7 @@ class HistoryFile(Closing):
             self._open()
 
     def _work(self, budget_s: float) -> None:
-        """Run chores for a while."""
+        """Run pending repairs for a limited time."""
         if not self._mends:
             return
         ends = self._clock() + budget_s
@@ -315,7 +316,7 @@ class HistoryFile(Closing):
                     if self._clock() >= ends:
                         break
         except sqlite3.Error as error:
-            if not is_damage(error):  # a full disk, say: from the start, a little later
+            if not is_damage(error):  # e.g. a full disk: restart the repairs later
                 self._notes.append(f"{self.path} cannot be mended yet: {error}")
                 self._begin_chores()
             else:
@@ -350,7 +351,7 @@ class HistoryFile(Closing):
             self._finished.append(marker)
 
     def _continue(self, taken: Taken) -> None:
-        """Append behind a block that was taken over."""
+        """Continue a series after a block copied from a damaged file."""
         series = self._series.setdefault(
             taken.series, _Series(self._number(taken.series), taken.last)
         )
@@ -363,7 +364,7 @@ class HistoryFile(Closing):
         return (pages - free) * page
 
     def _append(self, piece: Piece) -> int:
-        """Write a piece as a block, and join small blocks once they make a large one."""
+        """Write a piece as a block, and join small blocks when they fill a large one."""
         series = self._series.get(piece.series)
         if series is None:
             series = self._series[piece.series] = _Series(self._number(piece.series), -(2**63))
@@ -384,7 +385,7 @@ class HistoryFile(Closing):
         return insert(self._writer, series, columns[T], parts, self._number)
 
     def _join(self, name: str, series: _Series) -> None:
-        """Make one block of a series' small ones; a column that some lack is NaN there."""
+        """Join a series' small blocks to one; rows without a column have NaN in it."""
         examined = [self._examined(self._writer, name, block) for block in series.small]
         blocks = [found for found in examined if len(found.t)]
         columns = {
@@ -412,7 +413,7 @@ class HistoryFile(Closing):
         return len(old)
 
     def _drop_oldest(self, excess: int) -> int:
-        """The oldest blocks that hold so many bytes in all."""
+        """Drop the oldest blocks that together hold the given number of bytes."""
         held = self._writer.execute(
             "SELECT block.id, sum(length(data)) FROM block JOIN part ON part.block = block.id "
             "GROUP BY block.id ORDER BY last"
@@ -436,7 +437,7 @@ class HistoryFile(Closing):
         self._writer.executemany("DELETE FROM block WHERE id = ?", rows)
 
     def _known_series(self) -> dict[str, _Series]:
-        """Every series as it was left."""
+        """Return the write state of every series in the file."""
         names = {number: name for name, number in self._names.items()}
         found = {}
         last = "SELECT series, max(last) FROM block GROUP BY series"
@@ -471,7 +472,7 @@ class HistoryFile(Closing):
     def _examined(
         self, connection: sqlite3.Connection, series: str, block: int, columns: Sequence[str] = ()
     ) -> Examined:
-        """Columns of a block whose checksums hold; all, or those given."""
+        """Return the columns of a block with valid checksums; all, or the given ones."""
         numbers = {self._names[name]: name for name in columns or self._names}
         chosen = f"AND name IN ({', '.join('?' * len(columns))})" if columns else ""
         select = f"SELECT name, digest, data FROM part WHERE block = ? {chosen}"  # noqa: S608
@@ -499,7 +500,7 @@ def _joined(parts: Sequence[Past]) -> Past:
 
 
 def _set_aside_before(path: Path) -> list[tuple[Path, Path]]:
-    """Files set aside of which not all is taken over, each with the mark of it; newest first."""
+    """Return files set aside that are not fully copied, each with its marker; newest first."""
     markers = [
         marker
         for marker in path.parent.iterdir()

@@ -1,4 +1,4 @@
-"""Blocks of the history: successive rows of a series, a packed column in each part."""
+"""Blocks of the history: successive rows of a series, one packed column per part."""
 
 import sqlite3
 import zlib
@@ -13,7 +13,7 @@ from valvemap.model.samples import Times
 
 T: Final = "t"
 CODES: Final = "codes"
-BYTES_OF_VALUE: Final = 8  # of all columns but times and codes, which are packed
+BYTES_OF_VALUE: Final = 8  # of all columns except times and codes, which are packed
 
 _BLOCK = "INSERT INTO block (series, first, last, rows) VALUES (?, ?, ?, ?)"
 _PART = "INSERT INTO part (block, name, digest, data) VALUES (?, ?, ?, ?)"
@@ -24,16 +24,16 @@ Parts = Mapping[str, tuple[int, bytes]]
 
 @dataclass(frozen=True)
 class Examined:
-    """What of a block its checksums confirm.
+    """The parts of a block with valid checksums.
 
     Attributes
     ----------
     t : (n,)
-        Times of its rows, UTC ns; none where times or codes are damaged.
+        Times of the rows, UTC ns; empty if times or codes are damaged.
     parts
-        Packed columns that are whole; none without times and codes.
+        Valid packed columns; empty without times and codes.
     damaged
-        Columns that are not.
+        Names of damaged columns.
     """
 
     t: Times
@@ -42,7 +42,7 @@ class Examined:
 
     @classmethod
     def none(cls, parts: Parts | None = None) -> Self:
-        """Nothing of it is whole."""
+        """Return the result for a block without any valid part."""
         return cls(np.empty(0, np.int64), {}, tuple(parts or ()))
 
 
@@ -63,13 +63,16 @@ def examine(series: str, parts: Parts) -> Examined:
 
 
 def checksum(data: bytes, series: str, name: str, first: int) -> int:
-    """Of a packed column: it holds for this column of the block that begins at ``first`` alone."""
+    """Return the checksum of a packed column.
+
+    It covers series, column and ``first``, the first time of the block (not for the times).
+    """
     whose = f"{series}\n{name}\n{0 if name == T else first}"
     return zlib.crc32(data, zlib.crc32(whose.encode("utf-8", "replace")))
 
 
 def _unpacked(part: tuple[object, object], series: str, name: str, first: int = 0) -> NDArray[Any]:
-    """A column as it was written, else no rows; checksums of version 1 know no name."""
+    """Unpack a column; no rows if it is damaged. Checksums of version 1 do not include the name."""
     digest, data = part
     if not isinstance(data, bytes) or digest not in (
         checksum(data, series, name, first),
@@ -78,12 +81,12 @@ def _unpacked(part: tuple[object, object], series: str, name: str, first: int = 
         return np.empty(0)
     try:
         return unpack(name, data)
-    except (zlib.error, ValueError):  # zeros have a checksum of zero
+    except (zlib.error, ValueError):  # zeros have checksum 0
         return np.empty(0)
 
 
 def pack(name: str, column: NDArray[Any]) -> bytes:
-    """Times as differences and codes are packed; values hardly can be."""
+    """Pack a column: times (as differences) and codes are compressed, values are not."""
     if name == T:
         return zlib.compress(np.diff(column, prepend=np.int64(0)).astype("<i8").tobytes(), 1)
     if name == CODES:
@@ -92,7 +95,7 @@ def pack(name: str, column: NDArray[Any]) -> bytes:
 
 
 def unpack(name: str, data: bytes | None) -> NDArray[Any]:
-    """Return a column from its packed form; no rows from none."""
+    """Return a column from its packed form; no rows from empty bytes."""
     if data is None:
         return np.empty(0)
     if name == T:
@@ -103,7 +106,7 @@ def unpack(name: str, data: bytes | None) -> NDArray[Any]:
 
 
 def before(t: int, found: Examined) -> Examined:
-    """The rows before a time, UTC ns."""
+    """Return the rows before a time, UTC ns."""
     n = int(np.searchsorted(found.t, t))
     parts = {name: pack(name, unpack(name, data)[:n]) for name, data in found.parts.items()}
     return Examined(found.t[:n], parts, found.damaged)
@@ -116,7 +119,7 @@ def insert(
     parts: Mapping[str, bytes],
     number: Callable[[str], int],
 ) -> int:
-    """Write a block; return its number. ``number`` gives a name's."""
+    """Write a block; return its number. ``number`` returns the number of a name."""
     first = int(t[0])
     row = number(series), first, int(t[-1]), len(t)
     block = connection.execute(_BLOCK, row).lastrowid

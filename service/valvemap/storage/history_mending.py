@@ -1,4 +1,4 @@
-"""A history made whole again: blocks checked where they are, or taken over from a damaged file."""
+"""Repair of a history: checks blocks in place, or copies them from a damaged file."""
 
 import sqlite3
 from collections.abc import Callable, Generator, Mapping
@@ -10,7 +10,7 @@ from valvemap.storage import alarm_changes
 from valvemap.storage.history_blocks import BYTES_OF_VALUE, Parts, before, examine, insert
 from valvemap.storage.salvage import Block, salvage_blocks, salvage_changes
 
-CHANGES_AT_ONCE: Final = 100  # alarm changes of a step, at some 10 us each
+CHANGES_AT_ONCE: Final = 100  # alarm changes per step, some 10 us each
 
 _NEXT = (
     "SELECT id, series, first, last, rows FROM block WHERE id > ? AND id <= ? ORDER BY id LIMIT 1"
@@ -27,7 +27,7 @@ _CHANGE = (
 
 @dataclass(frozen=True)
 class Taken:
-    """Rows of a block that were copied, and rows that are lost."""
+    """The copied and the lost rows of a block."""
 
     series: str = ""
     last: int = 0
@@ -38,10 +38,10 @@ class Taken:
 def check_blocks(
     connection: sqlite3.Connection, names: Mapping[str, int]
 ) -> Generator[int, None, None]:
-    """Check each block there is; yield how many of its rows are lost.
+    """Check each block; yield how many of its rows are lost.
 
-    Columns that are damaged are dropped, and a block without times with all of them. What the table
-    says of a block's rows is set right.
+    Damaged columns are dropped, and blocks without times entirely. The block table is corrected if
+    it contradicts the rows of a block.
     """
     numbers = {number: name for name, number in names.items()}
     (newest,) = connection.execute("SELECT max(id) FROM block").fetchone()
@@ -68,16 +68,16 @@ def check_blocks(
 def take_over(
     connection: sqlite3.Connection, damaged: Path, number: Callable[[str], int]
 ) -> Generator[Taken, None, None]:
-    """Copy the readable blocks of a damaged file, one a step.
+    """Copy the readable blocks of a damaged file, one per step.
 
-    Rows that the new file has already stay: from saves since, or copied before a kill.
+    Rows that exist in the new file are kept: they were saved since, or copied before a kill.
 
     Parameters
     ----------
     connection
-        Of the new file, within a transaction.
+        Connection to the new file, within a transaction.
     number
-        A name's number there.
+        Returns the number of a name in the new file.
     """
     for block in salvage_blocks(damaged):
         yield _take_over(connection, block, number)
@@ -105,7 +105,7 @@ def _take_over(connection: sqlite3.Connection, block: Block, number: Callable[[s
 
 
 def _note(connection: sqlite3.Connection, changes: list[tuple[object, ...]]) -> Taken:
-    """Keep changes of alarms; of those that are damaged none."""
+    """Store changes of alarms; skip damaged ones."""
     whole = [change for change in changes if alarm_changes.is_whole(change)]
     connection.executemany(_CHANGE, whole)
     return Taken(lost=len(changes) - len(whole))

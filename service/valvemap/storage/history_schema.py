@@ -1,4 +1,4 @@
-"""Tables of the history's file, and whether a file has them as they were made."""
+"""The tables of the history file, and checks that a file has them unchanged."""
 
 import sqlite3
 from contextlib import closing
@@ -10,8 +10,8 @@ from valvemap.storage import alarm_changes
 from valvemap.storage.sqlite_files import check_owner, damage, pragma, transaction
 
 APPLICATION_ID = 0x76_6D_61_68  # "vmah"
-SCHEMA_VERSION = 2  # 1: checksums that do not know whose column it is
-PAGE: Final = 4_096  # bytes; SQLite's default, which all of our files have
+SCHEMA_VERSION = 2  # 1: checksums without the column's name
+PAGE: Final = 4_096  # bytes; SQLite's default, used by all our files
 HEADER: Final = 100  # bytes
 FIXED: Final = (slice(0, 18), slice(20, 24), slice(44, 48), slice(56, 60), slice(68, 72))
 """Of the header: magic string and size of a page, reserved bytes and fractions, format of the
@@ -63,7 +63,7 @@ _SAME = (
 
 
 def prepare(connection: sqlite3.Connection, path: Path) -> None:
-    """Make the tables of a new file, or check those of one that is there.
+    """Create the tables of a new file, or check those of an existing one.
 
     Raises
     ------
@@ -100,12 +100,12 @@ def _check_blocks(connection: sqlite3.Connection) -> None:
 
 
 def check_pages(connection: sqlite3.Connection) -> None:
-    """Read every page: some 500 MB/s.
+    """Check every page, at some 500 MB/s.
 
     Raises
     ------
     DatabaseError
-        if one is damaged.
+        if a page is damaged.
     """
     (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if verdict != "ok":
@@ -113,7 +113,7 @@ def check_pages(connection: sqlite3.Connection) -> None:
 
 
 def has_tables(connection: sqlite3.Connection) -> bool:
-    """Whether tables and indexes stand where they were made; those of alarms may come later."""
+    """Whether tables and indexes, except those of alarms, are at their original pages."""
     try:
         return _objects(connection) == _template()[0]
     except sqlite3.Error:
@@ -121,14 +121,14 @@ def has_tables(connection: sqlite3.Connection) -> bool:
 
 
 def has_header(path: Path) -> bool:
-    """Whether a file begins as all of ours do."""
+    """Whether a file starts with the header of our files."""
     with path.open("rb") as file:
         header = file.read(HEADER)
     return len(header) == HEADER and all(header[own] == first_page()[own] for own in FIXED)
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a header says that it is ours."""
+    """Whether a header has our application id."""
     if not path.exists():
         return False
     with path.open("rb") as file:
@@ -137,7 +137,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def first_page() -> bytes:
-    """Header and schema of a file in which nothing is kept yet."""
+    """Return the first page, with header and schema, of an empty file."""
     return _template()[1]
 
 

@@ -1,4 +1,4 @@
-"""Which column of a recording holds which signal of which valve, and in what unit."""
+"""Maps the columns of a recording to the signals of valves and their units."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,22 +29,22 @@ _BEHIND_A_LOW_LINE = re.compile(r"(?P<name>.*)_(?P<unit>[^\s_\d]{2,}[^\s_]*|[CFc
 
 @dataclass(frozen=True)
 class ValveLayout:
-    """One valve's signals; those left out are found by their own names."""
+    """The columns of one valve's signals; others are found by the signals' names."""
 
     valve: str
     signals: Mapping[str, Measure] = field(default_factory=dict)
 
     @property
     def has_columns(self) -> bool:
-        """Whether it names columns of its own."""
+        """Whether columns are configured."""
         return any(signal.column is not None for signal in self.signals.values())
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How recordings are laid out; without ``valves`` all valves that a file holds are read.
+    """The layout of recordings; without ``valves`` all valves of a file are read.
 
-    ``time``, ``valve`` and ``quality`` are columns; None: those of these names.
+    ``time``, ``valve`` and ``quality`` are column names; None: the default names.
     """
 
     valves: tuple[ValveLayout, ...] = ()
@@ -55,10 +55,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class Part:
-    """The columns, by number, that make one valve's samples.
+    """The column numbers of one valve's samples.
 
-    ``valve`` is None where the rows say whose they are; with ``selects``, its rows are those that
-    name it.
+    ``valve`` is None if the valve column names the valve of each row; with ``selects``, only the
+    rows that name this valve are used.
     """
 
     valve: str | None
@@ -69,7 +69,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of one file; ``ignored`` are headings that mean nothing here."""
+    """The columns of one file; ``ignored`` are unknown headings."""
 
     parts: tuple[Part, ...]
     valve: int | None
@@ -85,14 +85,14 @@ def find_columns(header: Sequence[str], layout: Layout, where: str) -> Columns:
     header
         The headings, in the order of the columns.
     layout
-        What is known beforehand.
+        The configured layout.
     where
-        File and line, for the sentence of an error.
+        File and line, for error messages.
 
     Raises
     ------
     RecordingError
-        if a column is missing or stands there twice.
+        if a column is missing or duplicated.
     ConfigurationError
         if heading and configuration contradict each other, or a unit cannot be that of its signal.
 
@@ -165,7 +165,7 @@ class _Finder:
         )
 
     def _named(self, column: str | None, field: str) -> int | None:
-        """The column that the configuration names; None where it names none."""
+        """Return the configured column; None if none is configured."""
         if column is None:
             return None
         wanted, folded = column.strip(), column.strip().casefold()
@@ -195,7 +195,7 @@ class _Finder:
             if name in folded:
                 return self._once(folded, name)
         if "T" in names and not self._is_temperature(names.index("T")):
-            return self._once(names, "T")  # a header all in capitals: the time cannot be missing
+            return self._once(names, "T")  # a header in capitals: T is the time
         return None
 
     def _is_temperature(self, number: int) -> bool:
@@ -203,7 +203,7 @@ class _Finder:
         return unit is not None and unit.quantity is Quantity.TEMPERATURE
 
     def _standard(self, signal: str, taken: int | None = None) -> int | None:
-        """The column of a signal's own name, whatever its case; ``taken`` is another's."""
+        """Return the column with a signal's name, in any case; ``taken`` is already assigned."""
         names = [
             name if number != taken else None for number, (name, _) in enumerate(self._headings)
         ]
@@ -237,7 +237,7 @@ class _Finder:
         return replace(given, unit=unit).scaling(signal)
 
     def _agree(self, own: ValveLayout, signal: str, number: int, written: Unit | None) -> None:
-        """Refuse a heading that contradicts the configuration, or its own signal."""
+        """Reject a heading whose unit contradicts the configuration or the signal."""
         if written is None:
             return
         given = own.signals.get(signal, Measure())
@@ -270,7 +270,7 @@ def _article(noun: str) -> str:
 
 
 def _heading(text: str) -> tuple[str, str | None]:
-    """Part a heading into its name and its unit.
+    """Split a heading into name and unit.
 
     >>> _heading("p1 [psi]"), _heading("Q / gpm"), _heading("U_mA"), _heading("T")
     (('p1', 'psi'), ('Q', 'gpm'), ('U', 'mA'), ('T', None))

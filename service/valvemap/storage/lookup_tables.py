@@ -1,4 +1,4 @@
-"""Lookup tables as files: CSV for anybody, C99 and IEC 61131-3 Structured Text for a controller."""
+"""Lookup tables as files: CSV, and C99 or IEC 61131-3 Structured Text for controllers."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from valvemap.model.samples import Floats
 from valvemap.owned_files import write_whole
 
 INVALID: Final = -1000.0
-FINITE: Final = "1.0e300"  # in Structured Text, which has no other test: beyond is not a number
+FINITE: Final = "1.0e300"  # limit of finite numbers in Structured Text, which has no other test
 _AXES: Final = "r = (Q - lowest)/(highest - lowest) and dp (bar); Q in l/min"
 STATUSES: Final = {
     "OK": 0,
@@ -27,26 +27,26 @@ STATUSES: Final = {
 
 
 def write_table(file: Path, table: LookupTable, title: str) -> None:
-    """Write a table in the form that the file's name asks for: .csv, .c or .st.
+    """Write a table in the format of the file's suffix: .csv, .c or .st.
 
     Raises
     ------
     ConfigurationError
-        if the name asks for none of them.
+        if the suffix is none of these.
     StorageError
-        naming the file.
+        if the file cannot be written; names it.
     """
     check_form(file)
     write_whole(file, _FORMS[file.suffix.lower()](table, title))
 
 
 def check_form(file: Path) -> None:
-    """See to it that a file's name asks for a form there is.
+    """Check that a file's suffix is a supported format.
 
     Raises
     ------
     ConfigurationError
-        if it does not.
+        if it is not.
     """
     if file.suffix.lower() not in _FORMS:
         asked = file.suffix or "no ending"
@@ -54,9 +54,10 @@ def check_form(file: Path) -> None:
 
 
 def as_csv(table: LookupTable, title: str) -> str:
-    r"""Pressure drops along the first row, then the flows of the reach, then U over r; empty: none.
+    r"""Return the table as CSV: pressure drops, lowest and highest flows, then U over r.
 
-    Last, over the same axes, 1 where the map is extrapolated.
+    Cells without a value are empty. The last rows, over the same axes, are 1 where the map is
+    extrapolated.
 
     >>> axis, at = np.array([0.0, 1.0]), np.array([[False, True], [False, False]])
     >>> print(as_csv(LookupTable(axis, axis, 9 * axis, axis, np.eye(2), at, 40.0, 0.1, 0.2), "V"))
@@ -85,7 +86,7 @@ def as_csv(table: LookupTable, title: str) -> str:
 
 
 def as_c(table: LookupTable, title: str) -> str:
-    """One file of C99 without dependencies: ``valvemap_required_U(Q, dp, &U)``."""
+    """Return one C99 file without dependencies: ``valvemap_required_U(Q, dp, &U)``."""
     statuses = ", ".join(f"VALVEMAP_{name} = {code}" for name, code in STATUSES.items())
     return f"""/* {_in_a_comment(title)}
  *
@@ -199,7 +200,7 @@ int valvemap_required_U(double Q, double dp, double *U)
 
 
 def as_structured_text(table: LookupTable, title: str) -> str:
-    """A function block of IEC 61131-3 (third edition): inputs Q, dp; outputs U, Status."""
+    """Return a function block of IEC 61131-3 (3rd edition): inputs Q, dp; outputs U, Status."""
     n_r, n_dp = len(table.r), len(table.dp)
     meanings = ", ".join(f"{code} {name}" for name, code in STATUSES.items())
     return f"""(* {_in_a_comment(title)}
@@ -322,7 +323,7 @@ _FORMS: Final[Mapping[str, Callable[[LookupTable, str], str]]] = {
 
 
 def _in_a_comment(title: str) -> str:
-    """A title that ends no comment and no line."""
+    """Return a title without line ends and comment delimiters."""
     return "".join(c if c.isalnum() or c in " .,:;=-_%" else "_" for c in title)
 
 
@@ -337,7 +338,7 @@ def _numbers(values: Iterable[float], per_line: int = 8) -> str:
 
 
 def _literal(x: float) -> str:
-    """A number that both languages take for a real."""
+    """Return a number as a floating-point literal of both languages."""
     text = f"{x:.12g}"
     if "e" in text:
         mantissa, _, power = text.partition("e")

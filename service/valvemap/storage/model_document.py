@@ -1,6 +1,6 @@
-"""A saved model as JSON: its schema, and the way from a map to the document and back.
+"""A saved model as JSON: its schema, and the conversion of a map to the document and back.
 
-Everything stands in physical units, and in full precision: what is loaded predicts the same bits.
+All values are in physical units and full precision: a loaded model predicts bit-identically.
 """
 
 from typing import Annotated, Any, Final, Literal
@@ -217,12 +217,12 @@ class ModelDocument(_Section):
 
 
 def map_section(estimator: Estimator[Any], state: Any) -> MapSection:  # noqa: ANN401 - its own state
-    """The map of an estimator.
+    """Return the section of an estimator's map.
 
     Raises
     ------
     ValueError
-        if it is not determined yet.
+        if the map is not determined yet.
     """
     match estimator:
         case Auto():
@@ -256,7 +256,7 @@ def map_section(estimator: Estimator[Any], state: Any) -> MapSection:  # noqa: A
 
 
 def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
-    """The estimator and its state behind a section."""
+    """Return the estimator and its state from a section."""
     match section:
         case LinearSection():
             theta, covariance = np.array(section.theta), np.array(section.covariance)
@@ -278,14 +278,14 @@ def map_of(section: MapSection) -> tuple[Estimator[Any], Any]:
 
 
 def region_section(spread: ResidualSpread) -> RegionSection:
-    """Where there were samples."""
+    """Return the section of the region covered by samples."""
     return RegionSection(
         U=tuple(EDGES_U.tolist()), dp=tuple(EDGES_DP.tolist()), samples=_rows(spread.weights)
     )
 
 
 def support_section(support: Support) -> SupportSection:
-    """What a map rests on."""
+    """Return the section of a map's support."""
     U_low, U_high, dp_low, dp_high, Q_max = support.ranges.tolist()
     boxes = [[None if np.isnan(x) else x for x in row] for row in support.boxes.tolist()]
     return SupportSection(
@@ -298,7 +298,7 @@ def support_section(support: Support) -> SupportSection:
 
 
 def support_of(section: SupportSection) -> Support:
-    """The same from a section."""
+    """Return the support from a section."""
     boxes = np.array(section.boxes, np.float64).reshape(-1, PLACES_OF_CELL)
     ranges = np.array([*section.U_range, *section.dp_range, section.Q_max])
     return Support.of_boxes(boxes, np.array(section.fit), ranges)
@@ -345,7 +345,7 @@ def _structure(section: StructureSection) -> Structure:
 
 
 def _fewest(section: StructureSection) -> int:
-    """Lower bound of the number of parameters, known before the structure is built."""
+    """Return a lower bound of the number of parameters, without building the structure."""
     match section:
         case PolynomialSection():
             return 1
@@ -393,7 +393,7 @@ def _auto_state(section: AutoSection) -> AutoState:
 
 
 def _band(state: AutoState) -> Floats:
-    """The inverse information as a file has it: by how many parameters two are apart."""
+    """Return the inverse information in the file's form: bands by distance of two parameters."""
     found = np.zeros((MOST, BAND))
     kept, filed = _pairs(int(state.sizes[0, 1]))
     found[:, filed] = state.inverse[:, kept]
@@ -401,7 +401,7 @@ def _band(state: AutoState) -> Floats:
 
 
 def _pairs(n_s: int) -> tuple[list[int], list[int]]:
-    """Where pairs of parameters are kept, and where a file has them; ``n_s`` are those of one U."""
+    """Return the indices of parameter pairs in memory and in a file; ``n_s`` is the size per U."""
     apart = [(u, v) for u in range(4) for v in range(-3, 4) if u or v >= 0]
     return [u * APART + v for u, v in apart], [u * n_s + v for u, v in apart]
 

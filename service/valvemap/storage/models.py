@@ -1,4 +1,4 @@
-"""Models on disk: a map with all that is needed to use it elsewhere, as one JSON file."""
+"""Models on disk: a self-contained map as one JSON file."""
 
 import json
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ from valvemap.storage.model_document import (
     support_section,
 )
 
-MOST_BYTES: Final = 64_000_000  # of a model file; a map of 1,000 parameters takes 20 MB
+MOST_BYTES: Final = 64_000_000  # of a model file; a map of 1,000 parameters has 20 MB
 MOST_SHOWN: Final = 60  # characters of a value in a message
-DEEPEST: Final = 8  # lists and objects within each other; a model has 4
+DEEPEST: Final = 8  # nesting of lists and objects; a model has 4
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Model:
     Attributes
     ----------
     valve, name
-        Of which valve, by which estimator.
+        Names of the valve and of the estimator.
     estimator, state
-        Predicts and inverts as the estimator did when it was saved, bit for bit.
+        Predict and invert bit-identically to the estimator that was saved.
     noise_std
         Standard deviation of a measurement about the map, l/min; NaN if unknown.
     T
@@ -48,7 +48,7 @@ class Model:
     samples : (10, 12)
         Recent samples in each cell over U and √dp: the covered region.
     support
-        What the map rests on: beyond it `invert` says EXTRAPOLATING.
+        The samples that support the map: outside them `invert` returns EXTRAPOLATING.
     """
 
     valve: str
@@ -78,7 +78,7 @@ def save_model(
     Raises
     ------
     StorageError
-        naming the file, or the estimator if its map is not determined yet.
+        if the file cannot be written, or the map is not determined yet; names file or estimator.
     """
     try:
         section = map_section(estimator, state)
@@ -109,7 +109,7 @@ def load_model(file: Path) -> Model:
     Raises
     ------
     StorageError
-        in one line: file, field, value, what is allowed.
+        if the model is invalid; one line with file, field, value and the allowed values.
     """
     try:
         document = ModelDocument.model_validate(_content(file))
@@ -136,7 +136,7 @@ def load_model(file: Path) -> Model:
 
 
 def _content(file: Path) -> object:
-    """What the file holds, within bounds of size and depth."""
+    """Return the file's content, with limits on size and depth."""
     with file.open("rb") as opened:
         read = opened.read(MOST_BYTES + 1)
     if len(read) > MOST_BYTES:
@@ -156,7 +156,7 @@ def _content(file: Path) -> object:
 
 
 def _depth(content: object) -> int:
-    """Levels of lists and objects within each other; a level more than allowed is enough."""
+    """Return the nesting of lists and objects; stops one level above the limit."""
     level, depth = [content], 0
     while depth <= DEEPEST:
         level = [
@@ -172,7 +172,7 @@ def _depth(content: object) -> int:
 
 
 def is_model(file: Path) -> bool:
-    """Whether the file's name says that it holds a model."""
+    """Whether the file has the suffix of a model."""
     return file.suffix.lower() == ".json"
 
 

@@ -1,4 +1,4 @@
-"""Recordings as Parquet, by way of an Arrow stream while they grow; needs pyarrow."""
+"""Recordings as Parquet, written as an Arrow stream until they are complete; needs pyarrow."""
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -36,7 +36,7 @@ _UNREADABLE = (pa.ArrowException, OSError, UnicodeDecodeError)  # of a damaged f
 
 
 class ArrowReader:
-    """Reads record batches whose columns may be of any Arrow type that can hold them."""
+    """Reads record batches; columns may have any suitable Arrow type."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class ArrowReader:
 
     @property
     def fraction(self) -> float:
-        """How much has been read, 0 to 1."""
+        """The fraction read, 0 to 1."""
         return min(self._done / self._total, 1.0) if self._total else 1.0
 
     def chunks(self) -> Iterator[tuple[str, Samples]]:
@@ -101,7 +101,7 @@ class ArrowReader:
 
 
 def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
-    """Open a Parquet file; memory is bounded by the chunk, however large its row groups are."""
+    """Open a Parquet file; memory is bounded by the chunk, regardless of the row group size."""
     try:
         metadata = pq.read_metadata(path)
         wanted = (layout.valve or "valve").casefold()
@@ -111,7 +111,7 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
             metadata=metadata,
             read_dictionary=names,
             buffer_size=1 << 20,
-            pre_buffer=False,  # would hold the whole file in the end
+            pre_buffer=False,  # would buffer the whole file
         )
         headings = list(file.schema_arrow.names)
     except _UNREADABLE as error:
@@ -126,7 +126,7 @@ def open_parquet(path: Path, chunk_rows: int, layout: Layout) -> ArrowReader:
 
 
 def open_stream(path: Path, layout: Layout) -> ArrowReader:
-    """Open what a killed recorder has left behind: a stream which may end anywhere."""
+    """Open the Arrow stream of a killed recorder, which may be truncated."""
     try:
         file = pa.OSFile(str(path))
         stream = pa.ipc.open_stream(file)
@@ -137,12 +137,12 @@ def open_stream(path: Path, layout: Layout) -> ArrowReader:
 
 
 def stream_head() -> bytes:
-    """Begin an Arrow stream: the bytes that name its columns."""
+    """Return the first bytes of an Arrow stream, with its schema."""
     return bytes(_SCHEMA.serialize())
 
 
 def stream_rows(valve: str, samples: Samples) -> bytes:
-    """Samples as bytes that continue an Arrow stream."""
+    """Return samples as bytes to append to an Arrow stream."""
     batch = pa.record_batch(
         [
             pa.array(samples.t).cast(_SCHEMA.field("t").type),
@@ -156,7 +156,7 @@ def stream_rows(valve: str, samples: Samples) -> bytes:
 
 
 def parquet_from_stream(stream: Path, path: Path) -> None:
-    """Turn a finished Arrow stream into a Parquet file, in constant memory."""
+    """Convert a complete Arrow stream to a Parquet file, in constant memory."""
     with (
         pa.OSFile(str(stream)) as source,
         pq.ParquetWriter(path, _SCHEMA, compression="zstd") as writer,
@@ -234,7 +234,7 @@ def _complete(column: pa.Array, name: str, allowed: str) -> pa.Array:
 
 
 def _array(column: pa.Array) -> NDArray[Any]:
-    # Arrow's own arrays are read-only: a type of its own, for which all kernels were compiled anew
+    # Arrow's arrays are read-only, a separate type for which all kernels would be recompiled
     array: NDArray[Any] = np.require(column.to_numpy(zero_copy_only=False), requirements="W")
     return array
 

@@ -1,4 +1,4 @@
-"""Demands read from CSV, and the inverse's answers written to it."""
+"""Reads demands from CSV and writes the results of the inverse map to CSV."""
 
 import csv
 import io
@@ -16,14 +16,14 @@ Points = tuple[Floats, Floats, Floats]
 
 
 def read_points(file: Path) -> Points:
-    """Q (l/min), dp (bar) and T (°C, NaN where there is none), each (N,), from a CSV file.
+    """Read Q (l/min), dp (bar) and T (°C, NaN if missing), each (N,), from a CSV file.
 
-    The first line names the columns: Q, dp and perhaps T, in any order, others are passed over.
+    The first line names the columns: Q, dp and optionally T, in any order; others are ignored.
 
     Raises
     ------
     StorageError
-        naming file, line, column and value.
+        if a value is invalid; names file, line, column and value.
     """
     try:
         lines = list(csv.reader(io.StringIO(file.read_text(encoding="utf-8-sig"))))
@@ -45,12 +45,12 @@ def read_points(file: Path) -> Points:
 
 
 def write_answers(file: Path, points: Points, answer: Inversion) -> None:
-    """Write Q, dp, T, U, its 95 % interval and status, a line per point; empty where unknown.
+    """Write Q, dp, T, U, its 95 % interval and status, a line per point; unknown cells are empty.
 
     Raises
     ------
     StorageError
-        naming the file.
+        if the file cannot be written; names it.
     """
     columns = (*points, answer.U, answer.lower, answer.upper)
     with written_aside(file) as draft, draft.open("w", encoding="utf-8", newline="") as out:

@@ -1,7 +1,7 @@
 """Recordings: samples of one or more valves in a file, read and written in constant memory.
 
-A recording is CSV (``.csv``, packed ``.csv.gz`` or ``.csv.xz``) or Parquet (``.parquet``, extra
-``parquet``) with the columns below, in any order; columns of other names are passed over.
+A recording is CSV (``.csv``, compressed ``.csv.gz`` or ``.csv.xz``) or Parquet (``.parquet``, extra
+``parquet``) with the columns below, in any order; other columns are ignored.
 
 =========  ========================================================================================
 column     holds
@@ -9,8 +9,8 @@ column     holds
 ``t``      source time: ISO 8601 (without an offset it is UTC), an integer >= 1e15 = UTC ns, any
            other number = s; exact to the ns. A Parquet timestamp of any unit.
 ``U``      control voltage, %
-``p1``     pressure before the valve, bar
-``p2``     pressure behind the valve, bar
+``p1``     pressure upstream of the valve, bar
+``p2``     pressure downstream of the valve, bar
 ``Q``      flow, l/min
 ``T``      oil temperature, °C (optional)
 ``valve``  name of the valve (optional, else ``Valvistor``)
@@ -18,15 +18,15 @@ column     holds
            (optional, else Good)
 =========  ========================================================================================
 
-Neither case nor order of the headings counts. A unit may stand beside a name, ``p1 [psi]``,
-``Q (gpm)``, ``T_degF``; without one the numbers are in those above. Other names, units and raw
-ranges are a matter of the configuration: a :class:`~valvemap.storage.layout.Layout`.
+Headings are case-insensitive. A heading may have a unit: ``p1 [psi]``, ``Q (gpm)``, ``T_degF``;
+without one the units above apply. Other names, units and raw ranges are configured with a
+:class:`~valvemap.storage.layout.Layout`.
 
-An empty cell and ``nan`` are missing numbers: valid data, on which the quality gate decides. CSV
-is UTF-8, UTF-16 or a spreadsheet's ANSI, separated by comma, semicolon, tab or bar as its header
-is. A comma in a number is the decimal comma (a German spreadsheet); thousands are never grouped.
-Dates may be a spreadsheet's, 31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900,
-where day and month can be told apart.
+An empty cell and ``nan`` are missing numbers: valid data, which the quality gate judges. CSV is
+UTF-8, UTF-16 or cp1252, with the separator of its header: comma, semicolon, tab or bar. A comma in
+a number is the decimal comma (German locale); digit grouping is not supported. Dates may have a
+spreadsheet's format, 31.12.2026 13:45:10,5 or 12/31/2026 1:45:10 PM or days since 1900, if day and
+month are unambiguous.
 """
 
 import os
@@ -56,24 +56,24 @@ def read_recording(
     Parameters
     ----------
     path
-        ``.csv``, ``.csv.gz``, ``.csv.xz``, ``.parquet``, or the ``.part`` that a killed
-        :class:`RecordingWriter` left behind.
+        ``.csv``, ``.csv.gz``, ``.csv.xz``, ``.parquet``, or the ``.part`` of a killed
+        :class:`RecordingWriter`.
     chunk_rows
         Rows held in memory at a time.
     layout
-        Which column holds what, in which unit, where it is not as above.
+        Columns and units that differ from those above.
 
     Returns
     -------
     RecordingReader
-        An iterator of (valve, :class:`~valvemap.model.samples.Samples`): the rows of each
-        valve come in the order of the file.
+        An iterator of (valve, :class:`~valvemap.model.samples.Samples`), with the rows of each
+        valve in the order of the file.
 
     Raises
     ------
     RecordingError
-        here or while iterating: one line that names file, line, column, value and what is
-        allowed. What stands before the damage of a truncated file is handed out first.
+        here or while iterating: one line that names file, line, column, value and the allowed
+        values. The samples before the damage of a truncated file are yielded first.
     ConfigurationError
         if the file's headings contradict ``layout``.
     """
@@ -86,7 +86,7 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
     Attributes
     ----------
     ignored : tuple of str
-        Columns of the file that mean nothing here.
+        Unknown columns of the file.
     """
 
     def __init__(self, path: Path, chunk_rows: int, layout: Layout) -> None:
@@ -98,7 +98,7 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
 
     @property
     def fraction(self) -> float:
-        """How much of the file has been read, 0 to 1, for a progress bar."""
+        """The fraction of the file read, 0 to 1, for a progress bar."""
         return self._source.fraction
 
     def close(self) -> None:
@@ -132,7 +132,7 @@ class RecordingReader(Iterator[tuple[str, Samples]]):
 
 
 class _Source(Protocol):
-    """One kind of file, opened."""
+    """An open file of one format."""
 
     ignored: tuple[str, ...]
 
@@ -156,21 +156,20 @@ def _open(path: Path, chunk_rows: int, layout: Layout) -> _Source:
 
 
 class RecordingWriter(Closing):
-    """Writes a recording, batch by batch; CSV or Parquet by the name of the file.
+    """Writes a recording, batch by batch, as CSV or Parquet according to the file's suffix.
 
-    Until ``close``, the rows are in ``<name>.part``, which :func:`read_recording` reads just as
-    well; ``close`` makes the recording appear under its own name at once and complete. A process
-    that is killed leaves its ``.part`` behind, with every batch appended so far (the packed forms
-    may miss the last 256 KiB of text); the next writer moves it to ``<name>.<n>.part``.
-    Numbers read back as the same bits, times as the same ns.
+    Until ``close``, the rows are in ``<name>.part``, which :func:`read_recording` can read, too;
+    ``close`` renames the complete recording atomically. A killed process leaves its ``.part`` with
+    every batch appended so far (compressed formats may lack the last 256 KiB of text); the next
+    writer moves it to ``<name>.<n>.part``. Numbers read back bit-identically, times to the ns.
 
     Raises
     ------
     RecordingError
-        if the name has an unknown ending, or ``pyarrow`` is not there.
+        if the suffix is unknown, or ``pyarrow`` is not installed.
     StorageError
-        from every method, naming the file, if it cannot be written (disk full, read-only). What
-        was appended before stays readable, and appending may be tried again.
+        from every method, if the file cannot be written (disk full, read-only); names the file.
+        Rows appended before stay readable, and appending may be retried.
 
     Examples
     --------
@@ -199,7 +198,7 @@ class RecordingWriter(Closing):
             raise
 
     def append(self, valve: str, samples: Samples) -> None:
-        """Append samples of one valve; on an error none of them is kept."""
+        """Append samples of one valve; on an error none of them is written."""
         if not len(samples):
             return
         before = len(self._pending)
@@ -212,13 +211,13 @@ class RecordingWriter(Closing):
                 raise
 
     def flush(self) -> None:
-        """Bring all rows to the disk, past every cache: they survive a power cut."""
+        """Flush all rows to the disk (fsync), so that they survive a power failure."""
         self._write()
         with _naming(self.path):
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Finish the recording under its own name; safe to call twice."""
+        """Complete the recording and rename it; safe to call twice."""
         if self._file.closed:
             return
         try:
@@ -229,7 +228,7 @@ class RecordingWriter(Closing):
                 self._form.finish(self._part, self.path)
 
     def discard(self) -> None:
-        """Finish without a recording: a file of that name stays as it was."""
+        """Close without a recording; an existing file of that name is kept."""
         self._file.close()
         with _naming(self.path):
             self._part.unlink(missing_ok=True)
@@ -239,7 +238,7 @@ class RecordingWriter(Closing):
         try:
             _write_all(self._file, block)
         except OSError as error:
-            with suppress(OSError):  # a torn row would hide in front of the next one
+            with suppress(OSError):  # a partial row would be joined to the next one
                 self._file.seek(self._good)
                 self._file.truncate()
             raise _storage_error(self.path, error) from error
@@ -249,7 +248,7 @@ class RecordingWriter(Closing):
 
 @dataclass(frozen=True)
 class _Form:
-    """How one kind of file is written: bytes that can only be appended, and an end."""
+    """The write functions of one file format: append-only bytes, and completion."""
 
     head: Callable[[], bytes]
     rows: Callable[[str, Samples], bytes]
@@ -303,7 +302,7 @@ def _suffix(path: Path) -> tuple[str, bool]:
 
 
 def _set_aside(part: Path) -> None:
-    """Keep what a killed writer has left behind."""
+    """Rename the file of a killed writer, to keep it."""
     try:
         if part.stat().st_size == 0:
             return
@@ -323,7 +322,7 @@ def _write_all(file: BinaryIO, block: bytes) -> None:
 
 
 class _naming:  # noqa: N801 - reads like the function that it is
-    """Turns an OSError into a StorageError that names the file."""
+    """Converts an OSError to a StorageError that names the file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

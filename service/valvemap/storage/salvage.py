@@ -1,11 +1,10 @@
-"""What can still be read of a damaged history: block by block, the newest first.
+"""Reads the intact part of a damaged history, block by block, the newest first.
 
-Three B-trees of the file know each block: its table, and the indexes by time and by age; its
-columns are in a fourth. What one of them has lost another may hold, so all are read, from both
-ends. Columns are believed by their checksums alone, times and number of rows of a block are those
-of its column of times; they know whose they are. Where the first page is damaged,
-which holds header and schema, that of a new file takes its place: all of ours have the same tables
-at the same pages.
+Three B-trees of the file list each block: its table and the indexes by time and by age. Its columns
+are in a fourth. All are read, from both ends, because a row lost in one may exist in another.
+Columns are accepted only by their checksums, which include series and column. Times and number of
+rows of a block are taken from its time column. If the first page, with header and schema, is
+damaged, it is replaced by that of a new file: all our files have the same tables at the same pages.
 """
 
 import sqlite3
@@ -20,11 +19,11 @@ from valvemap.storage.history_blocks import BYTES_OF_VALUE, Examined, examine
 from valvemap.storage.history_schema import FIXED, PAGE, first_page, has_header, has_tables
 from valvemap.storage.sqlite_files import FIRST_PAGE, text
 
-CHANGE: Final = slice(24, 28)  # of the header: number of the last change
+CHANGE: Final = slice(24, 28)  # in the header: change counter
 SIZE: Final = slice(28, 32)  # pages of the file
-FREE_PAGES: Final = slice(32, 40)  # where they begin, and how many
-SIZE_HOLDS_FOR: Final = slice(92, 96)  # number of the change
-MOST_ROWS_OF_BLOCK: Final = 10_000_000  # more than that a block never has: the number is damaged
+FREE_PAGES: Final = slice(32, 40)  # first free page, and number of free pages
+SIZE_HOLDS_FOR: Final = slice(92, 96)  # change counter for which SIZE is valid
+MOST_ROWS_OF_BLOCK: Final = 10_000_000  # upper bound; a larger number is damaged
 _TABLE = "SELECT id, series, rows FROM block NOT INDEXED ORDER BY id"
 _BY_TIME = "SELECT id, series, first FROM block INDEXED BY by_time ORDER BY series {}, first {}"
 _BY_AGE = "SELECT id, last FROM block INDEXED BY by_age ORDER BY last"
@@ -40,9 +39,9 @@ _CHANGES = "SELECT t, owner, digest, report, checksum FROM alarm_change NOT INDE
 
 @dataclass(frozen=True)
 class Block:
-    """A block that was found: whose it is, what of it is whole, and how many of its rows are not.
+    """A block found: its series, its valid parts, and the number of its lost rows.
 
-    ``series`` is empty where nothing of it can be used.
+    ``series`` is empty if no part is usable.
     """
 
     series: str
@@ -51,7 +50,7 @@ class Block:
 
 
 def salvage_blocks(damaged: Path) -> Iterator[Block]:
-    """Blocks of a damaged file that nothing writes, the newest first."""
+    """Yield the blocks of a damaged file, the newest first; no process may write the file."""
     with closing(_opened(damaged)) as connection:
         names = _names(connection)
         for block, owners, said in _blocks(connection):
@@ -64,7 +63,7 @@ def salvage_blocks(damaged: Path) -> Iterator[Block]:
             series = {name for owner in owners for name in names.get(owner, ())}
             found = {name: examine(name, parts) for name in series}
             usable = [name for name in series if len(found[name].t)]
-            if len(usable) != 1:  # none, or it is not known whose it is
+            if len(usable) != 1:  # none, or the series is ambiguous
                 longest = (
                     max((len(data) for *_, data in rows if isinstance(data, bytes)), default=0)
                     // BYTES_OF_VALUE
@@ -77,7 +76,7 @@ def salvage_blocks(damaged: Path) -> Iterator[Block]:
 
 
 def salvage_changes(damaged: Path) -> Iterator[tuple[Any, ...]]:
-    """Rows of alarm_change: t, owner, digest, report, checksum."""
+    """Yield the rows of alarm_change: t, owner, digest, report, checksum."""
     with closing(_opened(damaged)) as connection:
         yield from _both_ways(connection, _CHANGES, *alarm_changes.KINDS)
 
@@ -100,7 +99,7 @@ def _connected(path: Path) -> sqlite3.Connection:
 
 
 def _mend_header(damaged: Path) -> None:
-    """Write what every header of ours says; the first page as it was is kept beside."""
+    """Restore the header fields that all our files share; a copy of the first page is kept."""
     with damaged.open("rb") as file:
         page = bytearray(file.read(PAGE))
     for own in FIXED:
@@ -117,10 +116,10 @@ def _knows_its_size(path: Path) -> bool:
 
 
 def _replace_first_page(damaged: Path) -> None:
-    """Write the first page of an empty file; the log knows pages of the one before."""
+    """Write the first page of an empty file; delete the log, whose pages belong to the old one."""
     size, page = damaged.stat().st_size, bytearray(first_page())
     page[SIZE] = (size // PAGE).to_bytes(4, "big")
-    page[FREE_PAGES] = bytes(8)  # none: they are not read
+    page[FREE_PAGES] = bytes(8)  # none: free pages are not read
     page[SIZE_HOLDS_FOR] = page[CHANGE]
     _write_first_page(damaged, page)
     for companion in ("-wal", "-shm"):
@@ -137,7 +136,7 @@ def _write_first_page(damaged: Path, page: bytearray) -> None:
 
 
 def _names(connection: sqlite3.Connection) -> dict[int, set[str]]:
-    """Names by number; where table and index contradict each other, both."""
+    """Return the names by number; both if table and index differ."""
     names: dict[int, set[str]] = {}
     for select in _NAMES:
         for number, name in _both_ways(connection, select, int, str):
@@ -146,7 +145,7 @@ def _names(connection: sqlite3.Connection) -> dict[int, set[str]]:
 
 
 def _blocks(connection: sqlite3.Connection) -> Iterator[tuple[int, set[int], int]]:
-    """Number of each block, who owns it, and its rows, 0 if unknown; the newest first."""
+    """Yield number, series and row count (0 if unknown) of each block; the newest first."""
     owners: dict[int, set[int]] = {}
     rows: dict[int, int] = {}
     for block, series, n in _both_ways(connection, _TABLE, int, int, int):
@@ -168,7 +167,7 @@ def _newest(ages: Mapping[int, int]) -> Any:  # noqa: ANN401 - a key
 def _parts(
     connection: sqlite3.Connection, block: int, names: Iterable[int]
 ) -> tuple[list[tuple[int, Any, Any]], bool]:
-    """Packed columns of a block, and whether some could not be read."""
+    """Return the packed columns of a block, and whether any could not be read."""
     try:
         return connection.execute(_PARTS, (block,)).fetchall(), False
     except sqlite3.Error:
@@ -182,14 +181,14 @@ def _parts(
 def _both_ways(
     connection: sqlite3.Connection, select: str, *kinds: type
 ) -> Iterable[tuple[Any, ...]]:
-    """Rows of a B-tree from its start, and from its end where that way is cut off."""
+    """Yield the rows of a B-tree from its start, and from its end if that is interrupted."""
     return _either(connection, (select, f"{select} DESC"), kinds)
 
 
 def _either(
     connection: sqlite3.Connection, selects: Iterable[str], kinds: Sequence[type]
 ) -> Iterable[tuple[Any, ...]]:
-    """Rows of which each value is of its kind."""
+    """Yield the rows whose values have the expected types."""
     found: dict[tuple[Any, ...], None] = {}
     for select in selects:
         try:

@@ -1,4 +1,4 @@
-"""SQLite files of our own: whose they are, transactions, damage, and errors in one line."""
+"""Our SQLite files: ownership, transactions, damage, and one-line errors."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -11,13 +11,13 @@ from typing import Final
 
 from valvemap.errors import StorageError
 
-MOST_SET_ASIDE: Final = 3  # damaged files of one name; the oldest goes first
-MOST_VERSION: Final = 1_000  # versions are counted one by one: beyond, it is a flipped bit
+MOST_SET_ASIDE: Final = 3  # damaged files of one name; the oldest is deleted first
+MOST_VERSION: Final = 1_000  # versions are small integers; a larger one is damage
 _DAMAGE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
-_NO_FORMAT: Final = "unsupported file format"  # a flipped bit: there is none but ours
+_NO_FORMAT: Final = "unsupported file format"  # damage: all our files have one format
 _COMPANIONS: Final = ("-wal", "-shm", "")
-FIRST_PAGE: Final = ".first-page"  # of a damaged file, where another took its place
-SALVAGING: Final = ".salvaging"  # beside a damaged file of which not all is taken over yet
+FIRST_PAGE: Final = ".first-page"  # copy of a damaged file's first page, if it was replaced
+SALVAGING: Final = ".salvaging"  # marker of a damaged file that is not fully copied yet
 
 
 def check_owner(
@@ -27,14 +27,14 @@ def check_owner(
     most: int,
     ours: AbstractSet[str] = frozenset(),
 ) -> bool:
-    """See whose file it is; return whether it is new. ``ours`` are tables that only we make.
+    """Check the owner of a file; return whether it is new. ``ours`` are names of our tables.
 
     Raises
     ------
     StorageError
         if it belongs to another program, or is of a version above ``most``.
     DatabaseError
-        if tables and header contradict each other: it is damaged.
+        if tables and header are inconsistent: the file is damaged.
     """
     found = pragma(connection, "application_id")
     select = "SELECT name FROM sqlite_master WHERE type = 'table'"
@@ -55,27 +55,27 @@ def check_owner(
 
 
 def pragma(connection: sqlite3.Connection, name: str) -> int:
-    """Value of a setting that is a number."""
+    """Return the value of a numeric PRAGMA."""
     (value,) = connection.execute(f"PRAGMA {name}").fetchone()
     return int(value)
 
 
 @contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """All or nothing."""
+    """Run the block in one transaction; roll back on an exception."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
         connection.execute("COMMIT")
     except BaseException:
-        if connection.in_transaction:  # a full disk has rolled back already
+        if connection.in_transaction:  # after a full disk SQLite has already rolled back
             connection.execute("ROLLBACK")
         raise
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Turn what SQLite and the file system raise into one sentence that names the file."""
+    """Convert errors of SQLite and the file system to a one-line StorageError naming the file."""
     try:
         yield
     except sqlite3.Error as error:
@@ -92,25 +92,25 @@ def damage(text: str) -> sqlite3.DatabaseError:
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Whether the file itself is damaged, rather than locked, full or out of reach."""
+    """Whether an error means a damaged file, not a locked, full or inaccessible one."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     return code in _DAMAGE or str(error) == _NO_FORMAT
 
 
 def text(data: bytes) -> str:
-    """Return a text as the file has it; of a damaged one what can be read."""
+    """Decode a text of the file; invalid bytes are replaced."""
     return data.decode("utf-8", "replace")
 
 
 def set_aside(path: Path) -> Path:
-    """Move a damaged file and its log out of the way; return where it is now."""
+    """Rename a damaged file and its log; return the new path."""
     kept = name_aside(path)
     move_aside(path, kept)
     return kept
 
 
 def name_aside(path: Path) -> Path:
-    """Return a free name for a damaged file, which says when it was last written."""
+    """Return a free name for a damaged file, with its modification time."""
     written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
     name = f"{path.name}.damaged-{written:%Y%m%dT%H%M%SZ}"
     names = (path.with_name(name if n == 1 else f"{name}-{n}") for n in count(1))
@@ -118,7 +118,7 @@ def name_aside(path: Path) -> Path:
 
 
 def move_aside(path: Path, kept: Path) -> None:
-    """Rename a damaged file and its log; of many the newest MOST_SET_ASIDE are kept."""
+    """Rename a damaged file and its log; keep only the newest MOST_SET_ASIDE of such files."""
     for companion in _COMPANIONS:
         part = path.with_name(path.name + companion)
         if part.exists():
@@ -136,5 +136,5 @@ def move_aside(path: Path, kept: Path) -> None:
 
 
 def _literally(name: str) -> str:
-    """A name in which no letter is a wildcard."""
+    """Return a name with its wildcards escaped."""
     return "".join(f"[{c}]" if c in "*?[" else c for c in name)
