@@ -1,4 +1,4 @@
-"""Everything that the guarded server raises for a user to read.
+"""All exceptions with a message for the user.
 
 ::
 
@@ -12,7 +12,8 @@
 
 
 class HardenedError(Exception):
-    """A sentence for the user: it names file, field, node or value and what is allowed."""
+    """A one-line message for the user: names the file, field, node or value and the allowed
+    values."""
 
 
 class ConfigurationError(HardenedError):
@@ -32,4 +33,4 @@ class ServerError(HardenedError):
 
 
 class CommandRejected(HardenedError):  # noqa: N818 - it says what happened, not what broke
-    """A write or a call cannot be carried out; all is as it was."""
+    """A write or a call was rejected; nothing has changed."""
