@@ -12,8 +12,7 @@
 
 
 class HardenedError(Exception):
-    """A one-line message for the user: names the file, field, node or value and the allowed
-    values."""
+    """A message for the user that names the file, field, node or value and what is allowed."""
 
 
 class ConfigurationError(HardenedError):

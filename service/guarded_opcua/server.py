@@ -214,8 +214,7 @@ class HardenedServer(Startable):
         return int(await self.ua.register_namespace(uri))
 
     async def add_node_set(self, text: str) -> None:
-        """Add the nodes of a UANodeSet in namespaces other than the server's; call it before the
-        start.
+        """Add the nodes of a UANodeSet, in namespaces other than the server's, before the start.
 
         The nodes that the set refers to must exist.
 
@@ -457,8 +456,7 @@ class HardenedServer(Startable):
         self._conditions.keeper = keeper
 
     def report(self, condition: Condition) -> None:
-        """Emit one event for a changed condition; other clients get its state by
-        ConditionRefresh."""
+        """Emit one event for a changed condition; ConditionRefresh returns its state later."""
         self._conditions.report(condition)
 
     def say(self, event: Event, for_s: float) -> None:
@@ -519,8 +517,7 @@ class HardenedServer(Startable):
         self._write_data_value(variable.id, data)
 
     def mark_block(self, block: Block, code: int, columns: NDArray[np.intp] | None = None) -> None:
-        """Change the status of a block's values, in the given columns or all; keep values and
-        times."""
+        """Change the status of a block's values, in the given columns or all; keep the rest."""
         block.take(block.marked(code, self._clock.now(), columns))
 
     def write_property(self, id_: ua.NodeId, value: ua.Variant) -> None:

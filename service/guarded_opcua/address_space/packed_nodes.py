@@ -128,8 +128,7 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
         super().clear()
 
     def _made(self, id_: ua.NodeId) -> bool:
-        """Populate the lazy folders above a node, outermost first; return whether there were
-        any."""
+        """Populate the lazy folders above a node, outermost first; return whether any existed."""
         made, names = False, str(id_.Identifier).split(".") if self._later else ()
         for depth in range(1, len(names) + 1):
             later = self._later.pop((id_.NamespaceIndex, ".".join(names[:depth])), None)
