@@ -12,7 +12,7 @@
 
 
 class HardenedError(Exception):
-    """A message for the user that names the file, field, node or value and what is allowed."""
+    """A message for the user with the file, field, node or value and the allowed values."""
 
 
 class ConfigurationError(HardenedError):

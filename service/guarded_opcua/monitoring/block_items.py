@@ -196,8 +196,7 @@ class BlockItems:
         return order, self._column[order]
 
     def take(self, front: Notifications) -> tuple[bytes, Counts]:
-        """Remove and encode (the beginning of) the queue's front; return the bytes and end
-        offsets."""
+        """Remove and encode (the beginning of) the front; return the bytes and end offsets."""
         taken = self.queue.take(front)
         self._subscription.holding.add(-len(taken))
         handles, stamps = self._handle[taken.slot], self._stamps[taken.slot]
@@ -388,8 +387,7 @@ class BlockItems:
 
 
 def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
-    """Return matching indices into the ascending ``columns`` (with repeats) and into
-    ``written``."""
+    """Return matching indices into ascending ``columns`` (with repeats) and ``written``."""
     first = np.searchsorted(columns, written, "left")
     counts = np.searchsorted(columns, written, "right") - first
     of_batch = np.repeat(np.arange(len(written)), counts)

@@ -18,7 +18,7 @@ def like(text: str, pattern: str) -> bool:
         return False
     tests, text = list(_tests(pattern)), text[:_MAX_TEXT]
     at = number = 0
-    restart: tuple[int, int] | None = None  # after the last %: index of the next test, and its text position
+    restart: tuple[int, int] | None = None  # after the last %: index of its test, position
     while at < len(text):
         test = tests[number] if number < len(tests) else _nothing
         if test is None:
