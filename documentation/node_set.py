@@ -61,7 +61,7 @@ def _settings(namespace: str) -> ServerSettings:
 
 async def _made_of_rig() -> str:
     rig = await RigServer.create(_settings(RIG_NAMESPACE), BUILTIN["demo"])
-    inside = rig._server  # noqa: SLF001 - what clients see says less
+    inside = rig._server  # noqa: SLF001 - the client API exposes less
     return written(inside.address_space, inside.namespace_index, RIG_NAMESPACE)
 
 
@@ -69,7 +69,7 @@ async def _made() -> str:
     identification = build_identification(Config())
     settings = _settings(NAMESPACE)
     async with ResultsServer(settings, identification.descriptions(), identification) as server:
-        inside = server._server  # noqa: SLF001 - what clients see says less
+        inside = server._server  # noqa: SLF001 - the client API exposes less
         assert inside is not None  # noqa: S101 - it was started
         return written(inside.address_space, inside.namespace_index, NAMESPACE)
 

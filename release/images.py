@@ -16,7 +16,7 @@ VARIANTS: Final[Mapping[str, Mapping[str, str]]] = {
     "image": {},
     "fleet-image": {"FLEET": "yes"},
 }
-"""Each image of the Dockerfile by its name in a release, and its build arguments."""
+"""Images of the Dockerfile by name in a release, with their build arguments."""
 
 _COMPRESSION: Final = 6
 

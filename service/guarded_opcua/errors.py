@@ -6,8 +6,8 @@
     ├── ConfigurationError        a setting, file or argument is wrong
     ├── StorageError              a file cannot be written
     ├── CertificateError          a certificate or key is missing, expired or not trusted
-    ├── ServerError               the server cannot run (port in use, address not ours)
-    └── CommandRejected           what a client asks for cannot be carried out
+    ├── ServerError               the server cannot run (port in use, address not local)
+    └── CommandRejected           a client's command cannot be executed
 """
 
 
@@ -31,5 +31,5 @@ class ServerError(HardenedError):
     """The server cannot run."""
 
 
-class CommandRejected(HardenedError):  # noqa: N818 - it says what happened, not what broke
+class CommandRejected(HardenedError):  # noqa: N818 - named after the event, not the fault
     """A write or a call was rejected; nothing has changed."""

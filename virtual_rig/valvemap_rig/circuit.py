@@ -2,10 +2,10 @@
 
 ::
 
-    pump, relief    the pump gives at most Q_pump; what the valve does not take leaves over the
-                    relief valve, p1 = p0 - override·Q/Q_pump. A valve that would take more gets
-                    Q_pump, and p1 falls until it takes no more.
-    load valve      p2 = its set point, but not less than its own pressure p_a + R·Q²
+    pump, relief    the pump supplies at most Q_pump; the excess flow passes the relief valve,
+                    p1 = p0 - override·Q/Q_pump. If the valve demands more than Q_pump, p1 falls
+                    until its flow equals Q_pump.
+    load valve      p2 = its set point, at least its own pressure p_a + R·Q²
     tank            T1 = tank temperature; T2 = T1 + throttling heat
 
 The oil temperature T is measured at the valve's inlet, as ISO 10770-1 requires (T1); the scenario

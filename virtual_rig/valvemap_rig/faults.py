@@ -92,7 +92,7 @@ UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.CLOCK_STEP: "s",
     }
 )
-"""Units of the sizes; "" where there is none to give."""
+"""Units of the sizes; "" if not used."""
 
 _OF_SENSORS = frozenset(
     {

@@ -50,7 +50,7 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
     Parameters
     ----------
     packed
-        From :func:`pack`; it must come from a trusted source, since unpickling executes code.
+        Result of :func:`pack`, from a trusted source, since unpickling executes code.
 
     Examples
     --------

@@ -77,7 +77,7 @@ def add_type(
     declare
         Adds the instance declarations on first access; it must not suspend.
     description
-        A sentence for who browses.
+        Description attribute.
     optional
         Names of optional components; names in angle brackets are placeholders.
     """

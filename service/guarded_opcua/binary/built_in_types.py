@@ -27,7 +27,7 @@ NUMBERS = {
     "Float": "f",
     "Double": "d",
 }
-"""Formats of :mod:`struct`, by the names of the types."""
+""":mod:`struct` formats by type name."""
 
 
 def number(form: str) -> Decoder:

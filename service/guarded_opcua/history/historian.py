@@ -9,7 +9,7 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 EVER = -(2**63), 2**63 - 1
-"""All times that there are, UTC ns."""
+"""Range of all times, UTC ns."""
 
 
 @dataclass(frozen=True)

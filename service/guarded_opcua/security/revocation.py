@@ -31,7 +31,7 @@ _CRITICAL_UNDERSTOOD = {
 
 @dataclass(frozen=True)
 class RevocationList:
-    """A revocation list and the file that it came from."""
+    """A revocation list and its file."""
 
     file: Path
     content: x509.CertificateRevocationList

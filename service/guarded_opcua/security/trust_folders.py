@@ -93,7 +93,7 @@ def _revocations(files: Iterable[Path]) -> tuple[tuple[RevocationList, ...], tup
             content = file.read_bytes()
             is_pem = content.startswith(b"-----BEGIN")
             held = (x509.load_pem_x509_crl if is_pem else x509.load_der_x509_crl)(content)
-            held.extensions  # noqa: B018 - read late, so that what is malformed is found at once
+            held.extensions  # noqa: B018 - parsed lazily: detect malformed extensions now
         except OSError as error:
             unreadable.append(f"{file}: cannot be read: {error.strerror}")
         except UNREADABLE as error:

@@ -99,7 +99,7 @@ class PublishQueue:
         self._late.pop(subscription.number, None)
 
     def notify(self, number: int, code: int) -> None:
-        """Notify the client of a status change of a subscription if a request is queued."""
+        """Send a StatusChangeNotification for a subscription if a request is queued."""
         if self._requests and self._ready():
             content = encode_message(
                 1, ticks_of_ns(self._clock.now()), [encode_status_change(code)]

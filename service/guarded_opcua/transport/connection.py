@@ -197,7 +197,7 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close immediately, without flushing the send buffer."""
         self._transport.abort()
 
     def charge(self, cost: float) -> None:
@@ -299,7 +299,7 @@ class Connection(asyncio.BufferedProtocol):
             self.fail(error.code, ua.StatusCode(error.code).name)
         except InvalidSignature:
             self.fail(_Codes.BadSecurityChecksFailed, "wrong signature")
-        except Exception as error:  # noqa: BLE001 - whatever a peer sends must not get further
+        except Exception as error:  # noqa: BLE001 - an error in a peer's data must not propagate
             reason = f"cannot be understood: {type(error).__name__}"
             self.fail(_Codes.BadSecurityChecksFailed, reason)
         return True

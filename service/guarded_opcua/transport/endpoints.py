@@ -60,7 +60,7 @@ def _endpoint(
     mode: ua.MessageSecurityMode,
     level: int,
 ) -> ua.EndpointDescription:
-    # passwords are encrypted once more, even inside of an encrypted channel
+    # passwords are also encrypted inside of an encrypted channel
     token_policy = _TOKEN_POLICY if mode == _NONE else policy
     tokens = [
         ua.UserTokenPolicy(
