@@ -1,1 +1,1 @@
-"""The reference pages of the documentation, made from what they describe."""
+"""Generators of the reference pages, from the code that they describe."""

@@ -5,7 +5,7 @@ from documentation.pages import NODE_SET, REFERENCE, RIG_NODE_SET, pages
 
 
 def main() -> None:
-    """Write every page anew."""
+    """Write all pages and node sets."""
     for name, text in pages().items():
         (REFERENCE / name).write_text(text, encoding="utf-8")
     NODE_SET.write_text(node_set(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The page of the address space, from a server that runs."""
+"""The page of the address space, generated from a running server."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -32,7 +32,7 @@ excitation, Bad what rests on a lost sensor; a stale value is never Good.
 
 @dataclass
 class _Row:
-    """One variable or method, and which estimators have it."""
+    """One variable or method, and the estimators that have it."""
 
     kind: str
     unit: str
@@ -53,7 +53,7 @@ class Found:
 
 
 def address_space_page() -> str:
-    """Every node that a service with the default configuration shows."""
+    """Return the page with all nodes of a service with the default configuration."""
     plate = dict.fromkeys(IdentificationConfig.model_fields, "urn:known")
     config = Config(valves=(ValveConfig(identification=IdentificationConfig(**plate)),))
     found = asyncio.run(nodes(config))
@@ -84,7 +84,7 @@ def address_space_page() -> str:
 
 
 async def nodes(config: Config) -> list[Found]:
-    """All variables and methods of a service with this configuration, as a client finds them."""
+    """Return all variables and methods of a service with this configuration, by browsing."""
     identification = build_identification(config)
     settings = ServerSettings(
         url="opc.tcp://127.0.0.1:0/valvemap/service/",
@@ -107,7 +107,7 @@ async def _below(node: Node, index: int) -> AsyncIterator[Found]:
         if reference.NodeId.NamespaceIndex != index:
             continue
         if reference.BrowseName.NamespaceIndex == 0:
-            continue  # the standard's: what a condition has is Part 9's
+            continue  # standard nodes, such as a condition's, which Part 9 defines
         child = Node(node.session, ua.NodeId(reference.NodeId.Identifier, index))
         match reference.NodeClass:
             case ua.NodeClass.Variable:
@@ -163,7 +163,7 @@ def _id(node: Node) -> str:
 
 
 def _general(owner: str, valve: str, estimators: list[str]) -> tuple[str, list[str]]:
-    """The same for every valve and estimator, and of which estimator it is."""
+    """Return the owner with placeholders for valve and estimator, and the estimator."""
     first, *rest = owner.split(".")
     if first != valve:
         return owner, []

@@ -1,4 +1,4 @@
-"""What the image holds, as CycloneDX 1.6: ``python -m documentation.bill_of_materials``."""
+"""Bill of materials of the image, CycloneDX 1.6: ``python -m documentation.bill_of_materials``."""
 
 import hashlib
 import re
@@ -28,14 +28,14 @@ _VENDORED = re.compile(
 
 
 def main() -> None:
-    """Write the bill."""
+    """Write the bill of materials."""
     OUT.parent.mkdir(exist_ok=True)
     OUT.write_text(bill_of_materials(), encoding="utf-8")
     print(OUT)  # noqa: T201
 
 
 def bill_of_materials() -> str:
-    """Every package of the image's lock file and every vendored script, as JSON."""
+    """Return the packages of the image's lock file and the vendored scripts, as JSON."""
     bom = Bom()
     own = Component(
         name="valvemap",
@@ -54,7 +54,7 @@ def bill_of_materials() -> str:
 
 
 def locked_digests(lock: Path) -> dict[tuple[str, str], list[str]]:
-    """SHA-256 digests of every name and version of a lock file; a release may be several files."""
+    """Return the SHA-256 digests by name and version of a lock file; a release may have several."""
     found = {}
     for block in re.split(r"\n(?=\S)", lock.read_text(encoding="utf-8")):
         if pinned := _PINNED.match(block):
@@ -64,7 +64,7 @@ def locked_digests(lock: Path) -> dict[tuple[str, str], list[str]]:
 
 
 def vendored_scripts() -> Iterator[Component]:
-    """Scripts that lie beside the page, as its table has them."""
+    """Yield the vendored scripts of the web page, from the table in their README."""
     table = (VENDOR / "README.md").read_text(encoding="utf-8")
     for folder, version, package, licence in _VENDORED.findall(table):
         files = sorted((VENDOR / folder).glob("*.*"))
@@ -79,7 +79,7 @@ def component(
     digests: Sequence[str] = (),
     licence: str | None = None,
 ) -> Component:
-    """One part; ``purl`` may be the registry that it comes from."""
+    """Return one component; ``purl`` may be the name of its registry."""
     if isinstance(purl, str):
         purl = PackageURL(purl, None, name, version)
     return Component(
@@ -94,7 +94,7 @@ def component(
 
 
 def licence_of(metadata_of_package: PackageMetadata | Message) -> str | None:
-    """What a package's metadata give as its licence, if it is short enough to be a name."""
+    """Return the licence in a package's metadata, if it is short enough for a name."""
     fields = (name for name in ("License-Expression", "License") if name in metadata_of_package)
     text = next((metadata_of_package[name] for name in fields), "")
     return text if 0 < len(text) < 60 and "\n" not in text else None

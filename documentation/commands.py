@@ -1,4 +1,4 @@
-"""The page of the command line, from its commands."""
+"""The page of the command line, generated from its commands."""
 
 import re
 
@@ -17,7 +17,7 @@ version.
 
 
 def commands_page() -> str:
-    """Every command with its arguments and options."""
+    """Return the page with all commands, their arguments and options."""
     parts = [_HEAD]
     for name in COMMANDS:
         command = load_command(name)
@@ -28,5 +28,5 @@ def commands_page() -> str:
 
 
 def _without_markup(option: re.Match[str]) -> str:
-    """An option's words as they are: what stands in angle brackets is no HTML."""
+    """Escape angle brackets in the text of an option."""
     return option[1] + option[2].replace("<", "&lt;")

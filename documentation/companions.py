@@ -1,7 +1,8 @@
-"""The parts of DI and Machinery that the results server has, cut out of the OPC Foundation's files.
+"""Extracts of the OPC Foundation's DI and Machinery NodeSets, as used by the results server.
 
-``python -m documentation.companions FOLDER`` writes them anew from the NodeSets in a folder, those
-of npm's node-opcua-nodesets that ``tests/opcua/node_peer/package-lock.json`` pins.
+``python -m documentation.companions FOLDER`` regenerates them from the NodeSets in a folder. They
+come from the npm package node-opcua-nodesets, pinned by
+``tests/opcua/node_peer/package-lock.json``.
 """
 
 import re
@@ -22,7 +23,7 @@ Key = tuple[str, str]  # namespace URI, identifier
 
 @dataclass(frozen=True)
 class Part:
-    """What is taken of a NodeSet: nodes by their numbers, and all that these need."""
+    """An extract of a NodeSet: nodes by their numeric ids, with all nodes they depend on."""
 
     original: str
     kept: str
@@ -54,7 +55,7 @@ PARTS = (
 
 
 class NodeSet:
-    """One UANodeSet: its elements by what names them in any file."""
+    """One UANodeSet, with its elements by a key that is valid across files."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -70,25 +71,25 @@ class NodeSet:
         }
 
     def models(self) -> list[ET.Element]:
-        """What it says of itself."""
+        """Model elements of the node set."""
         return list(self.root.iterfind(f"{_tag('Models')}/*"))
 
     def key(self, id_: str) -> Key:
-        """What a NodeId, or its alias, of this file names."""
+        """Return the key of a NodeId, or of an alias, of this file."""
         id_ = self.aliases.get(id_, id_)
         found = re.fullmatch(r"(?:ns=(\d+);)?(.*)", id_)
         assert found is not None  # noqa: S101 - anything matches
         return self.uris[int(found[1] or 0)], found[2]
 
     def name(self, node: ET.Element) -> Key:
-        """Namespace and text of a BrowseName."""
+        """Return the namespace and text of a BrowseName."""
         index, _, text = node.get("BrowseName", "").partition(":")
         if not index.isdigit():
             return _STANDARD, node.get("BrowseName", "")
         return self.uris[int(index)], text
 
     def references(self, node: ET.Element) -> Iterator[tuple[Key, bool, Key]]:
-        """Type, direction and target of what a node states."""
+        """Yield type, direction and target of a node's references."""
         for one in node.iterfind(f"{_tag('References')}/*"):
             yield (
                 self.key(one.get("ReferenceType", "")),
@@ -97,7 +98,7 @@ class NodeSet:
             )
 
     def needs(self, node: ET.Element) -> Iterator[Key]:
-        """What must be there where a node is: but for subtypes, and for who has an interface."""
+        """Yield the nodes that a node depends on; not its subtypes or implementations."""
         if node.get("DataType"):
             yield self.key(node.get("DataType", ""))
         for kind, forward, target in self.references(node):
@@ -108,7 +109,7 @@ class NodeSet:
 
 
 def cut(folder: Path) -> Mapping[str, str]:
-    """File name and text of each part, from the originals in a folder."""
+    """Return file name and text of each extract, from the originals in a folder."""
     originals = [NodeSet((folder / part.original).read_text(encoding="utf-8")) for part in PARTS]
     kept = closure(originals)
     return {
@@ -117,7 +118,7 @@ def cut(folder: Path) -> Mapping[str, str]:
 
 
 def closure(originals: Sequence[NodeSet]) -> set[Key]:
-    """All nodes that are taken: those that are wanted, and what they need."""
+    """Return all extracted nodes: the wanted ones and their dependencies."""
     every = {key: (whole, node) for whole in originals for key, node in whole.nodes.items()}
     open_ = [
         (whole.uris[1], f"i={number}")
@@ -127,7 +128,7 @@ def closure(originals: Sequence[NodeSet]) -> set[Key]:
     kept: set[Key] = set()
     while open_:
         key = open_.pop()
-        if key in kept or key not in every:  # the standard's are there
+        if key in kept or key not in every:  # standard nodes always exist
             continue
         kept.add(key)
         whole, node = every[key]

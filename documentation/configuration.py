@@ -1,4 +1,4 @@
-"""The page of the configuration, from its models."""
+"""The page of the configuration, generated from its models."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -27,7 +27,7 @@ _BOUNDS = (
 
 
 def configuration_page() -> str:
-    """Every section and field: what it may be, what it is by default, what it means."""
+    """Return the page with the type, default and meaning of all sections and fields."""
     schema = Config.model_json_schema()
     models: Mapping[str, Schema] = schema["$defs"]
     parts = [_HEAD]
@@ -38,7 +38,7 @@ def configuration_page() -> str:
 
 
 def undescribed() -> list[str]:
-    """Fields whose meaning is said nowhere."""
+    """Return the fields without a description."""
     models: Mapping[str, Schema] = Config.model_json_schema()["$defs"]
     return [
         f"{model}.{name}"
@@ -49,7 +49,7 @@ def undescribed() -> list[str]:
 
 
 def _section(path: str, field: Schema, model: Schema, models: Mapping[str, Schema]) -> list[str]:
-    """A section, and the sections within it."""
+    """Return the lines of a section and its subsections."""
     one = f"[[{path}]]" if field.get("type") == "array" else f"[{path}]"
     kind = model["properties"].get("kind", {}).get("const")
     title = f"`{one}`" if kind is None else f'`{one}` with `kind = "{kind}"`'
@@ -78,7 +78,7 @@ def _rows(model: Schema) -> Iterator[list[str]]:
 
 
 def _models_in(field: Schema) -> list[str]:
-    """Names of the models that a field holds."""
+    """Return the names of a field's models."""
     items = field.get("items", {})
     parts = [field, items, *items.get("oneOf", [])]
     return [part["$ref"].rpartition("/")[2] for part in parts if "$ref" in part]

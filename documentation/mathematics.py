@@ -1,4 +1,4 @@
-"""A hook of MkDocs: formulas become MathML, which browsers draw without any script."""
+"""An MkDocs hook that converts formulas to MathML, which browsers render without scripts."""
 
 import html
 import re

@@ -1,4 +1,4 @@
-"""The types of service and rig as UANodeSets (Part 6, annex F), from servers that have them."""
+"""The types of service and rig as UANodeSets (Part 6, annex F), exported from their servers."""
 
 import asyncio
 from collections.abc import Iterator
@@ -33,19 +33,19 @@ _TAGS = {
 _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
 _HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
-_WANTED = (  # references that a node states itself: those to its parts are theirs
+_WANTED = (  # references written at the node itself; components refer to their parent
     ua.NodeId(ua.ObjectIds.HasTypeDefinition),
     ua.NodeId(ua.ObjectIds.HasModellingRule),
 )
 
 
 def node_set() -> str:
-    """All types of the results server, as XML."""
+    """Return all types of the results server, as XML."""
     return asyncio.run(_made())
 
 
 def rig_node_set() -> str:
-    """All types of the rig, as XML."""
+    """Return all types of the rig, as XML."""
     return asyncio.run(_made_of_rig())
 
 
@@ -61,7 +61,7 @@ def _settings(namespace: str) -> ServerSettings:
 
 async def _made_of_rig() -> str:
     rig = await RigServer.create(_settings(RIG_NAMESPACE), BUILTIN["demo"])
-    inside = rig._server  # noqa: SLF001 - what clients see says less
+    inside = rig._server  # noqa: SLF001 - the client API exposes less
     return written(inside.address_space, inside.namespace_index, RIG_NAMESPACE)
 
 
@@ -69,13 +69,13 @@ async def _made() -> str:
     identification = build_identification(Config())
     settings = _settings(NAMESPACE)
     async with ResultsServer(settings, identification.descriptions(), identification) as server:
-        inside = server._server  # noqa: SLF001 - what clients see says less
+        inside = server._server  # noqa: SLF001 - the client API exposes less
         assert inside is not None  # noqa: S101 - it was started
         return written(inside.address_space, inside.namespace_index, NAMESPACE)
 
 
 def written(aspace: AddressSpace, index: int, uri: str) -> str:
-    """The types below BaseObjectType of one namespace, with all that they declare."""
+    """Return the ObjectTypes of one namespace with their instance declarations."""
     ET.register_namespace("", _NODES)
     ET.register_namespace("uax", _VALUES)
     root = ET.Element(f"{{{_NODES}}}UANodeSet", LastModified=_PUBLISHED)
@@ -147,7 +147,7 @@ def _write(root: ET.Element, node: NodeData, parent: ua.NodeId) -> None:
 
 
 def _write_value(made: ET.Element, variant: ua.Variant) -> None:
-    """Write what the values of properties are: texts, and structures of the standard."""
+    """Write the value of a property: a text or a standard structure."""
     box = ET.SubElement(made, f"{{{_NODES}}}Value")
     if variant.VariantType == ua.VariantType.LocalizedText and variant.is_array:
         several = ET.SubElement(box, _typed("ListOfLocalizedText"))

@@ -1,4 +1,4 @@
-"""All reference pages that are made."""
+"""All generated reference pages."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ MADE_BY = "<!-- Made by `make reference`; do not edit. -->\n\n"
 
 
 def pages() -> dict[str, str]:
-    """File name and text of each page."""
+    """Return file name and text of each page."""
     made = {
         "address_space.md": address_space_page(),
         "commands.md": commands_page(),

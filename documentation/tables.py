@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    r"""A table; a bar within a cell stays within its cell.
+    r"""Return a table; bars within cells are escaped.
 
     >>> print(table(["a", "b"], [["1", "x|y"]]))
     | a | b |

@@ -1,4 +1,4 @@
-"""The page of quantities and statuses, from the vocabulary's tables."""
+"""The page of quantities and statuses, generated from the vocabulary's tables."""
 
 from documentation.tables import table
 from valvemap.vocabulary.quantities import ESTIMATOR_QUANTITIES, Kind, Quantity
@@ -36,7 +36,7 @@ The series are those of `/metrics`, labelled by valve and estimator."""
 
 
 def vocabulary_page() -> str:
-    """The whole page."""
+    """Return the page."""
     parts = [
         "# Quantities and statuses",
         _INTRODUCTION,

@@ -1,3 +1,3 @@
-"""The source paper rebuilt: its figures and tables, and a verdict on each of its claims."""
+"""Reproduction of the source paper: its figures and tables, and a verdict on each claim."""
 
 import valvemap.report.plots  # noqa: F401 - where matplotlib is missing, it says so in one line

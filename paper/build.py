@@ -1,4 +1,4 @@
-"""The report as a whole: evidence, verdicts, errata, pictures, and the same as JSON."""
+"""The complete report: evidence, verdicts, errata, pictures; also as JSON."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class PaperReport:
-    """Everything that the page shows."""
+    """The contents of the page."""
 
     rate_hz: float
     samples: int
@@ -45,18 +45,18 @@ def build(
     network: RbfNetwork | None = None,
     progress: Progress = lambda _step: None,
 ) -> PaperReport:
-    """Rebuild the paper.
+    """Reproduce the paper.
 
     Parameters
     ----------
     sets
-        Sets of recordings of the same valve with other noise; the first one is drawn.
+        Sets of recordings of the same valve with different noise; the pictures use the first one.
     faster
-        A set at a higher rate: how far do the verdicts hang on the rate?
+        A set at a higher sampling rate, to check how the verdicts depend on it.
     network
-        The paper's network; it does not tell size or rates.
+        Settings of the network, whose size and rates the paper does not give.
     progress
-        Told what comes next, STEPS times (and once more for each set).
+        Called before each step with its name, STEPS times (and once more for each set).
     """
     network = RbfNetwork() if network is None else network
     evidence = []
@@ -99,7 +99,7 @@ STEPS = 4
 
 
 def as_json(report: PaperReport) -> dict[str, Any]:
-    """All numbers; what is not finite is null."""
+    """Return all numbers; non-finite ones are null."""
     return {
         "recordings": {
             "sets": report.sets,

@@ -1,4 +1,4 @@
-"""The thirteen claims of the paper, judged."""
+"""Verdicts on the thirteen claims of the paper."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -36,12 +36,12 @@ ASIDES: Final[dict[int, Callable[[Evidence], str]]] = {
 
 
 def judge(sets: Sequence[Evidence]) -> list[Claim]:
-    """Verdicts on all claims; the median over the sets of recordings decides each figure."""
+    """Return the verdicts on all claims; each figure is the median over the sets of recordings."""
     return [Claim.merged([claim(evidence) for evidence in sets]) for claim in CLAIMS]
 
 
 def with_asides(claims: Sequence[Claim], evidence: Evidence) -> list[Claim]:
-    """Add to the notes what takes longer to find out; verdicts do not hang on it."""
+    """Extend the notes by slower evaluations, which do not affect the verdicts."""
     return [
         replace(claim, note=f"{claim.note} {ASIDES[claim.number](evidence)}")
         if claim.number in ASIDES

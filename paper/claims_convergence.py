@@ -1,4 +1,4 @@
-"""Claims 1 to 6 and 13: what converges on which data, how fast, and what follows a damage."""
+"""Claims 1 to 6 and 13: convergence by method and data, and tracking after a damage."""
 
 import math
 from collections.abc import Iterator
@@ -276,7 +276,7 @@ def _pairs(structured: Lessons, scattered: Lessons) -> Iterator[tuple[str, Cours
 
 
 def _widest(known: Lessons) -> float:
-    """Largest 1 - λ down to which every λ converges; 0 if only λ = 1 does, NaN if none."""
+    """Return the largest 1 - λ with convergence down to λ; 0 if only λ = 1 does, NaN if none."""
     widest = math.nan
     for lam in sorted(LAMBDAS, reverse=True):
         if not known.rls[lam].converged:
@@ -286,7 +286,7 @@ def _widest(known: Lessons) -> float:
 
 
 def _ratio(slow: float, fast: float) -> float:
-    """How many times; infinite where one never comes, NaN where neither does."""
+    """Return slow / fast; infinite if only ``slow`` is, or ``fast`` is 0; NaN if undefined."""
     if fast == 0.0:
         return math.inf if slow > 0.0 else math.nan
     return math.nan if math.isinf(slow) and math.isinf(fast) else slow / fast

@@ -1,4 +1,4 @@
-"""Claims 7, 9 and 10: how good the identified map is, where it was learnt and beyond."""
+"""Claims 7, 9 and 10: accuracy of the identified map, inside and outside of the training data."""
 
 import math
 from collections.abc import Mapping
@@ -161,7 +161,7 @@ def _error(structure: Structure, samples: Samples, truth: Points) -> float:
 
 
 def _partitioned(samples: Samples, truth: Points, k: int) -> float:
-    """Error of eq. (7) identified in each of k×k equal parts of (U, √dp) by itself."""
+    """Return the error of eq. (7), identified separately in each of k×k parts of (U, √dp)."""
     parts, wanted = _part_of(samples, k), _part_of(truth, k)
     squares = 0.0
     for part in np.unique(wanted):
@@ -177,7 +177,7 @@ def _part_of(points: Samples | Points, k: int) -> Floats:
 
 
 def _residual(samples: Samples) -> float:
-    """What a static map of its own leaves of a recording, l/min."""
+    """Return the residual of a static map fitted to the recording, l/min."""
     Q_hat, _ = _SPLINE.predict(learnt(_SPLINE, samples), samples.U, samples.dp, samples.T)
     return rmse(Q_hat, samples.Q)
 

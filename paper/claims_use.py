@@ -1,4 +1,4 @@
-"""Claims 8, 11 and 12: what the identified map is good for, and what it costs."""
+"""Claims 8, 11 and 12: uses of the identified map, and their cost."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The command: the paper rebuilt from the virtual rig, with a verdict on every claim."""
+"""The command that reproduces the paper on the virtual rig, with a verdict on every claim."""
 
 from pathlib import Path
 
@@ -17,16 +17,16 @@ _FASTER = 10.0
 
 
 def rebuild(out: Path, sets: int, rate: float) -> None:
-    """Measure, judge and write: ``out`` gets paper.html, paper.json and the pictures.
+    """Measure, evaluate and write paper.html, paper.json and the pictures to ``out``.
 
     Parameters
     ----------
     out
-        The folder; it is made if it is missing.
+        The folder; created if missing.
     sets
-        Sets of recordings; the median over them decides.
+        Number of sets of recordings; the verdicts use their median.
     rate
-        Samples per second, Hz; one more set has ten times as many.
+        Sampling rate, Hz; one additional set has ten times this rate.
 
     Raises
     ------

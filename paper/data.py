@@ -1,6 +1,6 @@
-"""What the report is computed from: recordings of a valve, and the noise-free truth about it.
+"""Input data of the report: recordings of a valve, and its noise-free true flow.
 
-Nothing here knows where they come from. The command line takes them from the virtual rig.
+The data are independent of their source. The command line uses the virtual rig.
 """
 
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class Points:
 
 @dataclass(frozen=True)
 class IdealValve:
-    """A valve that is nothing but the paper's eqs. (1), (2), (4), (6) and its pilot, solved.
+    """An ideal valve: the solution of the paper's eqs. (1), (2), (4), (6) with a pilot.
 
     No springs, jets, friction or leakage; arrays of shape (N,), lengths in mm, flows in l/min.
 
@@ -70,28 +70,28 @@ class IdealValve:
 
 @dataclass(frozen=True)
 class PaperData:
-    """Everything measured, and everything true.
+    """All recordings and true values.
 
     Attributes
     ----------
     rate_hz : float
-        Samples per second of every recording.
+        Sampling rate of every recording, Hz.
     levels : (L,) float64
         U of the structured recording's levels, %.
     hysteresis : float
-        Width of the valve's loop, % of U: no map can be more precise.
+        Width of the valve's hysteresis, % of U; the limit of any static map's accuracy.
     structured, scattered, cycle : Samples
         The paper's two kinds of data, and the working cycle of a machine.
     damaged : Samples
-        Scattered; from the middle on the valve is damaged.
+        Scattered; the valve is damaged from the middle on.
     warm, hysteretic, lagging : Samples
         Scattered, with oil of 20 to 60 °C; of a valve with a wide loop; of one with a slow pilot.
     new, worn, hot, working : Points
-        The truth: as new; after the damage; at 60 °C; as new, at the points of the cycle.
+        True flow: as new; after the damage; at 60 °C; as new, at the points of the cycle.
     curves : Points
-        Q over dp at each of the levels, level after level; Q is NaN out of the bench's reach.
+        Q over dp at each of the levels, level by level; Q is NaN if the bench cannot reach it.
     ideal : IdealValve
-        For the errata of the valve's equations.
+        Data for the errata of the valve's equations.
     """
 
     rate_hz: float
@@ -113,10 +113,10 @@ class PaperData:
 
 
 def within(samples: Samples, U_max: float, dp_max: float) -> Samples:
-    """Keep the samples of a corner of the map."""
+    """Return the samples in a corner of the map."""
     return samples[(U_max >= samples.U) & (samples.dp <= dp_max)]
 
 
 def exchanged(samples: Samples) -> Samples:
-    """Let Q be the input and U the output: what identifies U = f(Q, dp) directly."""
+    """Exchange Q and U, to identify U = f(Q, dp) directly."""
     return replace(samples, U=samples.Q, Q=samples.U)

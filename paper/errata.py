@@ -1,4 +1,4 @@
-"""All misprints of the paper, each shown failing beside the right form."""
+"""All misprints of the paper, each compared with the correct form."""
 
 from paper.data import PaperData
 from paper.errata_least_squares import of_least_squares

@@ -18,7 +18,7 @@ FEW = 20
 
 
 def of_least_squares(data: PaperData) -> Iterator[Erratum]:
-    """Judge all errata of eqs. (8) to (28), on the first samples of the scattered recording."""
+    """Evaluate all errata of eqs. (8) to (28) on the first samples of the scattered recording."""
     samples = data.scattered[:N]
     X, y = FiveTerms().regressors(samples.U, samples.dp, samples.T), samples.Q
     yield from _stacking(X, y)
@@ -80,7 +80,7 @@ def _gradient(X: Floats, y: Floats) -> Erratum:
 def _indices(X: Floats) -> Erratum:
     t = len(X) // 2
     grown = X[:t].T @ X[:t]
-    # The sum binds t, so the t on the left is without effect: it runs over all data there are.
+    # The sum binds t, so the t on the left has no effect: the sum includes all data.
     bound = sum((np.outer(x, x) for x in X), start=np.zeros_like(grown))
     free = sum((np.outer(x, x) for x in X[:t]), start=np.zeros_like(grown))
     return Erratum(
@@ -188,7 +188,7 @@ def _meaning_of_P(X: Floats) -> Erratum:
 
 
 def _units(X: Floats, y: Floats) -> Erratum:
-    """From % and bar to a signal of 10 V and to MPa."""
+    """Evaluate a change of units, from % and bar to a signal of 10 V and to MPa."""
     theta = batch_least_squares(X, y)
     volts, root_MPa = 0.1, np.sqrt(0.1)
     factor = np.array([1.0, volts, root_MPa, volts * root_MPa, root_MPa**2])

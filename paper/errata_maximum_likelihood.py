@@ -17,7 +17,7 @@ CLOSE = 0.5
 
 
 def of_maximum_likelihood() -> Iterator[Erratum]:
-    """Judge eq. (29)."""
+    """Evaluate the erratum of eq. (29)."""
     data = [_armax(seed) for seed in range(RUNS)]
     y, u = (np.stack([each[i] for each in data]) for i in (0, 1))
     right = np.array([recursive_maximum_likelihood(*each, 2, 2, 2, p0=P0).theta for each in data])
@@ -45,7 +45,7 @@ def _share_off(theta: Floats) -> float:
 
 
 def _printed(y: Floats, u: Floats) -> Floats:
-    """Theta (R, 6) of eq. (29) as printed, all R runs beside each other."""
+    """Return theta (R, 6) of eq. (29) as printed, for R runs in parallel."""
     runs = len(y)
     theta, P = np.zeros((runs, 6)), np.tile(P0 * np.eye(6), (runs, 1, 1))
     raw, filtered = np.zeros((runs, 3, 2)), np.zeros((runs, 3, 2))  # y, u, ε at t-1, t-2

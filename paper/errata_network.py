@@ -19,7 +19,7 @@ BRISK = 0.5
 
 
 def of_the_network(data: PaperData, network: RbfNetwork) -> Iterator[Erratum]:
-    """Judge eqs. (30) to (38), on the scattered recording."""
+    """Evaluate the errata of eqs. (30) to (38) on the scattered recording."""
     m = network.grid[0] * network.grid[1]
     H, w = np.ones((m, 1)), np.ones((m, 1))
     yield _regressors_as_inputs(data, network)
@@ -57,7 +57,7 @@ def of_the_network(data: PaperData, network: RbfNetwork) -> Iterator[Erratum]:
 
 
 def _regressors_as_inputs(data: PaperData, network: RbfNetwork) -> Erratum:
-    """X of (8) in (30): U·√dp, up to 1,400, drowns everything else."""
+    """Evaluate X of (8) as input of (30): U·√dp, up to 1,400, dominates the distances."""
     structure, samples, truth = FiveTerms(), data.scattered, data.new
     grid = network.initial_state().c
     U, dp = 100.0 * grid[:, 0], 200.0 * grid[:, 1]
@@ -81,7 +81,7 @@ def _regressors_as_inputs(data: PaperData, network: RbfNetwork) -> Erratum:
 
 
 def _widths(data: PaperData, network: RbfNetwork) -> Erratum:
-    """Widths that are changed by a sum can fall through 0; log b cannot."""
+    """Evaluate additive changes of the widths b, which may become negative; log b may not."""
     x = printed.normalised(data.scattered, network)
     nets = printed.course(
         printed.start(network), x, data.scattered.Q, network, printed.corrected_step

@@ -18,7 +18,7 @@ LARGEST_U = 100.0
 
 
 def of_the_valve(data: PaperData) -> Iterator[Erratum]:
-    """Judge all errata of eqs. (1) to (7)."""
+    """Evaluate all errata of eqs. (1) to (7)."""
     valve = data.ideal
     lifted = valve.x_MP > 0.0
     yield _stroke(valve, lifted)
@@ -68,7 +68,7 @@ def _pilot(valve: IdealValve, lifted: Mask) -> Erratum:
     amplified = 1.0 + valve.K_MP / valve.K_c * np.sqrt(valve.phi / (valve.phi - 1.0))
     Q_PV = valve.K_PV * x_PV * np.sqrt(dp / valve.phi)
     right = amplified * Q_PV - valve.K_MP * valve.x_0 * np.sqrt(dp)
-    # Without the pilot's own equation Q_PV is a signal of its own: what it is at the middle drop.
+    # Without the pilot's equation Q_PV is an independent signal: its value at the median drop.
     fixed = valve.K_PV * x_PV * np.sqrt(np.median(dp) / valve.phi)
     printed = amplified * fixed - valve.K_MP * valve.x_0 * np.sqrt(dp)
     return Erratum(
@@ -85,7 +85,7 @@ def _pilot(valve: IdealValve, lifted: Mask) -> Erratum:
 def _seat(valve: IdealValve, lifted: Mask) -> Erratum:
     closed = ~lifted
     dp, Q = valve.dp[closed], valve.Q[closed]
-    # On the seat (3) would give a negative stroke; slot and pilot are merely in series.
+    # On the seat (3) would give a negative stroke; slot and pilot are in series.
     formula = valve.K_PV * valve.x_PV[closed] / (valve.K_c * np.sqrt(valve.phi - 1.0)) - valve.x_0
     Q_PV = valve.K_PV * valve.x_PV[closed] * np.sqrt(dp / valve.phi)
     printed = Q_PV + valve.K_MP * formula * np.sqrt(dp)
@@ -133,7 +133,7 @@ def _structure(data: PaperData) -> Iterator[Erratum]:
 
 
 def _singular() -> Erratum:
-    """A map that falls with U below s = -a2/a4, as noisy data may give it."""
+    """Evaluate a map that decreases with U below s = -a2/a4, as noisy data may give."""
     theta = np.array([0.0, -0.7, 0.0, 0.1, 0.0])  # a2 + a4·s = 0 at 49 bar
     U, dp = (x.ravel() for x in np.meshgrid([10.0, 50.0, 90.0], [16.0, 100.0, 196.0]))
     Q = FiveTerms().regressors(U, dp, dp) @ theta

@@ -1,4 +1,4 @@
-"""A misprint, shown failing beside the right form."""
+"""A misprint, compared with the correct form."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,11 +16,11 @@ class Erratum:
     printed, right : str
         Both forms.
     measure : str
-        What is measured of both; smaller is better.
+        The error measure of both forms; smaller is better.
     printed_error, right_error : float
     limit : float
     why : str
-        The reason for the limit.
+        Reason for the limit.
 
     Examples
     --------
@@ -39,15 +39,15 @@ class Erratum:
 
     @property
     def right_holds(self) -> bool:
-        """Whether the right form does what it should."""
+        """Whether the correct form is within the limit."""
         return self.right_error <= self.limit
 
     @property
     def printed_fails(self) -> bool:
-        """Whether the printed form does not; what is not finite fails."""
+        """Whether the printed form exceeds the limit; non-finite errors do."""
         return not self.printed_error <= self.limit
 
     @property
     def shown(self) -> bool:
-        """Whether the figures show the misprint."""
+        """Whether the errors confirm the misprint."""
         return self.right_holds and self.printed_fails

@@ -1,4 +1,4 @@
-"""What every claim is judged by: one set of recordings, and what was learnt from it."""
+"""The evidence for the claims: one set of recordings, and the maps identified from it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from valvemap.model.samples import Samples
 
 @dataclass(frozen=True)
 class Damage:
-    """How eq. (7) fares when the valve is damaged in the middle of the recording.
+    """Results of eq. (7) when the valve is damaged in the middle of the recording.
 
     Attributes
     ----------
     fresh : float
-        Error that batch least squares of the samples after the damage leaves, l/min.
+        Error of batch least squares of the samples after the damage, l/min.
     courses : {λ: Course}
         Error of RLS against the damaged valve.
     """
@@ -37,7 +37,7 @@ class Damage:
 
     @classmethod
     def of(cls, samples: Samples, worn: Points) -> Self:
-        """Learn from the recording; the damage comes in its middle."""
+        """Identify from a recording with the damage in its middle."""
         structure, half = FiveTerms(), len(samples) // 2
         X = structure.regressors(samples.U, samples.dp, samples.T)
         XV = structure.regressors(worn.U, worn.dp, worn.T)
@@ -49,13 +49,13 @@ class Damage:
         return cls(rmse(XV @ fresh, worn.Q), courses)
 
     def end(self, lam: float) -> float:
-        """Error at the end over what a fresh start would leave: 1 is perfect."""
+        """Return the final error relative to that of a fresh start; 1 is ideal."""
         return float(self.courses[lam].rmse[-1]) / self.fresh
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """One set of recordings, and what was learnt from it."""
+    """One set of recordings, and the maps identified from it."""
 
     data: PaperData
     network: RbfNetwork
@@ -65,7 +65,7 @@ class Evidence:
 
     @classmethod
     def of(cls, data: PaperData, network: RbfNetwork) -> Self:
-        """Learn everything that more than one claim asks for."""
+        """Identify all maps that more than one claim uses."""
         return cls(
             data=data,
             network=network,

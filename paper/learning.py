@@ -1,4 +1,4 @@
-"""How the paper's estimators approach the truth while they learn, and when that is convergence."""
+"""Errors of the paper's estimators during identification, and the criterion of convergence."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,14 +40,14 @@ S = TypeVar("S", bound=State)
 
 @dataclass(frozen=True)
 class Course:
-    """The error of a map against the truth, while it was learnt.
+    """The error of a map during its identification.
 
     Attributes
     ----------
     after : (K,) int64
-        Samples taken in.
+        Number of processed samples.
     rmse : (K,) float64
-        Error over the verification points, l/min; infinite where nothing can be said.
+        Error over the verification points, l/min; infinite if it is undefined.
 
     Examples
     --------
@@ -61,7 +61,7 @@ class Course:
 
     @classmethod
     def of(cls, after: ArrayLike, rmse: ArrayLike) -> "Course":
-        """Take anything array-like; what is not finite is infinite."""
+        """Convert array-likes; non-finite errors become infinite."""
         errors = np.asarray(rmse, np.float64)
         return cls(np.asarray(after, np.int64), np.where(np.isfinite(errors), errors, np.inf))
 
@@ -72,29 +72,29 @@ class Course:
 
     @property
     def unrest(self) -> float:
-        """How far from convergence; converged up to 1.
+        """Measure of convergence; converged if ≤ 1.
 
-        The error that 95 % of the last third stay below, over its limit: USELESS, or UNSETTLED
-        times the median of the last third, whichever is lower.
+        The 95th percentile of the error in the last third, divided by its limit: the lower one of
+        USELESS and UNSETTLED times the median of the last third.
         """
         high = float(np.percentile(self._last_third, 95, method="lower"))
         return high / min(USELESS, UNSETTLED * self.final) if np.isfinite(high) else np.inf
 
     @property
     def converged(self) -> bool:
-        """Whether the map settled on something useful."""
+        """Whether the error has settled at a useful level."""
         return self.unrest <= 1.0
 
     @property
     def settled_after(self) -> float:
-        """Samples until the error stays within UNSETTLED times its last; infinite if it never does.
+        """Samples until the error stays within UNSETTLED times its final value.
 
-        That of a map which did not converge is infinite.
+        Infinite if the map did not converge.
         """
         return self.within(UNSETTLED * self.final) if self.converged else np.inf
 
     def within(self, limit: float) -> float:
-        """Samples until the error stays within a limit; infinite if it never does."""
+        """Return the samples until the error stays within a limit; infinite if it never does."""
         outside = np.flatnonzero(self.rmse > limit)
         first = outside[-1] + 1 if len(outside) else 0
         return float(self.after[first]) if first < len(self.after) else np.inf
@@ -106,20 +106,20 @@ class Course:
 
 @dataclass(frozen=True)
 class Lessons:
-    """What all estimators learnt from one recording in one pass.
+    """Results of all estimators on one recording in one pass.
 
     Attributes
     ----------
     lsm : (5,)
         Batch least squares of eq. (7), eq. (16).
     lsm_rmse : float
-        Its error over the verification points: what the structure leaves, l/min.
+        Its error over the verification points, i.e. the structural error, l/min.
     rls : {λ: Course}
-        Of all LAMBDAS, and of their squares: what (28) as printed makes of them.
+        RLS with all LAMBDAS, and with their squares, which (28) as printed is equivalent to.
     theta : {λ: (N, 5)}
-        Parameters after each sample, of those SHOWN.
+        Parameters after each sample, for the λ in SHOWN.
     rml, rbf : Course
-        The right forms; ``rml_theta`` and ``rbf_theta`` are their parameters (K, n) meanwhile.
+        The correct forms; ``rml_theta`` and ``rbf_theta`` are their parameters (K, n) over time.
     rml_printed, rbf_printed : Course
         Eqs. (29) and (37) as printed.
     """
@@ -137,7 +137,7 @@ class Lessons:
 
 
 def lessons(samples: Samples, truth: Points, network: RbfNetwork) -> Lessons:
-    """Learn from one recording, sample after sample, once."""
+    """Run all estimators over one recording, sample by sample, once."""
     structure = FiveTerms()
     X = structure.regressors(samples.U, samples.dp, samples.T)
     XV = structure.regressors(truth.U, truth.dp, truth.T)
@@ -161,14 +161,14 @@ def lessons(samples: Samples, truth: Points, network: RbfNetwork) -> Lessons:
 
 
 def rmse(Q_hat: Floats, Q: Floats) -> float:
-    """Root of the mean squared error, l/min; infinite where something is not finite."""
+    """Return the root of the mean squared error, l/min; infinite if any value is not finite."""
     with np.errstate(all="ignore"):
         error = float(np.sqrt(np.mean((Q_hat - Q) ** 2)))
     return error if np.isfinite(error) else np.inf
 
 
 def checkpoints(n: int) -> NDArray[np.int64]:
-    """Numbers of samples after which a map is compared with the truth: each of the first, then few.
+    """Return the sample numbers at which the error is computed: all of the first, then few.
 
     >>> checkpoints(2200)[[0, 99, 100, -1]]
     array([   1,  100,  101, 2200])
@@ -178,13 +178,13 @@ def checkpoints(n: int) -> NDArray[np.int64]:
 
 
 def linear_course(theta: Floats, X: Floats, Q: Floats) -> Course:
-    """Course of a map Xᵀ·theta; theta (N, n) after each sample, X (V, n) and Q (V,) the truth."""
+    """Return the course of a map Xᵀ·theta: theta (N, n) per sample, true X (V, n) and Q (V,)."""
     after = checkpoints(len(theta))
     return Course.of(after, [rmse(X @ theta[k - 1], Q) for k in after])
 
 
 def follow(estimator: Estimator[S], samples: Samples, truth: Points) -> tuple[Course, Floats]:
-    """Course of any estimator, and its parameters (K, n) at the same samples."""
+    """Return the course of any estimator, and its parameters (K, n) at the same samples."""
     after = checkpoints(len(samples))
     state, errors, parameters = estimator.initial_state(), [], []
     for start, end in zip([0, *after[:-1].tolist()], after.tolist(), strict=True):
@@ -196,7 +196,7 @@ def follow(estimator: Estimator[S], samples: Samples, truth: Points) -> tuple[Co
 
 
 def learnt(estimator: Estimator[S], samples: Samples, passes: int = 1) -> S:
-    """State after so many passes."""
+    """Return the state after the given number of passes."""
     state = estimator.initial_state()
     for _ in range(passes):
         state, _ = estimator.update(state, samples)
@@ -204,21 +204,21 @@ def learnt(estimator: Estimator[S], samples: Samples, passes: int = 1) -> S:
 
 
 def error_of(estimator: Estimator[S], state: S, truth: Points) -> float:
-    """Error of a map over points of the truth, l/min."""
+    """Return the error of a map over true points, l/min."""
     return rmse(estimator.predict(state, truth.U, truth.dp, truth.T)[0], truth.Q)
 
 
 def error_of_U(U: Floats, truth: Points) -> float:
-    """Root mean square error of U, %, away from the ends, where U has no effect on Q.
+    """Return the root mean square error of U, %, without the ends, where U has no effect on Q.
 
-    A point without an answer counts as U = 0.
+    NaN is replaced by U = 0.
     """
     inside = (INSIDE[0] <= truth.U) & (INSIDE[1] >= truth.U)
     return rmse(np.nan_to_num(U[inside]), truth.U[inside])
 
 
 def settling(samples: Samples, truth: Points, limit: float, pieces: int) -> Mapping[str, float]:
-    """Samples until the error stays within a limit: median over pieces, each a fresh start."""
+    """Return the samples until the error stays within a limit: median over restarted pieces."""
     length, structure = len(samples) // pieces, FiveTerms()
     XV = structure.regressors(truth.U, truth.dp, truth.T)
     found: dict[str, list[float]] = {"RLS": [], "RML": [], "RML as printed": []}

@@ -1,4 +1,4 @@
-"""What the figures say beside the verdicts: for one set of recordings, as it takes longer."""
+"""Additional notes on the claims, computed for one set of recordings since they are slow."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ MOST_PASSES = 500
 
 
 def passes_until_the_network_wins(evidence: Evidence) -> str:
-    """How often the network has to see the structured recording until it beats RLS."""
+    """Return the number of passes over the structured recording until the network beats RLS."""
     best = evidence.structured.rls[1.0].final
     network, samples, truth = evidence.network, evidence.data.structured, evidence.data.new
     state, error = network.initial_state(), np.inf
@@ -28,7 +28,7 @@ def passes_until_the_network_wins(evidence: Evidence) -> str:
 
 
 def what_closes_the_open_points(evidence: Evidence) -> str:
-    """What a map with temperature, and one with hysteresis, make of the same recordings."""
+    """Return the errors of maps with temperature and with hysteresis on the same recordings."""
     data = evidence.data
     warm = RecursiveLeastSquares(TensorSpline.uniform(T=(20.0, 40.0, 60.0)))
     auto = Auto()

@@ -1,4 +1,4 @@
-"""What a step costs: counted by running the formula on numbers that count their operations."""
+"""Cost of a step, counted by evaluating its formula on numbers that count operations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from valvemap.model.rbf_network import RbfNetwork
 
 @dataclass
 class Tally:
-    """Operations so far."""
+    """Counters of operations."""
 
     plain: int = 0
     exponentials: int = 0
 
     @property
     def cycles(self) -> int:
-        """Cycles of a small controller with single-precision hardware: 1 each, 100 for an exp."""
+        """Cycles on a microcontroller with a single-precision FPU: 1 per operation, 100 per exp."""
         return self.plain + 100 * self.exponentials
 
 
 class Counting:
-    """A number without value: every operation with it goes into its tally.
+    """A number without a value that counts each operation in its tally.
 
     >>> tally = Tally()
     >>> x = Counting(tally)
@@ -46,7 +46,7 @@ class Counting:
 
 
 def least_squares_step(n: int) -> Tally:
-    """One sample of eq. (28) with n parameters, P symmetric: half of it is computed."""
+    """Count one sample of eq. (28) with n parameters; P is symmetric, so half is computed."""
     tally = Tally()
     one = Counting(tally)
     P = [[one] * n for _ in range(n)]
@@ -63,7 +63,7 @@ def least_squares_step(n: int) -> Tally:
 
 
 def network_step(network: RbfNetwork) -> Tally:
-    """One sample of eqs. (30)-(38) as corrected, with two inputs."""
+    """Count one sample of the corrected eqs. (30)-(38) with two inputs."""
     tally = Tally()
     one = Counting(tally)
     m = network.grid[0] * network.grid[1]
@@ -87,7 +87,7 @@ def network_step(network: RbfNetwork) -> Tally:
 
 
 def explicit_inverse() -> Tally:
-    """One answer of U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s); s is there already."""
+    """Count one evaluation of U = (Q - a1 - a3·s - a5·s²)/(a2 + a4·s), with s given."""
     tally = Tally()
     x = Counting(tally)
     _ = (x - x - x * x - x * x * x) / (x + x * x)
@@ -95,7 +95,7 @@ def explicit_inverse() -> Tally:
 
 
 def linear_map(n: int) -> Tally:
-    """One answer of Xᵀ·theta, with the two products that are in X."""
+    """Count one evaluation of Xᵀ·theta, with the two products in X."""
     tally = Tally()
     x = Counting(tally)
     _ = x * x

@@ -1,4 +1,4 @@
-"""The report as one HTML page that stands alone: pictures inside, nothing from elsewhere."""
+"""The report as one self-contained HTML page with embedded pictures."""
 
 import base64
 import math
@@ -31,10 +31,10 @@ _SEE: Final = {
 
 
 def html_page(report: PaperReport) -> str:
-    """Write the page.
+    """Return the page.
 
-    Every word of a claim, every number and every verdict comes from the report; the template
-    holds only what is true of any data.
+    All claims, numbers and verdicts come from the report; the template contains only text that
+    holds for any data.
     """
     return _PAGE.substitute(
         counts=_counts(report.claims),
@@ -58,7 +58,7 @@ def html_page(report: PaperReport) -> str:
 
 
 def figure_text(value: float | None, unit: str = "") -> str:
-    """Spell a figure with its unit.
+    """Format a figure with its unit.
 
     >>> figure_text(0.12345), figure_text(math.inf), figure_text(240.0, "bytes")
     ('0.123', '∞', '240 bytes')

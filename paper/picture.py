@@ -1,4 +1,4 @@
-"""A picture with the numbers in it, and the style that all of them share."""
+"""A picture with its plotted numbers, and the common style."""
 
 import io
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ class Picture:
     Attributes
     ----------
     key : str
-        File name without ending.
+        File name without extension.
     title, caption : str
-        What it is, and how to read it.
+        Title, and an explanation of the picture.
     png : bytes
     numbers : {series: {column: values}}
-        What is drawn; long series are thinned to MOST values.
+        Plotted values; long series are thinned to MOST values.
     """
 
     key: str
@@ -43,12 +43,12 @@ class Picture:
 
 
 def canvas(width: float, height: float) -> Figure:
-    """Make an empty figure, in inches."""
+    """Return an empty figure; size in inches."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def quiet(axes: Axes) -> Axes:
-    """Grid in the background, no frame at top and right, small figures."""
+    """Apply the style: grid in the background, no frame at top and right, small tick labels."""
     axes.grid(visible=True, color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -59,7 +59,7 @@ def quiet(axes: Axes) -> Axes:
 
 
 def label(axes: Axes, text: str, x: float = 0.03, y: float = 0.97) -> None:
-    """Write into a corner of the panel."""
+    """Add a text in a corner of the panel."""
     axes.text(x, y, text, transform=axes.transAxes, verticalalignment="top", fontsize=8, color=GREY)
 
 
@@ -67,19 +67,19 @@ Place = Literal["best", "upper left", "lower left", "lower right"]
 
 
 def legend(axes: Axes, place: Place = "best", columns: int = 1) -> None:
-    """Name the lines, without a frame."""
+    """Add a legend without a frame."""
     axes.legend(fontsize=8, frameon=False, loc=place, ncols=columns, markerscale=1.5)
 
 
 def png_of(figure: Figure) -> bytes:
-    """Bytes of the PNG file."""
+    """Return the bytes of the PNG file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=110, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
 
 def numbers(**columns: ArrayLike) -> Mapping[str, list[float | None]]:
-    """Columns of one length as lists, thinned evenly; what is not finite is None.
+    """Return columns of equal length as lists, thinned evenly; non-finite values are None.
 
     >>> numbers(x=np.arange(3), y=[1.0, np.nan, 2.5])
     {'x': [0.0, 1.0, 2.0], 'y': [1.0, None, 2.5]}

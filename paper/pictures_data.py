@@ -1,4 +1,4 @@
-"""The paper's Figures 4, 7, 8 and 9: the valve's curves, and what was measured."""
+"""The paper's Figures 4, 7, 8 and 9: the valve's curves, and the measured data."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ _SHOWN_S = 30.0
 
 
 def figure_4(data: PaperData) -> Picture:
-    """Flow over pressure drop, a curve for each level of U."""
+    """Draw flow over pressure drop, one curve for each level of U."""
     figure = canvas(8.5, 5.0)
     axes = quiet(figure.subplots())
     measured = data.structured
@@ -56,7 +56,7 @@ def figure_4(data: PaperData) -> Picture:
 
 
 def figure_7(data: PaperData) -> Picture:
-    """Structured data."""
+    """Draw the structured data."""
     return _process(
         "figure-7",
         "Figure 7: structured data",
@@ -68,7 +68,7 @@ def figure_7(data: PaperData) -> Picture:
 
 
 def figure_8(data: PaperData) -> Picture:
-    """Scattered data."""
+    """Draw the scattered data."""
     return _process(
         "figure-8",
         "Figure 8: scattered data",
@@ -81,7 +81,7 @@ def figure_8(data: PaperData) -> Picture:
 
 
 def figure_9(data: PaperData) -> Picture:
-    """What the maps are verified on."""
+    """Draw the verification points."""
     truth: Points = data.new
     samples = Samples.of(np.arange(len(truth)), truth.U, truth.dp, 0 * truth.dp, truth.Q)
     return _process(

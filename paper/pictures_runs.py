@@ -1,4 +1,4 @@
-"""Pictures beside the paper's: the sweep of λ, all methods' courses, damage, extrapolation."""
+"""Additional pictures: sweep of λ, error of all methods, damage, extrapolation."""
 
 from collections.abc import Mapping
 
@@ -46,7 +46,7 @@ _LARGEST = 1e4
 
 
 def sweep(evidence: Evidence, dense: Samples) -> Picture:
-    """Unrest over λ; `dense` is a structured recording at a higher rate."""
+    """Draw the unrest over λ; `dense` is a structured recording at a higher rate."""
     figure = canvas(11.0, 4.2)
     left, right = (quiet(axes) for axes in figure.subplots(1, 2))
     drawn: Drawn = {}
@@ -95,7 +95,7 @@ def sweep(evidence: Evidence, dense: Samples) -> Picture:
 
 
 def courses(evidence: Evidence) -> Picture:
-    """Error of the map over samples, all methods, both kinds of data."""
+    """Draw the error over samples for all methods and both kinds of data."""
     figure = canvas(11.0, 4.2)
     panels = figure.subplots(1, 2, sharey=True)
     drawn: Drawn = {}
@@ -127,7 +127,7 @@ def courses(evidence: Evidence) -> Picture:
 
 
 def damage(evidence: Evidence) -> Picture:
-    """Error against the damaged valve."""
+    """Draw the error against the damaged valve."""
     figure = canvas(8.5, 3.8)
     axes = quiet(figure.subplots())
     drawn: Drawn = {}
@@ -161,7 +161,7 @@ def damage(evidence: Evidence) -> Picture:
 
 
 def extrapolation(evidence: Evidence) -> Picture:
-    """Error over the map after learning in a corner of it."""
+    """Draw the error over the map after training in one corner."""
     data, network = evidence.data, evidence.network
     corner = within(data.scattered, *CORNER)
     rls = RecursiveLeastSquares()
@@ -233,5 +233,5 @@ def _methods(known: Lessons) -> list[tuple[str, Course, str, str]]:
 
 
 def _clipped(values: Floats | list[float]) -> Floats:
-    """Fit for a logarithmic axis: what is infinite lies above the picture."""
+    """Clip values for a logarithmic axis; infinite ones lie above the picture."""
     return np.clip(np.nan_to_num(np.asarray(values, np.float64), posinf=_LARGEST), 1e-2, _LARGEST)

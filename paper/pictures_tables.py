@@ -1,4 +1,4 @@
-"""The paper's Tables 1 and 2: 45° plots and how the parameters came about."""
+"""The paper's Tables 1 and 2: 45° plots and the convergence of the parameters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ _MIDDLE = FiveTerms().regressors(np.array([_U]), np.array([_DP]), np.array([40.0
 
 @dataclass(frozen=True)
 class _Column:
-    """One method: its last map, its parameters (K, n) over samples (K,), its course."""
+    """One method: its final map, its parameters (K, n) over samples (K,), its course."""
 
     name: str
     Q_hat: Floats
@@ -56,7 +56,7 @@ class _Column:
 
 
 def table_1(evidence: Evidence) -> Picture:
-    """Structured data: RLS with several λ, and the RBF network."""
+    """Draw structured data: RLS with several λ, and the RBF network."""
     data, known, network = evidence.data, evidence.structured, evidence.network
     truth = data.new
     state = learnt(network, data.structured)
@@ -81,7 +81,7 @@ def table_1(evidence: Evidence) -> Picture:
 
 
 def table_2(evidence: Evidence) -> Picture:
-    """Scattered data: RLS with several λ, and RML."""
+    """Draw scattered data: RLS with several λ, and RML."""
     data, known = evidence.data, evidence.scattered
     truth, rml = data.new, MaximumLikelihood()
     state = learnt(rml, data.scattered)

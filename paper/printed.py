@@ -1,4 +1,4 @@
-"""The paper's recursions as it prints them, misprints and all; the service never uses them."""
+"""The paper's recursions as printed, including misprints; the service does not use them."""
 
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
@@ -13,7 +13,7 @@ P0: Final = 100.0
 
 
 def least_squares(X: Floats, y: Floats, lam: float, p0: float = 1e8) -> Floats:
-    """Theta (N, n) after each sample: (27) put into (28), as the text says; λ counts twice.
+    """Return theta (N, n) after each sample: (27) inserted into (28), which applies λ twice.
 
     >>> least_squares(np.ones((50, 1)), np.arange(50.0), 0.9)[-1].round(2)
     array([44.74])
@@ -31,7 +31,7 @@ def least_squares(X: Floats, y: Floats, lam: float, p0: float = 1e8) -> Floats:
 
 
 def maximum_likelihood_map(X: Floats, z: Floats) -> Floats:
-    """Static map (N, n) that (29) with its lags of z, u and ε (one each) leads to.
+    """Return the static map (N, n) of (29) with one lag each of z, u and ε.
 
     h = [-z(t-1), Xᵀ(t), ε(t-1)]; at rest z(t) = z(t-1), so the map is b/(1 + a). The input has no
     delay: the map is static.
@@ -72,31 +72,31 @@ Step = Callable[[Network, Floats, float, RbfNetwork], Network]
 
 
 def corrected_step(net: Network, x: Floats, y: float, settings: RbfNetwork) -> Network:
-    """One sample of (30)-(38) with H_j in (37); steps, centres and widths know no bound."""
+    """Process one sample by (30)-(38) with H_j in (37), without limits of steps or parameters."""
     H, square, e = _activity(net, x, y)
     return _moved(net, x, settings, e, H, square, H)
 
 
 def step_of_37(net: Network, x: Floats, y: float, settings: RbfNetwork) -> Network:
-    """The same with (37) as printed: without H_j."""
+    """Process one sample with (37) as printed: without H_j."""
     H, square, e = _activity(net, x, y)
     return _moved(net, x, settings, e, H, square, np.ones_like(H))
 
 
 def step_of_32(net: Network, x: Floats, y: float, settings: RbfNetwork) -> Network:
-    """The same down the gradient of (32) as printed: without the square, e is left out of it."""
+    """Process one sample with the gradient of (32) as printed: without the square, e is missing."""
     H, square, _ = _activity(net, x, y)
     return _moved(net, x, settings, 0.5, H, square, H)
 
 
 def start(settings: RbfNetwork) -> Network:
-    """As the service's network starts: zero weights, centres on the grid, widths of one mesh."""
+    """Return the service's initial network: zero weights, centres on a grid, widths of one mesh."""
     state = settings.initial_state()
     return network(state.c, float(np.exp(state.log_b[0])))
 
 
 def network(centres: Floats, width: float) -> Network:
-    """A network that has learnt nothing."""
+    """Return an untrained network."""
     m = len(centres)
     zero = np.zeros(m)
     return Network(zero, centres, np.full(m, width), zero, np.zeros_like(centres), zero)
@@ -105,7 +105,7 @@ def network(centres: Floats, width: float) -> Network:
 def course(
     net: Network, x: Floats, y: Floats, settings: RbfNetwork, step: Step
 ) -> Iterator[Network]:
-    """The network after each sample; x (N, d), y (N,) over the network's scale of Q."""
+    """Yield the network after each sample; x (N, d), y (N,) in l/min."""
     with np.errstate(all="ignore"):
         for row, value in zip(x, y / settings.Q_scale, strict=True):
             net = step(net, row, float(value), settings)
@@ -113,20 +113,20 @@ def course(
 
 
 def output(net: Network, x: Floats) -> Floats:
-    """Q_M (N,) over the network's scale of Q at x (N, d), eqs. (30) and (31)."""
+    """Return Q_M (N,), relative to the network's scale of Q, at x (N, d); eqs. (30), (31)."""
     with np.errstate(all="ignore"):
         square = sum((x[:, i, None] - net.c[:, i]) ** 2 for i in range(x.shape[1]))
         return np.asarray(np.exp(-square / (2.0 * net.b**2)) @ net.w)
 
 
 def normalised(points: Samples | Points, settings: RbfNetwork) -> Floats:
-    """Rows (U, dp) in ranges, (N, 2)."""
+    """Return rows (U, dp), scaled to the network's ranges, (N, 2)."""
     (U0, U1), (dp0, dp1) = settings.U_range, settings.dp_range
     return np.stack([(points.U - U0) / (U1 - U0), (points.dp - dp0) / (dp1 - dp0)], axis=1)
 
 
 def _activity(net: Network, x: Floats, y: float) -> tuple[Floats, Floats, float]:
-    """H_j, ‖x - c_j‖² and the error Q_P - Q_M."""
+    """Return H_j, ‖x - c_j‖² and the error Q_P - Q_M."""
     square = np.sum((x - net.c) ** 2, axis=1)
     H = np.exp(-square / (2.0 * net.b**2))  # (30)
     return H, square, float(y - net.w @ H)  # (31)

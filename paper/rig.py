@@ -1,4 +1,4 @@
-"""The recordings and truths that the report asks for, from the virtual rig."""
+"""Recordings and true values for the report, from the virtual rig."""
 
 import math
 from typing import Final
@@ -38,7 +38,7 @@ _IDEAL = Valvistor(
 
 
 def measure(rate_hz: float = 10.0, seed: int = 1) -> PaperData:
-    """Run the rig: each recording as long as one structured pass, 11 levels of 20 s.
+    """Run the rig; each recording has the length of a structured pass, 11 levels of 20 s.
 
     Examples
     --------
@@ -112,9 +112,9 @@ def _points(block: ValveBlock) -> Points:
 
 
 def _truth(T: float, *faults: Fault) -> Points:
-    """The verification points whose pressure drop the pump can hold, without noise or hysteresis.
+    """Return the verification points that the pump can supply, without noise or hysteresis.
 
-    Through the simulation rather than `true_flow`, which knows the undamaged valve alone.
+    They come from the simulation, not from `true_flow`, since it applies the faults.
     """
     circuit = _STILL.model_copy(update={"tank_C": T})
     bench = _BENCH.model_copy(update={"circuit": circuit, "valve": _smooth()})
@@ -134,7 +134,7 @@ def _curves(levels: Floats) -> Points:
 
 
 def _ideal() -> IdealValve:
-    """The paper's equations without all they neglect; the oil's density is put into the K."""
+    """Solve the paper's equations, without neglected effects; K includes the oil's density."""
     oil, p1, T = Oil(), 200.0, 40.0
     y, dp = (x.ravel() for x in np.meshgrid([0.01, 0.2, 0.4, 0.6, 0.8, 1.0], [20.0, 60.0, 180.0]))
     same = np.full_like(y, p1)

@@ -1,4 +1,4 @@
-"""A claim of the paper, the figures it is tested by, and the verdict that follows from them."""
+"""A claim of the paper, the figures that test it, and the resulting verdict."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Verdict(StrEnum):
-    """What became of a claim."""
+    """Verdict on a claim."""
 
     REPRODUCED = "reproduced"
     EXPLAINED = "explained by an erratum"
@@ -18,23 +18,23 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Part:
-    """One figure that a claim stands or falls with.
+    """One figure that tests a claim.
 
     Attributes
     ----------
     says : str
-        What the claim says, as a sentence about the figure.
+        The claim, as a sentence about the figure.
     unit : str
-        Of the figure; empty for a ratio or a number.
+        Unit of the figure; empty for a ratio or a number.
     must : {"at most", "more than"}
-        On which side of the limit the figure lies where the claim holds.
+        Side of the limit on which the claim holds.
     limit : float
     why : str
-        The reason for the limit.
+        Reason for the limit.
     values : (R,) float
-        The figure by the right forms, of R sets of recordings; their median decides.
+        The figure with the correct forms, for R sets of recordings; their median decides.
     printed : (R,) float
-        The same by the forms as the paper prints them; none where no misprint matters.
+        The figure with the printed forms; empty if no misprint matters.
     erratum : str
         The misprinted equation.
 
@@ -56,22 +56,22 @@ class Part:
 
     @property
     def value(self) -> float:
-        """Median of the figures; infinite if most are."""
+        """Median of the figures; infinite if the majority is."""
         return _median(self.values)
 
     @property
     def value_as_printed(self) -> float | None:
-        """Median by the printed forms."""
+        """Median of the figures with the printed forms."""
         return _median(self.printed) if self.printed else None
 
     @property
     def holds(self) -> bool:
-        """Whether the claim holds here with the right forms."""
+        """Whether the claim holds with the correct forms."""
         return self._meets(self.value)
 
     @property
     def explained(self) -> bool:
-        """Whether it holds with the printed forms alone."""
+        """Whether the claim holds only with the printed forms."""
         as_printed = self.value_as_printed
         return not self.holds and as_printed is not None and self._meets(as_printed)
 
@@ -89,11 +89,11 @@ class Claim:
     text : str
         The claim.
     parts : tuple of Part
-        Reproduced if all of them hold; explained by an erratum if those that fail hold as printed.
+        Reproduced if all hold; explained by an erratum if those that fail hold as printed.
     note : str
-        What else the figures say, beside the verdict.
+        Further results, in addition to the verdict.
     agreeing : int
-        Sets of recordings whose own verdict is the same.
+        Number of sets of recordings with the same verdict.
     """
 
     number: int
@@ -104,7 +104,7 @@ class Claim:
 
     @property
     def verdict(self) -> Verdict:
-        """What follows from the parts, and nothing else."""
+        """The verdict, determined only by the parts."""
         if all(part.holds for part in self.parts):
             return Verdict.REPRODUCED
         if all(part.holds or part.explained for part in self.parts):
@@ -113,7 +113,7 @@ class Claim:
 
     @classmethod
     def merged(cls, claims: Sequence[Self]) -> Self:
-        """One claim from the same claim on several sets of recordings; the first one's note."""
+        """Merge one claim on several sets of recordings; keep the first one's note."""
         first = claims[0]
         parts = tuple(
             replace(
@@ -129,7 +129,7 @@ class Claim:
 
 
 def _median(values: tuple[float, ...]) -> float:
-    """The middle one, the lower of two; NaN, which meets no limit, if there is any."""
+    """Return the lower median; NaN, which meets no limit, if any value is NaN."""
     if np.isnan(values).any():
         return float("nan")
     return sorted(values)[(len(values) - 1) // 2]

@@ -1,1 +1,1 @@
-"""Makes a release: wheel, sdist, images and their bills of materials, with one signature."""
+"""Builds a release: wheel, sdist, images and their bills of materials, with one signature."""

@@ -24,7 +24,7 @@ NO_BUILDER: Final = (
 
 
 def main(arguments: list[str]) -> int:
-    """Make a release; return 0, 1 (it could not be made) or 2 (wrong use)."""
+    """Build a release; return 0, 1 (the release failed) or 2 (wrong usage)."""
     parser = argparse.ArgumentParser(prog="release", description=__doc__)
     parser.add_argument("--key", default="", help="key that signs: a file of ssh-keygen")
     parser.add_argument("--out", default="", help="empty or new folder of the artefacts")

@@ -1,4 +1,4 @@
-"""What one image holds, as CycloneDX: packages of Python and of the system, scripts of the page."""
+"""Bill of materials of an image, CycloneDX: Python and system packages, scripts of the page."""
 
 import hashlib
 import re
@@ -24,16 +24,16 @@ from release.errors import ReleaseError
 from release.image_archive import ImageFiles, read_image
 
 _METADATA: Final = re.compile(r"(^|/)[^/]+\.(dist-info/METADATA|egg-info/PKG-INFO)$")
-_INTERPRETER: Final = "PYTHON_VERSION"  # of the base image, whose Python dpkg does not know
+_INTERPRETER: Final = "PYTHON_VERSION"  # of the base image, whose Python dpkg does not list
 
 
 def image_bill(archive: Path, locks: list[Path], name: str, version: str) -> str:
-    """Every package of an image with its version, from its own files, as JSON.
+    """Return all packages and versions of an image, read from its files, as JSON.
 
     Raises
     ------
     ReleaseError
-        if the image has no database of system packages: its bill would be empty, not short.
+        if the image has no database of system packages, so the bill would be incomplete.
     """
     image = read_image(archive, _is_wanted)
     parts = {str(part.purl): part for part in _parts(image, locks)}

@@ -1,4 +1,4 @@
-"""Foreign programs: each call either succeeds or ends the release with its last words."""
+"""External programs: a failed call ends the release with its last error line."""
 
 import os
 import subprocess
@@ -13,12 +13,12 @@ def run(
     folder: Path | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> str:
-    """Run a program to its end and return its output.
+    """Run a program and return its output.
 
     Raises
     ------
     ReleaseError
-        naming the program and the last line of its errors.
+        if the program fails, with its name and last error line.
     """
     words = [str(word) for word in command]
     try:

@@ -1,11 +1,11 @@
-"""Packages of the operating system, from the database of dpkg (`dpkg-query` reads the same)."""
+"""System packages, from the database of dpkg (as read by `dpkg-query`)."""
 
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 STATUS = "var/lib/dpkg/status"
-STATUS_FOLDER = "var/lib/dpkg/status.d/"  # images without dpkg: a file for each package
+STATUS_FOLDER = "var/lib/dpkg/status.d/"  # images without dpkg have a file per package
 OS_RELEASE = ("usr/lib/os-release", "etc/os-release")
 
 
@@ -28,12 +28,12 @@ class Distribution:
 
 
 def is_database(path: str) -> bool:
-    """Whether a file belongs to the database."""
+    """Return whether a file belongs to the database."""
     return path == STATUS or (path.startswith(STATUS_FOLDER) and not path.endswith(".md5sums"))
 
 
 def installed(text: str) -> Iterator[SystemPackage]:
-    r"""Packages of a status file that are installed; removed ones may keep their configuration.
+    r"""Yield the installed packages of a status file; removed ones may have entries, too.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def installed(text: str) -> Iterator[SystemPackage]:
 
 
 def distribution(text: str) -> Distribution:
-    """Which distribution an os-release file names; ``linux`` if it names none (os-release(5))."""
+    """Return the distribution of an os-release file; default ``linux`` (os-release(5))."""
     values = {}
     for line in text.splitlines():
         name, is_there, value = line.partition("=")
@@ -65,7 +65,7 @@ def distribution(text: str) -> Distribution:
 
 
 def _fields(paragraph: str) -> Mapping[str, str]:
-    """Fields of one paragraph, without their continuation lines."""
+    """Return the fields of one paragraph, without continuation lines."""
     found = {}
     for line in paragraph.splitlines():
         name, is_there, value = line.partition(":")

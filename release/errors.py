@@ -1,8 +1,8 @@
-"""Why a release cannot be made."""
+"""Exceptions of a failed release."""
 
 
 class ReleaseError(Exception):
-    """A sentence for who makes the release; exit code 1."""
+    """A message for the user; exit code 1."""
 
     exit_code = 1
 

@@ -9,26 +9,26 @@ from typing import Any, Final
 
 from release.errors import ReleaseError
 
-_GONE: Final = ".wh."  # of a file that a layer removes
-_OPAQUE: Final = ".wh..wh..opq"  # of a folder whose contents a layer removes
-_MOST_BYTES: Final = 64 << 20  # of one file; the largest database of packages has a hundredth
+_GONE: Final = ".wh."  # prefix of a file that a layer removes
+_OPAQUE: Final = ".wh..wh..opq"  # marks a folder whose contents a layer removes
+_MOST_BYTES: Final = 64 << 20  # maximum size of one file, 100 times the largest package database
 
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """What an image holds of the files that were asked for."""
+    """The requested files of an image, and its environment variables."""
 
     files: Mapping[str, bytes]
     environment: Mapping[str, str]
 
 
 def read_image(archive: Path, wanted: Callable[[str], bool]) -> ImageFiles:
-    """Read files of an image by their paths (``usr/lib/os-release``) as its last layer leaves them.
+    """Read files of an image by path (``usr/lib/os-release``), in the state of its last layer.
 
     Raises
     ------
     ReleaseError
-        if the archive is none of exactly one image.
+        if the archive does not contain exactly one image.
     """
     files: dict[str, bytes] = {}
     try:
@@ -45,7 +45,7 @@ def read_image(archive: Path, wanted: Callable[[str], bool]) -> ImageFiles:
 
 
 def _apply(layer: tarfile.TarFile, files: dict[str, bytes], wanted: Callable[[str], bool]) -> None:
-    """Apply one layer: what it removes is removed from the layers below, then its own are added."""
+    """Apply one layer: remove the files that it deletes, then add its files."""
     added: dict[str, bytes] = {}
     for member in layer:
         path = PurePosixPath("/", member.name).relative_to("/")
@@ -57,7 +57,7 @@ def _apply(layer: tarfile.TarFile, files: dict[str, bytes], wanted: Callable[[st
             files.pop(str(path), None)
         else:
             _remove(files, str(path))
-            for folder in path.parents:  # which are files no more
+            for folder in path.parents:  # which replace files of the same name
                 files.pop(str(folder), None)
             if member.isreg() and wanted(str(path)):
                 if member.size > _MOST_BYTES:

@@ -1,4 +1,4 @@
-"""Container images, by the first builder there is: buildah, podman or docker."""
+"""Container images, built with the first available program: buildah, podman or docker."""
 
 import gzip
 import os
@@ -16,16 +16,16 @@ VARIANTS: Final[Mapping[str, Mapping[str, str]]] = {
     "image": {},
     "fleet-image": {"FLEET": "yes"},
 }
-"""Each image of the Dockerfile by its name in a release, and its build arguments."""
+"""Images of the Dockerfile by name in a release, with their build arguments."""
 
 _COMPRESSION: Final = 6
 
 
 @dataclass(frozen=True)
 class Builder:
-    """A program that builds images; ``{…}`` in its words are filled in for each.
+    """A program that builds images; ``{…}`` in its arguments are placeholders.
 
-    Every image is kept in Docker's format: that of OCI has no health check.
+    Images are saved in Docker's format, since the OCI format has no health check.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Builder:
     environment: tuple[tuple[str, str], ...] = ()
 
     def is_there(self) -> bool:
-        """Whether the program is installed and, where it is a client, its server answers."""
+        """Return whether the program is installed and, if it is a client, its server responds."""
         if shutil.which(self.name) is None:
             return False
         asked = [self.name, *self.check]
@@ -49,7 +49,7 @@ BUILDERS: Final = (
         ("build", "--format=docker", "--timestamp={epoch}"),
         ("push", "{tag}", "docker-archive:{file}:{tag}"),
         ("--version",),
-        (("BUILDAH_ISOLATION", "chroot"),),  # also where no user namespaces are allowed
+        (("BUILDAH_ISOLATION", "chroot"),),  # works without user namespaces
     ),
     Builder(
         "podman",
@@ -62,14 +62,14 @@ BUILDERS: Final = (
 
 
 def find_builder() -> Builder | None:
-    """The first of the builders that can be used."""
+    """Return the first usable builder, or None."""
     return next((builder for builder in BUILDERS if builder.is_there()), None)
 
 
 def build_image(
     builder: Builder, source: Source, tag: str, arguments: Mapping[str, str], file: Path
 ) -> None:
-    """Build one image of the source's Dockerfile; save it as `docker save` does."""
+    """Build one image of the source's Dockerfile; save it in the format of `docker save`."""
     words = {"tag": tag, "file": str(file), "epoch": str(source.epoch)}
     given = [f"--build-arg={name}={value}" for name, value in arguments.items()]
     environment = {n: os.environ.get(n, value) for n, value in builder.environment}
@@ -80,7 +80,7 @@ def build_image(
 
 
 def pack(file: Path) -> Path:
-    """Compress an archive, without name and time; the plain one is removed."""
+    """Compress an archive without name and time; remove the uncompressed one."""
     packed = file.with_suffix(file.suffix + ".gz")
     with (
         file.open("rb") as plain,

@@ -1,4 +1,4 @@
-"""Wheel and sdist, from the committed tree and locked tools: the same bytes at each build."""
+"""Wheel and sdist, built reproducibly from the committed tree with locked tools."""
 
 import io
 import sys
@@ -15,16 +15,16 @@ TOOLS = "requirements-release.lock"
 
 @dataclass(frozen=True)
 class Source:
-    """A committed tree, exported.
+    """An exported commit.
 
     Attributes
     ----------
     folder
-        Holds its files, and nothing that is not committed.
+        Folder with the committed files only.
     commit
-        Its full name.
+        Full hash of the commit.
     epoch
-        Its time, seconds since 1970: every time stamp inside the artefacts (SOURCE_DATE_EPOCH).
+        Time of the commit, s since 1970; all timestamps in the artefacts (SOURCE_DATE_EPOCH).
     """
 
     folder: Path
@@ -33,12 +33,12 @@ class Source:
 
 
 def export(repository: Path, folder: Path) -> Source:
-    """Export the commit that is checked out.
+    """Export the checked-out commit.
 
     Raises
     ------
     ReleaseError
-        if files differ from the commit: a release is made of committed files alone.
+        if files differ from the commit, since a release contains only committed files.
     """
     git: list[str | Path] = ["git", "-C", repository]
     changed = run([*git, "status", "--porcelain"]).splitlines()
@@ -54,7 +54,7 @@ def export(repository: Path, folder: Path) -> Source:
 
 
 def build_packages(source: Source, out: Path, work: Path) -> None:
-    """Build wheel and sdist with the tools of their lock file, in an environment of its own."""
+    """Build wheel and sdist in a new environment with the tools of the lock file."""
     tools = work / "tools"
     venv.create(tools, with_pip=True)
     python = tools / ("Scripts" if sys.platform == "win32" else "bin") / "python"

@@ -1,4 +1,4 @@
-"""The list of sums and its signature: `ssh-keygen -Y sign`, with a key of a file or of an agent."""
+"""The list of checksums, signed by `ssh-keygen -Y sign` with a key from a file or an agent."""
 
 import hashlib
 from pathlib import Path
@@ -9,7 +9,7 @@ from release.verify import IDENTITY, NAMESPACE, SUMS, faults
 
 
 def check_key(key: Path) -> None:
-    """Refuse a key that is not there, before any work is done.
+    """Check that the key exists, before the build starts.
 
     Raises
     ------
@@ -20,12 +20,12 @@ def check_key(key: Path) -> None:
 
 
 def sign(folder: Path, key: Path, work: Path) -> str:
-    """Sign all files of a folder; return the line by which others allow the signer.
+    """Sign all files of a folder; return the allowed-signers line of the key.
 
     Raises
     ------
     ReleaseError
-        if the key cannot be used, or what was signed does not verify.
+        if the key cannot be used, or the signature does not verify.
     """
     lines = []
     for file in sorted(folder.iterdir()):
@@ -43,7 +43,7 @@ def sign(folder: Path, key: Path, work: Path) -> str:
 
 
 def _public(key: Path) -> str:
-    """Public half of a key: the file itself (an agent has the secret), beside it, or of it."""
+    """Return the public key: the file itself (the agent has the secret), its .pub, or derived."""
     beside = key.with_name(key.name + ".pub")
     for file in (key, beside):
         if file.suffix == ".pub" and file.is_file():

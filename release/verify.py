@@ -1,8 +1,8 @@
-"""Verify a release: ``python3 verify.py FOLDER ALLOWED_SIGNERS``; it needs ssh-keygen alone.
+"""Verify a release: ``python3 verify.py FOLDER ALLOWED_SIGNERS``; requires only ssh-keygen.
 
-The signature of SHA256SUMS is verified first, then every file is compared with the bytes that were
-verified. A file that is missing, changed, or not listed is an error, and so is anything else than
-plain files. Exit code 0: all is as it was signed; 1: it is not; 2: wrong use.
+The signature of SHA256SUMS is verified first, then every file is compared with the verified list. A
+missing, changed or unlisted file is an error, and so is anything except plain files. Exit code 0:
+all files match; 1: verification failed; 2: wrong usage.
 """
 
 import base64
@@ -20,11 +20,11 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([A-Za-z0-9][A-Za-z0-9._+-]*)")
 
 
 class Refused(Exception):  # noqa: N818 - it says what happened
-    """Nothing in the folder can be compared: its list is not there, not signed, or no list."""
+    """The list of checksums is missing, unsigned or malformed."""
 
 
 def faults(folder: Path, signers: Path) -> list[str]:
-    """What is wrong with a release, a line each; none if it is as it was signed."""
+    """Return the faults of a release, one line each; empty if all files match."""
     try:
         there = _plain_files(folder)
         listed = _listed(folder, _signed_sums(folder, there, signers))
@@ -40,7 +40,7 @@ def faults(folder: Path, signers: Path) -> list[str]:
 
 
 def _plain_files(folder: Path) -> dict[str, Path]:
-    """Files of the folder by name; a link or a folder among them could name anything."""
+    """Return the files of the folder by name; refuse links and folders."""
     try:
         there = {path.name: path for path in folder.iterdir()}
     except OSError as error:
@@ -52,7 +52,7 @@ def _plain_files(folder: Path) -> dict[str, Path]:
 
 
 def _signed_sums(folder: Path, there: dict[str, Path], signers: Path) -> bytes:
-    """The list of sums, as an allowed signer has signed it."""
+    """Return the list of checksums, signed by an allowed signer."""
     for needed in (SUMS, SIGNATURE):
         if needed not in there:
             raise Refused(f"{folder / needed}: no such file")
@@ -75,7 +75,7 @@ def _signed_sums(folder: Path, there: dict[str, Path], signers: Path) -> bytes:
 
 
 def _is_canonical(armoured: bytes) -> bool:
-    """Whether a signature is written in the only way: ssh-keygen passes over what it can."""
+    """Return whether a signature has its canonical form; ssh-keygen also accepts others."""
     first, *lines, last, end = armoured.split(b"\n") if armoured.count(b"\n") > 3 else [b""] * 4
     if (first, last, end) != (_BEGIN, _END, b""):
         return False
@@ -90,7 +90,7 @@ def _is_canonical(armoured: bytes) -> bool:
 
 
 def _listed(folder: Path, sums: bytes) -> dict[str, str]:
-    """Sum by file name; every line must be one, and no file may be named twice."""
+    """Return the checksum by file name; each line must be valid, each file unique."""
     lines = sums.decode("ascii", errors="replace").splitlines()
     matches = [_LINE.fullmatch(line) for line in lines]
     listed = {match[2]: match[1] for match in matches if match is not None}
@@ -105,7 +105,7 @@ def _sha256(file: Path) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Verify; print what is wrong, or what is right."""
+    """Verify a release; print the faults or the result."""
     if len(arguments) != 2 or not all(arguments):
         print("usage: verify.py FOLDER ALLOWED_SIGNERS", file=sys.stderr)  # noqa: T201
         return 2

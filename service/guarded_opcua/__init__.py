@@ -1,4 +1,4 @@
-"""An OPC UA server that holds up to experts and attackers, and knows nothing of valves."""
+"""A hardened OPC UA server; it is independent of the application that it serves."""
 
 from guarded_opcua.address_space.blocks import Block
 from guarded_opcua.address_space.declarations import (

@@ -1,4 +1,4 @@
-"""Who holds one of a bounded number of places: a fair share for each address. Pure."""
+"""Admission to a bounded number of places, shared fairly between addresses; it does no I/O."""
 
 import ipaddress
 from collections import Counter
@@ -9,31 +9,31 @@ Holder = TypeVar("Holder", bound=Hashable)
 
 
 class Monotonic(Protocol):
-    """A clock that never jumps."""
+    """A monotonic clock."""
 
     def monotonic(self) -> float:
-        """Seconds since some instant, never running back."""
+        """Return the monotonic time, s."""
 
 
 class Admission(Generic[Holder]):
-    """Admits holders of places; where all are taken, another holder gives way if it can.
+    """Admits holders of places; if all places are taken, it evicts another holder if possible.
 
-    The address that holds most gives way, with the holder of the lowest rank.
+    The evicted holder is the one of the lowest rank at the address with the most places.
 
     Parameters
     ----------
     clock
-        For the rate.
+        Clock of the admission rate.
     most, most_of_address
-        Places, and places of one address.
+        Number of places, in total and per address.
     per_second
-        Admissions of one address that are considered in one second.
+        Admission attempts of one address that are considered in one second.
     rank
-        Holders with the lowest rank give way first.
+        Returns a holder's rank; holders with the lowest rank are evicted first.
     staying
-        Holders that do not give way to a newcomer.
+        Returns the holders that a newcomer cannot evict.
     give_way
-        Called with the holder that loses its place.
+        Called with the evicted holder.
 
     Examples
     --------
@@ -77,11 +77,11 @@ class Admission(Generic[Holder]):
         return holder in self._holders
 
     def held_at(self, host: str) -> int:
-        """How many places the address of a host has."""
+        """Return the number of places that the address of a host holds."""
         return self._of_address[address_of(host)]
 
     def admit(self, newcomer: Holder, host: str) -> bool:
-        """Give a place to a newcomer from a host, if there is one or another gives way."""
+        """Return whether a newcomer from a host is admitted, evicting another holder if needed."""
         address = address_of(host)
         if not self._is_slow_enough(address):
             return False
@@ -96,7 +96,7 @@ class Admission(Generic[Holder]):
         return True
 
     def leave(self, holder: Holder) -> bool:
-        """Free the place of a holder; whether it had one."""
+        """Free the place of a holder; return whether it had one."""
         address = self._holders.pop(holder, None)
         if address is None:
             return False
@@ -129,7 +129,7 @@ class Admission(Generic[Holder]):
 
 
 def address_of(host: str) -> str:
-    """The address by which a host is counted: an IPv6 host can use all 2⁶⁴ of its network.
+    """Return the address by which a host is counted: the /64 network of an IPv6 host.
 
     >>> address_of("2001:db8::1") == address_of("2001:db8::ffff:2"), address_of("::ffff:10.0.0.1")
     (True, '10.0.0.1')

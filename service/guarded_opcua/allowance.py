@@ -1,10 +1,10 @@
-"""What somebody may still ask for: so much per second, saved up to a limit."""
+"""A token bucket: a rate per second with a bounded burst."""
 
 from guarded_opcua.clock import Clock
 
 
 class Allowance:
-    """An allowance that grows with time and is spent piece by piece.
+    """A token bucket with a refill rate of ``per_second`` and a capacity of ``most``.
 
     Examples
     --------
@@ -22,7 +22,7 @@ class Allowance:
         self._filled_at = clock.monotonic()
 
     def covers(self, cost: float) -> bool:
-        """Whether so much is left; if so it is spent."""
+        """Return whether the bucket covers the cost; if so, subtract it."""
         now = self._clock.monotonic()
         earned = (now - self._filled_at) * self._per_second
         self._left = min(self._most, self._left + earned)
@@ -33,5 +33,5 @@ class Allowance:
         return True
 
     def spend(self, cost: float) -> None:
-        """Take off what was already done, into debt if need be."""
+        """Subtract a cost that was already incurred; the balance may become negative."""
         self._left -= cost

@@ -1,7 +1,8 @@
-"""What users do, said twice: a line in the log, an event for security administrators.
+"""Audit of user actions: a line in the log and an event for security administrators.
 
-The events are those of Part 5, 6.4, on the Server object. They are made only while somebody
-listens, and so many a second at most: guessing and flooding must not cost the others anything.
+The events are those of Part 5, 6.4, on the Server object. They are created only while a client
+monitors them, and their rate is limited, so that password guessing and flooding do not slow down
+other clients.
 """
 
 import secrets
@@ -45,7 +46,7 @@ Fields = dict[str, ua.Variant]
 
 
 class Party(Protocol):
-    """The session of who acts."""
+    """The session of the acting user."""
 
     id: ua.NodeId
     application_uri: str
@@ -56,16 +57,16 @@ class Party(Protocol):
 
 @dataclass(frozen=True)
 class Actor:
-    """Who asked for something.
+    """The client that sent a request.
 
     Attributes
     ----------
     session
-        The session, if there is one.
+        The session, or None before one exists.
     host
         Address of the peer.
     entry
-        What the client calls the request in its own audit log.
+        AuditEntryId: the client's identifier of the request in its own audit log.
     """
 
     session: Party | None
@@ -74,23 +75,24 @@ class Actor:
 
     @property
     def user(self) -> Principal | None:
-        """Who is logged in."""
+        """The user of the session, None without one."""
         return self.session.principal if self.session is not None else None
 
 
 class Audit:
-    """Logs what users do, and makes events of it for security administrators.
+    """Logs user actions and emits audit events for security administrators.
 
     Parameters
     ----------
     application_uri
-        Which server it is.
+        ApplicationUri of the server.
     subscriptions
-        Where those are who listen.
+        The subscriptions of the server, which hold the event items.
     clock
-        Time of the events.
+        Clock of the event timestamps.
     per_second
-        So many events at most; what is left out is counted, and said in the next one.
+        Maximum event rate, 1/s; suppressed events are counted, and the next event reports the
+        count.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class Audit:
 
     @property
     def is_heard(self) -> bool:
-        """Whether somebody listens to the events."""
+        """Whether a security administrator monitors the events."""
         return self._subscriptions.events.has_audience((_SERVER,), Role.SECURITY_ADMIN)
 
     def certificate_refused(self, host: str, der: bytes, code: int, sentence: str) -> None:
@@ -134,14 +136,14 @@ class Audit:
         self._report(kind, "SecureChannel/OpenSecureChannel", actor, _Codes.Good, said, fields)
 
     def cancelled(self, actor: Actor, handle: int) -> None:
-        """Report that a client cancelled requests of its own."""
+        """Report that a client cancelled its requests."""
         said = f"cancel by {actor.user} at {actor.host}"
         fields = {"RequestHandle": ua.Variant(handle, _Types.UInt32)}
         kind = _Ids.AuditCancelEventType
         self._report(kind, "Session/Cancel", actor, _Codes.Good, said, fields)
 
     def session_refused(self, actor: Actor, code: int, token: object = None) -> None:
-        """Report that a session was not made, or nobody let in."""
+        """Report that CreateSession or ActivateSession was refused."""
         reason = ua.StatusCode(code).name
         _log.warning("session refused at %s: %s", actor.host, reason)
         said = f"session refused at {actor.host}: {reason}"
@@ -155,7 +157,7 @@ class Audit:
         self._report(kind, source, actor, code, said, _token(token))
 
     def session_created(self, actor: Actor, channel: int) -> None:
-        """Report that a session was made."""
+        """Report that a session was created."""
         session = actor.session
         if session is None:
             return
@@ -174,7 +176,7 @@ class Audit:
         self._report(kind, "Session/CreateSession", actor, _Codes.Good, said, fields)
 
     def session_activated(self, actor: Actor, channel: int, token: object) -> None:
-        """Report that somebody logged in."""
+        """Report that a user logged in."""
         _log.info("session activated by %s at %s", actor.user, actor.host)
         fields = {"SecureChannelId": ua.Variant(str(channel), _Types.String), **_token(token)}
         said = f"session activated by {actor.user} at {actor.host}"
@@ -190,7 +192,7 @@ class Audit:
         self._report(_Ids.AuditSessionEventType, source, actor, _Codes.Good, said, {})
 
     def written(self, actor: Actor, item: ua.WriteValue, before: ua.DataValue, code: int) -> None:
-        """Report a write, whether it was taken or refused."""
+        """Report a write, accepted or refused."""
         said = self._said("write", item.NodeId, actor, code)
         if not self.is_heard:
             return
@@ -204,7 +206,7 @@ class Audit:
         self._report(kind, source, actor, code, said, fields, item.NodeId)
 
     def called(self, actor: Actor, request: ua.CallMethodRequest, code: int) -> None:
-        """Report a call, whether it was done or refused."""
+        """Report a method call, executed or refused."""
         said = self._said("call", request.MethodId, actor, code)
         if not self.is_heard:
             return
@@ -267,12 +269,12 @@ class Audit:
 
 
 def shown(text: str | None) -> str:
-    """Return what a peer says of itself in a form that is safe to log."""
+    """Return a peer's own text, escaped and truncated, so that it is safe to log."""
     return ascii((text or "")[:120])[1:-1]
 
 
 def _token(token: object) -> Fields:
-    """Who wanted to log in, never with what password."""
+    """Return the user name of an identity token, never its password."""
     if isinstance(token, ua.UserNameIdentityToken):
         name = (token.UserName or "")[:_MAX_TEXT]
         safe: Any = ua.UserNameIdentityToken("username", name, None, None)
@@ -287,7 +289,7 @@ def _token(token: object) -> Fields:
 
 
 def _bounded(value: ua.Variant) -> ua.Variant:
-    """Return a value, or nothing where it is too large to keep in queues."""
+    """Return a value, or a null Variant if it is too large to queue."""
     try:
         return value if len(encode_variant(value)) <= _MAX_FIELD_BYTES else ua.Variant()
     except Exception:  # noqa: BLE001 - what a peer sent may not even be encoded again

@@ -1,4 +1,4 @@
-"""Who acts right now: methods and writes may ask, without being handed a session."""
+"""The user of the current write or method call, as a context variable."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,13 +8,13 @@ _name: ContextVar[str] = ContextVar("caller", default="")
 
 
 def caller() -> str:
-    """Name of the user whose write or call is being carried out; empty outside of one."""
+    """Return the name of the user whose write or call is executed; empty outside of one."""
     return _name.get()
 
 
 @contextmanager
 def acting_for(name: str) -> Iterator[None]:
-    """Carry out what a user asked for.
+    """Set the user for the duration of a write or call.
 
     >>> with acting_for("operator"):
     ...     caller()

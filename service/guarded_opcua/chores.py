@@ -1,18 +1,18 @@
-"""Work that nobody waits for, done a little at a time."""
+"""Background work in short slices on the event loop."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
 
 from guarded_opcua.clock import Clock
 
-_SLICE_S = 0.002  # processor time at a stretch: nobody's request waits longer for it
-_PAUSE_S = 0.004  # between two stretches: at most a third of the processor goes into chores
+_SLICE_S = 0.002  # s of processor time; bounds the delay of requests
+_PAUSE_S = 0.004  # s between two slices; background work uses at most a third of the processor
 
 Charge = Callable[[float], None]
 
 
 class Chores:
-    """Does long work in slices, and charges each to whom it serves.
+    """Runs long work in slices and charges each slice to the connection that it serves.
 
     Examples
     --------
@@ -39,12 +39,12 @@ class Chores:
         self._under_way = False
 
     def add(self, steps: Iterator[None], charge: Charge) -> None:
-        """Do the steps of an iterator, soon; ``charge`` is called with what they cost, s."""
+        """Schedule the steps of an iterator; ``charge`` is called with their processor time, s."""
         self._waiting.append((steps, charge))
         self._wake(0.0)
 
     def finish(self) -> None:
-        """Do now all that is left."""
+        """Run all remaining steps now."""
         while self._waiting:
             steps, _ = self._waiting.popleft()
             deque(steps, maxlen=0)
@@ -58,7 +58,7 @@ class Chores:
         try:
             self._work()
         finally:
-            self._under_way = False  # not before: what a step adds waits for the pause, too
+            self._under_way = False  # last, so that work added by a step waits for the pause too
             self._wake(_PAUSE_S)
 
     def _work(self) -> None:

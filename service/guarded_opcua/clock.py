@@ -1,4 +1,4 @@
-"""The only place of the server that reads a clock or sets a timer; tests turn one by hand."""
+"""The only module of the server that reads a clock or sets a timer; tests inject a manual clock."""
 
 import asyncio
 import heapq
@@ -9,58 +9,58 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """What was set for later."""
+    """A scheduled callback."""
 
     def cancel(self) -> None:
-        """Let it not happen; safe if it has happened."""
+        """Cancel the callback; no effect if it has run."""
 
 
 class Clock(Protocol):
-    """Reads the time of day, a time that never jumps, and what the processor has done."""
+    """Reads the time of day, the monotonic time and the processor time; sets timers."""
 
     def now(self) -> int:
-        """UTC in ns since 1970."""
+        """Return UTC in ns since 1970."""
 
     def monotonic(self) -> float:
-        """Seconds since some instant, never running back."""
+        """Return the monotonic time, s."""
 
     def processor(self) -> float:
-        """Processor time that this thread has used, s."""
+        """Return the processor time that this thread has used, s."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call back once :meth:`monotonic` is ``when``; at once if that is over."""
+        """Call back once :meth:`monotonic` reaches ``when``; immediately if it is in the past."""
 
     async def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for that time, s."""
 
 
 class SystemClock:
     """The machine's clock, and the timers of the running event loop."""
 
     def now(self) -> int:
-        """UTC in ns since 1970."""
+        """Return UTC in ns since 1970."""
         return time.time_ns()
 
     def monotonic(self) -> float:
-        """Seconds since some instant, never running back."""
+        """Return the monotonic time, s."""
         return time.monotonic()
 
     def processor(self) -> float:
-        """Processor time that this thread has used, s."""
+        """Return the processor time that this thread has used, s."""
         return time.thread_time()
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call back once :meth:`monotonic` is ``when``; at once if that is over."""
+        """Call back once :meth:`monotonic` reaches ``when``; immediately if it is in the past."""
         loop = asyncio.get_running_loop()
         return loop.call_later(when - time.monotonic(), callback)
 
     async def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for that time, s."""
         await asyncio.sleep(seconds)
 
 
 class ManualClock:
-    """A clock that a test turns by hand; timers that are due run while it is turned.
+    """A clock that tests advance; timers that become due run during the advance.
 
     >>> clock = ManualClock(start=1_000_000_000)
     >>> _ = clock.call_at(1.0, lambda: print("at", clock.monotonic()))
@@ -78,7 +78,7 @@ class ManualClock:
         self._timers: list[tuple[float, int, _ManualTimer]] = []
 
     def advance(self, seconds: float) -> None:
-        """Turn the clock forward."""
+        """Advance the clock, and run the timers that become due."""
         end = self._elapsed + seconds
         while self._timers and self._timers[0][0] <= end:
             when, _, timer = heapq.heappop(self._timers)
@@ -87,30 +87,30 @@ class ManualClock:
         self._elapsed = end
 
     def work(self, seconds: float) -> None:
-        """Turn the clock forward as if the processor had worked all that time."""
+        """Advance the clock and the processor time together."""
         self._work += seconds
         self.advance(seconds)
 
     def now(self) -> int:
-        """UTC in ns since 1970."""
+        """Return UTC in ns since 1970."""
         return self._start + round(self._elapsed * 1e9)
 
     def monotonic(self) -> float:
-        """Seconds since the clock was made."""
+        """Return the time since the clock was created, s."""
         return self._elapsed
 
     def processor(self) -> float:
-        """Seconds that were worked."""
+        """Return the simulated processor time, s."""
         return self._work
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call back while the clock is turned past ``when``."""
+        """Call back when the clock is advanced past ``when``."""
         timer = _ManualTimer(callback)
         heapq.heappush(self._timers, (when, next(self._order), timer))
         return timer
 
     async def sleep(self, seconds: float) -> None:
-        """Wait until the clock has been turned so far."""
+        """Wait until the clock has been advanced by that time, s."""
         over = asyncio.Event()
         timer = self.call_at(self._elapsed + seconds, over.set)
         try:

@@ -1,4 +1,4 @@
-"""Everything that the guarded server raises for a user to read.
+"""All exceptions with a message for the user.
 
 ::
 
@@ -6,13 +6,13 @@
     ├── ConfigurationError        a setting, file or argument is wrong
     ├── StorageError              a file cannot be written
     ├── CertificateError          a certificate or key is missing, expired or not trusted
-    ├── ServerError               the server cannot run (port in use, address not ours)
-    └── CommandRejected           what a client asks for cannot be carried out
+    ├── ServerError               the server cannot run (port in use, address not local)
+    └── CommandRejected           a client's command cannot be executed
 """
 
 
 class HardenedError(Exception):
-    """A sentence for the user: it names file, field, node or value and what is allowed."""
+    """A message for the user with the file, field, node or value and the allowed values."""
 
 
 class ConfigurationError(HardenedError):
@@ -31,5 +31,5 @@ class ServerError(HardenedError):
     """The server cannot run."""
 
 
-class CommandRejected(HardenedError):  # noqa: N818 - it says what happened, not what broke
-    """A write or a call cannot be carried out; all is as it was."""
+class CommandRejected(HardenedError):  # noqa: N818 - named after the event, not the fault
+    """A write or a call was rejected; nothing has changed."""

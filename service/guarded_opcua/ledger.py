@@ -1,13 +1,13 @@
-"""What all queues of notifications hold and lose, and whose room it is."""
+"""Counters and shared capacity of all notification queues."""
 
 from dataclasses import dataclass
 
 
 @dataclass
 class Ledger:
-    """What all queues hold and have lost, and among how many sessions the room is shared.
+    """Notifications queued and lost in all queues, and the number of sessions sharing the capacity.
 
-    ``moment`` counts changes, so that what changed first is published first.
+    ``moment`` numbers the changes; notifications are published in this order.
     """
 
     capacity: int
@@ -18,10 +18,11 @@ class Ledger:
 
 
 class Holding:
-    """What the queues of one session hold.
+    """The notifications in the queues of one session.
 
-    While there is room, anybody may queue; once there is none, only who holds less than his share
-    of it, so that a greedy session loses its own notifications and nobody else's.
+    While the shared capacity is not exhausted, every session may queue. Once it is, only sessions
+    below their equal share may, so that a session with large queues loses only its own
+    notifications.
     """
 
     def __init__(self, ledger: Ledger) -> None:
@@ -34,7 +35,7 @@ class Holding:
         return self._ledger.moment
 
     def next_moment(self) -> int:
-        """Begin with what is reported without a change, and return its number."""
+        """Return a new moment, for values that are reported without a change."""
         self._ledger.moment += 1
         return self._ledger.moment
 
@@ -49,10 +50,10 @@ class Holding:
         return max(ledger.capacity - ledger.queued, share - self.queued)
 
     def add(self, count: int) -> None:
-        """Count what was queued, or taken out."""
+        """Add to the number of queued notifications; negative when they are removed."""
         self.queued += count
         self._ledger.queued += count
 
     def lose(self, count: int) -> None:
-        """Count what was discarded."""
+        """Add to the number of lost notifications."""
         self._ledger.lost += count

@@ -1,4 +1,4 @@
-"""What starts and stops, used with ``async with``."""
+"""Start and stop, and their use with ``async with``."""
 
 from abc import ABC, abstractmethod
 from types import TracebackType

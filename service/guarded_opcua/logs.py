@@ -1,11 +1,11 @@
-"""Logs that peers can neither flood nor forge: so many lines of a kind, each of them one line."""
+"""Loggers that peers can neither flood nor forge: rate-limited and escaped to one line a record."""
 
 import logging
 import traceback
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-AUDIT = "opcua.audit"  # name of the logger of what users do
+AUDIT = "opcua.audit"  # name of the logger of user actions
 WINDOW_S = 10.0
 IS_ESCAPED = "is_escaped"  # attribute of a record that formatters need not escape again
 _LINES, _AUDIT_LINES = 10, 200
@@ -28,9 +28,10 @@ class _Kind:
 
 
 class Bounded(logging.Filter):
-    """Lets ``lines`` records of one message pass per window; says how many it left out.
+    """Passes ``lines`` records of one message per window; reports the number suppressed.
 
-    What passes is escaped, whoever formats it: a peer's words may hold line breaks.
+    Records that pass are escaped, whatever formatter is used, since text from a peer may contain
+    line breaks.
 
     >>> quiet = Bounded(lines=2)
     >>> [quiet.filter(logging.makeLogRecord({"msg": "refused %s"})) for _ in range(4)]
@@ -78,12 +79,12 @@ def bounded_logger(name: str) -> logging.Logger:
 
 
 def audit_logger() -> logging.Logger:
-    """Return the logger of what users do: sessions, writes, calls, refusals."""
+    """Return the logger of user actions: sessions, writes, calls, refusals."""
     return _bound(AUDIT, _AUDIT_LINES)
 
 
 def bound_asyncua() -> None:
-    """Bound what asyncua says in this task, which serves a peer, and in no other."""
+    """Rate-limit asyncua's log records in this task, which serves a peer, and in no other."""
     _serves_a_peer.set(True)
     for name in _OF_ASYNCUA:
         logger = logging.getLogger(name)
@@ -92,7 +93,7 @@ def bound_asyncua() -> None:
 
 
 class _WhileServing(Bounded):
-    """Bounded in tasks that serve a peer: others in the process lose no line of asyncua's."""
+    """Rate-limits only tasks that serve a peer; other tasks keep all of asyncua's records."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         return not _serves_a_peer.get() or super().filter(record)
@@ -105,7 +106,7 @@ def _escape(record: logging.LogRecord) -> None:
     record.msg, record.args = escaped(record.getMessage()), None
     setattr(record, IS_ESCAPED, True)
     if record.exc_info and record.exc_info[0] is not None:
-        # indented, so that no line of it looks like one of the log
+        # indented, so that no line of the traceback looks like a log record
         lines = "".join(traceback.format_exception(*record.exc_info)).splitlines()
         record.msg = "\n".join([record.msg, *(f"    {escaped(line)}" for line in lines)])
         record.exc_info = record.exc_text = None

@@ -1,4 +1,4 @@
-"""The guarded server: identity, endpoints, values; it is independent of its application."""
+"""The hardened server: identity, endpoints, values; it is independent of its application."""
 
 import asyncio
 import dataclasses
@@ -74,7 +74,7 @@ Update = tuple[Variable, Value, int, int]
 
 @dataclasses.dataclass(frozen=True)
 class ServerCounters:
-    """What a server holds now, and what it has seen since its start."""
+    """Current sizes of a server, and its totals since the start."""
 
     sessions: int
     subscriptions: int
@@ -87,9 +87,9 @@ class ServerCounters:
 
 
 class HardenedServer(Startable):
-    """An OPC UA server with our guard, PKI and users.
+    """An OPC UA server with limits, PKI and users.
 
-    Make it with :meth:`create`, add nodes, then ``async with`` it or call :meth:`start` and
+    Create it with :meth:`create`, add nodes, then use ``async with`` or call :meth:`start` and
     :meth:`stop`.
 
     Attributes
@@ -109,7 +109,7 @@ class HardenedServer(Startable):
         self._variables: dict[ua.NodeId, Variable] = {}
         self._methods: dict[ua.NodeId, Method] = {}
         self._port: int | None = None
-        self._made_at: int | None = None  # while nodes are made later than they were added
+        self._made_at: int | None = None  # when the lazy folder being populated was added
         limits, aspace = settings.limits, self._inside.aspace
         self._subscriptions = Subscriptions(aspace, limits, self._clock)
         self._inside.hand_events_to(self._trigger_event_of_asyncua)
@@ -157,12 +157,12 @@ class HardenedServer(Startable):
 
     @classmethod
     async def create(cls, settings: ServerSettings, clock: Clock | None = None) -> Self:
-        """Make a server with its standard nodes; it does not listen yet.
+        """Create a server with its standard nodes; it does not listen yet.
 
         Raises
         ------
         ConfigurationError
-            if the settings contradict each other.
+            if the settings are inconsistent.
         """
         _check(settings)
         server = cls(settings, clock)
@@ -180,7 +180,7 @@ class HardenedServer(Startable):
 
     @property
     def session(self) -> InternalSession:
-        """The server's own session, which may do everything."""
+        """The server's internal session, which has all permissions."""
         return self._inside.isession
 
     @property
@@ -190,14 +190,14 @@ class HardenedServer(Startable):
 
     @property
     def url(self) -> str:
-        """Where the server listens; with port 0 known once it is started."""
+        """Endpoint URL of the server; with port 0, the port is known after the start."""
         parsed = urlparse(self.settings.url)
         port = parsed.port if self._port is None else self._port
         return parsed._replace(netloc=f"{_bracketed(parsed.hostname or '')}:{port}").geturl()
 
     @property
     def counters(self) -> ServerCounters:
-        """What the server has seen so far."""
+        """The current counters."""
         return ServerCounters(
             sessions=len(self._sessions),
             subscriptions=len(self._subscriptions.by_number),
@@ -214,14 +214,14 @@ class HardenedServer(Startable):
         return int(await self.ua.register_namespace(uri))
 
     async def add_node_set(self, text: str) -> None:
-        """Add the nodes of a UANodeSet, of namespaces that are not the server's own.
+        """Add the nodes of a UANodeSet, in namespaces other than the server's, before the start.
 
-        What they need of others must be there. Before the start.
+        The nodes that the set refers to must exist.
 
         Raises
         ------
         ServerError
-            if it cannot be understood.
+            if the node set cannot be parsed or imported.
         """
         try:
             await import_node_set(self.ua, self._inside.aspace, text)
@@ -229,26 +229,26 @@ class HardenedServer(Startable):
             raise ServerError(f"a UANodeSet cannot be imported: {error}") from error
 
     def refer(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
-        """Have a node refer to another: browsers find it there, too.
+        """Add a forward reference from a node to another.
 
-        The target says so as well once :meth:`refer_back` was called, which a folder that is
-        filled later need not hear before it is.
+        The target gets the inverse reference from :meth:`refer_back`; for a lazy folder, call that
+        when the folder is populated.
         """
         refer(self._inside.aspace, source, ua.NodeId(kind), target)
 
     def refer_back(self, source: ua.NodeId, kind: int, target: ua.NodeId) -> None:
-        """Say of a node that another refers to it."""
+        """Add the inverse reference from a node to another that refers to it."""
         refer_back(self._inside.aspace, source, ua.NodeId(kind), target)
 
     def utc(self) -> dt.datetime:
-        """Time of day."""
+        """Return the time of day, or the time of addition while a lazy folder is populated."""
         return instant(self._added_at())
 
     def add_later(self, folder: ua.NodeId, add: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Add what is below a folder when somebody first looks there.
+        """Populate a folder lazily, when a client first accesses a node below it.
 
-        A client sees no difference. Of a thousand folders alike, few are ever looked at: they
-        cost neither time at the start nor memory.
+        Clients see no difference. Of a thousand similar folders few are ever accessed; the others
+        cost neither start-up time nor memory.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class HardenedServer(Startable):
             An object without children. The identifiers of all nodes below it begin with its own
             and a dot, and those of no other node.
         add
-            Adds them; it must not wait. It may have folders among them filled later still.
+            Adds the nodes; it must not suspend. It may add further lazy folders.
         """
         added_at = self._added_at()
 
@@ -271,18 +271,18 @@ class HardenedServer(Startable):
         make_later(self._inside.aspace, folder, make)
 
     def register_variable(self, variable: Variable, value: Value) -> None:
-        """Take a variable into care (called by ``add_variable``)."""
+        """Register a variable and publish its first value (called by ``add_variable``)."""
         self._variables[variable.id] = variable
         waiting = ua.StatusCodes.BadWaitingForInitialData
         code = waiting if value is None else ua.StatusCodes.Good
         self.write([(variable, value, code, self._added_at())])
 
     def register_method(self, method: Method) -> None:
-        """Take a method into care (called by ``add_method``)."""
+        """Register a method (called by ``add_method``)."""
         self._methods[method.id] = method
 
     def write(self, updates: Iterable[Update]) -> None:
-        """Publish values: in order, all before the event loop goes on.
+        """Publish values in order, without yielding to the event loop.
 
         Parameters
         ----------
@@ -304,19 +304,19 @@ class HardenedServer(Startable):
             self._write_data_value(variable.id, data)
 
     def add_block(self, variables: Sequence[Variable], length: int | None = None) -> Block:
-        """Keep variables of one type as arrays, to be written by :meth:`write_block`.
+        """Store variables of one type as arrays, to be written by :meth:`write_block`.
 
         Parameters
         ----------
         variables
-            What changes together; each belongs to one block at most.
+            Variables that change together; each belongs to at most one block.
         length
             Length of the variables' values if they are arrays.
 
         Raises
         ------
         ServerError
-            if the variables are not of one type, or no numbers.
+            if the variables differ in type or are not numeric.
         """
         if not variables:
             raise ServerError("a block needs variables")
@@ -329,20 +329,20 @@ class HardenedServer(Startable):
         return block
 
     def add_empty_block(self, type_: ua.VariantType, length: int | None, n: int) -> Block:
-        """Keep n values of one type as arrays, whether there are variables that show them or not.
+        """Store n values of one type as arrays; variables are attached later by :meth:`show`.
 
-        They wait for their first values; :meth:`show` is for those who want to see them.
+        Until the first write their status is BadWaitingForInitialData.
         """
         ledger = self._subscriptions.ledger
         return Block(type_, n, length, ledger, self._clock.now())
 
     def show(self, variable: Variable, block: Block, column: int) -> None:
-        """Let a variable show one column of a block from now on.
+        """Attach a variable to one column of a block.
 
         Raises
         ------
         ServerError
-            if it is of another type.
+            if the variable's type differs from the block's.
         """
         block.show(column, variable, self._value(variable))
         self._subscriptions.blocks[variable.id] = block, column
@@ -356,7 +356,7 @@ class HardenedServer(Startable):
         present: ArrayLike | None = None,
         columns: ArrayLike | None = None,
     ) -> None:
-        """Publish k successive samples of a block, as :meth:`write` would one by one.
+        """Publish k successive samples of a block; equivalent to k calls of :meth:`write`.
 
         Parameters
         ----------
@@ -369,14 +369,14 @@ class HardenedServer(Startable):
         codes
             StatusCodes, one for all or of shape (k, n). A Bad one drops the value.
         present
-            Shape (k, n), False where there is no sample; None: all are there.
+            Shape (k, n), False where there is no sample; None: all True.
         columns
-            The n columns that are written, each once, in any order; None: all that there are.
+            The n columns that are written, each once, in any order; None: all columns.
         """
         block.take(block.batch(values, source_times, codes, present, self._clock.now(), columns))
 
     def remove(self, folders: Collection[ua.NodeId], referrers: Collection[ua.NodeId]) -> None:
-        """Take folders away and all below them; who monitors that hears BadNodeIdUnknown.
+        """Remove folders and all nodes below; their monitored items report BadNodeIdUnknown.
 
         Parameters
         ----------
@@ -400,15 +400,15 @@ class HardenedServer(Startable):
         self._conditions.nodes.forget(removed)
 
     def add_history(self, variables: Sequence[Variable], historian: Historian) -> None:
-        """Let clients read what variables have been; who keeps it is asked with each request.
+        """Offer HistoryRead of variables; the historian is queried with each request.
 
-        Called before the start, if only for no variables yet, it has the server announce that it
-        has histories.
+        Call it before the start, even with no variables yet, so that the server announces
+        HistoryRead in its capabilities.
 
         Raises
         ------
         ServerError
-            if a variable is no scalar number.
+            if a variable is not a scalar number.
         """
         self._has_history = True
         for variable in variables:
@@ -425,16 +425,16 @@ class HardenedServer(Startable):
     def add_event_history(
         self, sources: Iterable[ua.NodeId], historian: EventHistorian, fields: Iterable[str]
     ) -> None:
-        """Let clients read what objects have reported; called before the start.
+        """Offer HistoryRead of the events of objects; call it before the start.
 
         Parameters
         ----------
         sources
             The objects; all share the property HistoricalEventFilter (Part 11, 5.3.2).
         historian
-            Keeps it.
+            Stores the events.
         fields
-            What is kept of an event, by browse path; the first call says it for all.
+            Browse paths of the event fields that are stored; the first call sets them for all.
         """
         aspace = self._inside.aspace
         filter_ = aspace[ua.NodeId(ua.ObjectIds.HistoricalEventFilter)]
@@ -456,25 +456,25 @@ class HardenedServer(Startable):
         self._conditions.keeper = keeper
 
     def report(self, condition: Condition) -> None:
-        """Say once that a condition has changed; who does not listen hears it with a refresh."""
+        """Emit one event for a changed condition; ConditionRefresh returns its state later."""
         self._conditions.report(condition)
 
     def say(self, event: Event, for_s: float) -> None:
-        """Hand an event to all who listen, and for so long to all who begin to: once to each item.
+        """Emit an event now, and once to each event item that is created within ``for_s``.
 
-        It is for those who lost their sessions by what happened, and come back.
+        Clients that lost their sessions by what happened get the event after they reconnect.
         """
         self._subscriptions.events.stand(event, for_s)
 
     def add_condition(self, folder: ua.NodeId, condition: Callable[[], Condition]) -> None:
-        """Show a condition as what is below an object, from when somebody first looks there.
+        """Expose a condition as nodes below an object, created on first access.
 
         Parameters
         ----------
         folder
             The condition's own object, of the condition's type, without children.
         condition
-            Says how it stands then.
+            Returns the state of the condition at that time.
         """
         added_at = self._added_at()
 
@@ -484,15 +484,15 @@ class HardenedServer(Startable):
         self.add_later(folder, make)
 
     def let_emit(self, source: ua.NodeId, notifier: ua.NodeId | None = None) -> None:
-        """Let clients listen to the events of an object.
+        """Let clients subscribe to the events of an object.
 
         Parameters
         ----------
         source
             The object.
         notifier
-            What is to refer to it by HasNotifier; None: nothing, since that reference is one of
-            those that browsers follow, and would show the object a second time.
+            Object that gets a HasNotifier reference to the source; None: no object. The reference
+            is hierarchical, so browsers show the source below the notifier, too.
         """
         aspace = self._inside.aspace
         own = aspace[source]
@@ -504,7 +504,7 @@ class HardenedServer(Startable):
         own.attributes[ua.AttributeIds.EventNotifier].value = emits
 
     def refer_to_conditions(self, source: ua.NodeId, conditions: Iterable[ConditionKey]) -> None:
-        """Say which conditions an object has, whether they have nodes yet or not."""
+        """Add references from an object to its conditions, whose nodes need not exist yet."""
         self._inside.aspace[source].references.extend(references_to(conditions))
 
     def mark(self, variable: Variable, code: int) -> None:
@@ -517,27 +517,27 @@ class HardenedServer(Startable):
         self._write_data_value(variable.id, data)
 
     def mark_block(self, block: Block, code: int, columns: NDArray[np.intp] | None = None) -> None:
-        """Change the status of a block's values, of some columns or of all; the rest stays."""
+        """Change the status of a block's values, in the given columns or all; keep the rest."""
         block.take(block.marked(code, self._clock.now(), columns))
 
     def write_property(self, id_: ua.NodeId, value: ua.Variant) -> None:
-        """Publish a property of the server's own."""
+        """Publish a property of the server."""
         now = instant(self._clock.now())
         self._write_data_value(id_, ua.DataValue(value, ua.StatusCode(), now, now))
 
     def set_service_level(self, level: int) -> None:
-        """Say how well the server can serve: 255 best, 0 not at all."""
+        """Set the ServiceLevel: 255 healthy, 0 out of service."""
         self._announcements.set_service_level(level)
 
     async def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises
         ------
         ServerError
-            if the address is in use or not ours: names the endpoint.
+            if the address is in use or not local; the message names the endpoint.
         CertificateError
-            if certificate or key cannot be had.
+            if the certificate or key cannot be loaded or created.
         """
         settings = self.settings
         certificate, key = await asyncio.to_thread(_certificate, settings)
@@ -651,7 +651,7 @@ def _check(settings: ServerSettings) -> None:
 def _certificate(settings: ServerSettings) -> tuple[x509.Certificate, rsa.RSAPrivateKey]:
     names = settings.host_names or ("localhost", "127.0.0.1")
     uri, name = settings.application_uri, settings.application_name
-    if settings.pki is None:  # only to encrypt passwords on the way to the demo's open endpoint
+    if settings.pki is None:  # only encrypts passwords sent to the demo's unsecured endpoint
         key = rsa.generate_private_key(public_exponent=65537, key_size=KEY_BITS)
         return make_certificate(key, uri, names, name), key
     file_name = "".join(c if c.isalnum() else "-" for c in name)

@@ -1,4 +1,4 @@
-"""Identity, endpoints and limits of a guarded server."""
+"""Identity, endpoints and limits of a hardened server."""
 
 import datetime as dt
 from dataclasses import dataclass, field
@@ -10,66 +10,67 @@ from guarded_opcua.security.users import UserStore
 
 @dataclass(frozen=True)
 class Limits:
-    """What peers may cost; announced where OPC UA has a node for it.
+    """Resource limits of peers; announced where OPC UA defines a node for them.
 
     Attributes
     ----------
     reserved_share
-        Share of sessions, subscriptions, monitored items, and items of one node, that is kept for
-        users with the role Operator or above.
+        Share of sessions, subscriptions, monitored items, and items of one node, that is reserved
+        for users with the role Operator or above.
     connections, connections_per_host, connections_per_second
-        TCP connections, those without a session included; the last one by host.
+        TCP connections, with or without a session; the last one is per host.
     sessions, sessions_per_host
-        Sessions, logged in or not; where there are too many, an unused one gives way.
+        Sessions, activated or not; at the limit, an unused one is closed for a new one.
     handshake_seconds, handshake_bytes, handshake_messages
-        From connecting to being logged in.
+        Limits from connecting until ActivateSession.
     message_bytes, chunks, chunk_bytes
-        Size of one request, how many chunks it may come in, and the largest of them.
+        Size of one request, number of its chunks, size of one chunk.
     elements, array_length, string_bytes, nesting
-        What one request may hold: elements that are decoded one by one, numbers in one array,
-        bytes in one string, depth.
+        Content of one request: elements that are decoded one by one, numbers in one array, bytes in
+        one string, nesting depth.
     response_bytes
         Largest response.
     unsent_bytes_per_connection, unsent_bytes, slow_reader_seconds
-        What may wait for a peer to read it: more, and the peer is answered no more; for longer,
-        or more in all, and it is disconnected.
+        Bytes in the send buffers. Above the limit per connection, the server stops answering the
+        peer. A peer is disconnected if this lasts longer than ``slow_reader_seconds`` or if the
+        total is exceeded.
     requests_per_second, request_burst
-        Steady rate and burst of requests of one connection; faster ones wait. Each 16 KiB of
-        request or response count as one more. A rate that could not follow the shortest
-        publishing interval is raised, see ``allowed_requests_per_second``.
+        Steady rate and burst of requests of one connection; requests beyond them are delayed. Each
+        16 KiB of request or response add one request. A rate too low for the shortest publishing
+        interval is raised, see ``allowed_requests_per_second``.
     turn_s
-        After so long a request lets others go first, s.
+        Processor time after which a request yields to other connections, s.
     operations, method_calls, history_reads
         Operations (nodes, items) of one request; methods, and histories, of one request.
     history_values, history_continuation_points
-        Values of all histories in one response; histories of one session that are read in part.
+        Values of all histories in one response; continuation points of HistoryRead per session.
     references_per_node, continuation_points
-        References that one Browse answers at once; continuation points of one session.
+        References of one Browse result; continuation points of Browse per session.
     subscriptions, subscriptions_per_session
         Subscriptions.
     monitored_items, monitored_items_per_subscription
         Monitored items.
     event_items
-        Monitored items that monitor events: each costs with every event of its object.
+        Event items: each costs processor time with every event of its object.
     links_per_subscription
-        Links by which items of a subscription trigger others: each costs with every message.
+        Triggering links of a subscription: each costs processor time with every message.
     monitored_items_per_node, monitored_items_per_node_and_session
-        Monitored items on one node: each costs with every change of it.
+        Monitored items on one node: each costs processor time with every change.
     queue_size, event_queue_size, queued_notifications
         Largest queue of one monitored item; notifications in all queues together.
     notifications_per_publish
         Most notifications in one publish response.
     unacknowledged_messages, unacknowledged_bytes
-        Messages of one subscription, and bytes of all, that are kept for Republish.
+        Messages of one subscription, and bytes of all subscriptions, kept for Republish.
     publish_requests
-        Publish requests of one session that may wait.
+        Queued publish requests of one session.
     publishing_interval_ms, longest_publishing_interval_ms
-        Shortest and longest publishing interval, ms. A sampling interval that is shorter means
-        every change.
+        Shortest and longest publishing interval, ms. A shorter sampling interval is revised to 0:
+        every change is reported.
     keep_alive_count, lifetime_count, longest_lifetime_s
         Largest revised counts of a subscription, and longest time without publish requests.
     audit_events_per_second
-        Audit events that security administrators hear of; a burst may be five times that.
+        Rate of audit events, 1/s; a burst may have five times as many.
     session_timeout_ms, shortest_session_timeout_ms
         Longest and shortest session time-out, ms.
     """
@@ -130,13 +131,13 @@ class Limits:
 
     @property
     def allowed_requests_per_second(self) -> float:
-        """Rate at which a client can ask for every publishing of some subscriptions."""
+        """Request rate, raised to serve publish requests at the shortest publishing interval."""
         return max(self.requests_per_second, 4_000.0 / self.publishing_interval_ms)
 
 
 @dataclass(frozen=True)
 class Product:
-    """What a server says of the software that it is."""
+    """Software identity in the server's BuildInfo."""
 
     uri: str = ""
     manufacturer: str = ""
@@ -150,36 +151,35 @@ class ServerSettings:
     Attributes
     ----------
     url
-        Where to listen, e.g. ``opc.tcp://0.0.0.0:4840/plant/``; port 0 takes a free
-        one.
+        Endpoint URL, e.g. ``opc.tcp://0.0.0.0:4840/plant/``; port 0 selects a free port.
     application_uri, application_name
-        Identity of this installation; the certificate names the first letter by letter.
+        Identity of this installation; the certificate contains exactly this application URI.
     product
-        What software it is.
+        Software identity.
     namespace_uri, namespace_version, namespace_published
-        Namespace of the server's own nodes; version and date of the model behind it.
+        Namespace of the server's nodes; version and publication date of its model.
     pki
-        Certificates; with None only the demo's endpoint without security is offered.
+        Certificate folders; None: only the demo's endpoint without security is offered.
     require_crl
-        Refuse certificates of an authority without a valid revocation list. Those that are
-        self-signed and trusted by themselves need none.
+        Refuse certificates of an authority without a valid revocation list. Trusted self-signed
+        certificates need none.
     users
-        Who may log in.
+        Accounts of the users.
     none_on_loopback
         Also offer SecurityPolicy None, with anonymous users as observers; only for 127.0.0.1
         and ::1.
     gateways
-        Application URIs of clients by way of which users log in, e.g. a web page. The AuditEntryId
-        of their ActivateSession is the address that the user came from, for the lock-out. A channel
-        without security proves no URI: there, any peer on this machine can name addresses.
+        Application URIs of clients that log users in on their behalf, e.g. a web page. For the
+        lock-out, the AuditEntryId of their ActivateSession is the address of the user. A channel
+        without security does not prove the URI, so any local peer can claim addresses there.
     anonymous_observer
-        Let anonymous users observe on the secured endpoints too.
+        Grant anonymous users the role Observer on the secured endpoints, too.
     host_names
-        Names under which peers reach the server; announced and certified.
+        Host names of the server, in its endpoints and its certificate.
     limits
-        What peers may cost.
+        Resource limits of peers.
     cache
-        Folder for the parsed standard address space; None takes the user's cache folder.
+        Cache folder for the parsed standard address space; None: the user's cache folder.
     """
 
     url: str

@@ -1,1 +1,1 @@
-"""A hydraulic test rig in software: the physics are an independent truth for the service."""
+"""A simulated hydraulic test rig; its physical model is independent of the service under test."""

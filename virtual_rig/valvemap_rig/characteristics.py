@@ -1,7 +1,7 @@
 """The default valve's characteristic curves as a table: the reference for changes of the physics.
 
-``tests/valvemap_rig/characteristic_curves.csv`` holds them. A change of the physics shows there as
-a difference line by line; to take it over::
+They are stored in ``tests/valvemap_rig/characteristic_curves.csv``. A change of the physics appears
+there as a line-by-line diff; to accept it::
 
     python -m valvemap_rig.characteristics > tests/valvemap_rig/characteristic_curves.csv
 """
@@ -22,7 +22,7 @@ _T = (20, 40, 60)
 
 
 def curves(bench: Bench) -> Iterator[str]:
-    """Lines of the table, header first: every U at every dp and T, p1 at supply pressure.
+    """Yield the lines of the table, header first: every U, dp and T, with p1 at supply pressure.
 
     >>> next(curves(Bench()))
     'U_percent,dp_bar,T_C,Q_l_min,Q_PV_l_min,x_MP_mm,p_c_bar,reachable'

@@ -1,20 +1,19 @@
-"""The circuit around the valve: pump, relief valve, load valve, tank, and what the meter counts.
+"""The circuit around the valve: pump, relief valve, load valve, tank, flow meter.
 
 ::
 
-    pump, relief    the pump gives at most Q_pump; what the valve does not take leaves over the
-                    relief valve, p1 = p0 - override·Q/Q_pump. A valve that would take more gets
-                    Q_pump, and p1 falls until it takes no more.
-    load valve      p2 = its set point, but not less than its own pressure p_a + R·Q²
+    pump, relief    the pump supplies at most Q_pump; the excess flow passes the relief valve,
+                    p1 = p0 - override·Q/Q_pump. If the valve demands more than Q_pump, p1 falls
+                    until its flow equals Q_pump.
+    load valve      p2 = its set point, at least its own pressure p_a + R·Q²
     tank            T1 = tank temperature; T2 = T1 + throttling heat
 
-The oil temperature T is measured at the valve's inlet, as ISO 10770-1 asks (T1); a sensor behind
-the valve (T2) is a choice of the scenario. The flow meter sits behind the valve and counts at p2
-and T2; the pump's limit is counted at tank pressure and T1.
+The oil temperature T is measured at the valve's inlet, as ISO 10770-1 requires (T1); the scenario
+may place the sensor downstream (T2). The flow meter is downstream of the valve and measures at p2
+and T2; the pump's limit refers to tank pressure and T1.
 
-The operating point is the root, in p1, of what the valve takes minus what the supply gives; both
-are monotone, so there is exactly one, and it is bracketed from the start: Brent's method finds it,
-sample by sample.
+The operating point is the root, in p1, of the valve's flow minus the supply's flow. Both are
+monotone, so the root is unique, and its bracket is known. Brent's method finds it for each sample.
 """
 
 from typing import NamedTuple
@@ -90,10 +89,10 @@ class Bench(Parameters):
 
 
 class OperatingPoint(NamedTuple):
-    """Where a bench settles at N points, all arrays of shape (N,).
+    """Steady operating points of a bench, all arrays of shape (N,).
 
-    ``p1``, ``p2`` in bar; ``Q`` in l/min as the meter counts it; ``T1``, ``T2`` the oil before and
-    behind the valve, °C; ``x_MP`` the poppet's stroke, mm.
+    ``p1``, ``p2`` in bar; ``Q`` in l/min at the flow meter; ``T1``, ``T2`` the oil temperature
+    upstream and downstream of the valve, °C; ``x_MP`` the poppet's stroke, mm.
     """
 
     p1: Floats
@@ -112,7 +111,7 @@ class OperatingPoint(NamedTuple):
 def operating_point(
     bench: Bench, y: Floats, p2_set: Floats, T: Floats, edge: Floats, gap: ArrayLike = 0.0
 ) -> OperatingPoint:
-    """Find where the bench settles.
+    """Return the steady operating points of a bench.
 
     Parameters
     ----------
@@ -123,9 +122,9 @@ def operating_point(
     T : (N,) array
         Oil temperature at the inlet, °C.
     edge : (N,) array
-        Flow coefficient of the main edge over that of the new valve.
+        Flow coefficient of the main edge relative to the new valve.
     gap : (N,) array
-        Flow coefficient of a gap worn into it, l/min per √bar.
+        Flow coefficient of a gap worn into the main edge, l/min per √bar.
 
     Examples
     --------
@@ -150,9 +149,9 @@ def operating_point(
 def true_flow(
     bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0, worn: Condition = AS_NEW
 ) -> Floats:
-    """The valve's own map Q = f(U, dp, T) as the meter would count it, without noise or hysteresis.
+    """Return the valve's map Q = f(U, dp, T) at the flow meter, without noise or hysteresis.
 
-    Taken at full supply pressure; where the pump's limit pulls p1 down, the lighter oil shifts Q
+    It holds at full supply pressure; where the pump's limit lowers p1, the lower density changes Q
     by less than 0.4 %.
 
     Parameters
@@ -160,7 +159,7 @@ def true_flow(
     U, dp, T : array-likes that broadcast to (N,)
         Signal (%), pressure drop (bar), oil temperature at the inlet (°C).
     worn
-        What the valve's main edge has become; the oil's temperature is ``T``.
+        Condition of the valve's main edge; its temperature rise is ignored.
 
     Examples
     --------
@@ -178,7 +177,7 @@ def true_flow(
 
 
 def largest_drop(bench: Bench, U: ArrayLike, T: ArrayLike = 40.0) -> Floats:
-    """The largest pressure drop (bar) that the bench can put on the valve at signal U (%)."""
+    """Return the largest pressure drop (bar) across the valve on this bench at signal U (%)."""
     (u, celsius), shape = _raveled(U, T)
     y = pilot_opening(bench.valve, u)
     point = operating_point(bench, y, np.zeros_like(u), celsius, np.ones_like(u))
@@ -186,7 +185,7 @@ def largest_drop(bench: Bench, U: ArrayLike, T: ArrayLike = 40.0) -> Floats:
 
 
 def reachable(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) -> NDArray[np.bool_]:
-    """Whether the bench can drive (U, dp): within U's range, pump limit and lowest load pressure.
+    """Return whether (U, dp) is within U's range, the pump limit and the lowest load pressure.
 
     >>> reachable(Bench(), [10, 100, 100], [150, 50, 150])
     array([ True,  True, False])
@@ -197,18 +196,18 @@ def reachable(bench: Bench, U: ArrayLike, dp: ArrayLike, T: ArrayLike = 40.0) ->
 
 
 def tank_temperature(circuit: Circuit, t: Floats) -> Floats:
-    """Temperature (°C) of the tank at simulated time t (s)."""
+    """Return the temperature (°C) of the tank at simulated time t (s)."""
     angle = 2 * np.pi * (t / circuit.tank_drift_period_s)
     return circuit.tank_C + circuit.tank_drift_K * np.sin(angle)
 
 
 def _metered(oil: Oil, Q: Floats, p1: Floats, p2: Floats, T1: Floats, T2: Floats) -> Floats:
-    """Q counted at (p1, T1), as the meter counts it at (p2, T2): the mass is the same."""
+    """Convert Q at (p1, T1) to the meter's state (p2, T2), at equal mass flow."""
     return Q * density(oil, p1, T1) / density(oil, p2, T2)
 
 
 def numbers(circuit: Circuit) -> kernels.Numbers:
-    """What the compiled loops need of the circuit."""
+    """Return the parameters of the circuit for the compiled loops."""
     row = (
         circuit.p0_bar,
         circuit.Q_pump_l_min,
@@ -220,6 +219,6 @@ def numbers(circuit: Circuit) -> kernels.Numbers:
 
 
 def _raveled(*values: ArrayLike) -> tuple[tuple[Floats, ...], tuple[int, ...]]:
-    """Broadcast to one shape; contiguous copies, raveled, and that shape."""
+    """Broadcast to one shape; return contiguous, raveled copies and that shape."""
     columns = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in values))
     return tuple(np.array(column).ravel() for column in columns), columns[0].shape

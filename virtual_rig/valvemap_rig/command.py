@@ -1,8 +1,9 @@
-"""The control signal from outside, and whether it counts: the rig's own watchdog. Pure.
+"""The external control signal and its watchdog; no I/O.
 
-``UCommand`` is taken as written while ``Heartbeat`` is 0: by hand. Once a heartbeat is written it
-has to move; when it stands still for `STANDSTILL_S`, or goes back to 0, the command is dropped and
-the rig's own holds. From a standstill only a heartbeat that moves again, or 0, leads back.
+While ``Heartbeat`` is 0, ``UCommand`` is applied as written (manual operation). After the first
+heartbeat, the client must keep changing it. If it does not change for `STANDSTILL_S`, or returns to
+0, the command is dropped and the rig's default signal applies. After a time-out, the client resumes
+by changing the heartbeat or writing 0.
 """
 
 from dataclasses import dataclass, replace
@@ -13,10 +14,10 @@ STANDSTILL_S: Final = 0.5
 
 @dataclass(frozen=True)
 class Command:
-    """What came from outside; ``U`` (%) is None while the rig's own command holds.
+    """State of the external command; ``U`` (%) is None while the rig's default applies.
 
-    ``heartbeat`` is the last one written, ``moved_s`` when it last changed; ``dropped`` says that
-    it stood still too long.
+    ``heartbeat`` is the last one written, ``moved_s`` the time of its last change; ``dropped``: the
+    watchdog has timed out.
 
     Examples
     --------
@@ -34,15 +35,15 @@ class Command:
 
     @property
     def in_force(self) -> float | None:
-        """The control signal (%), None for the rig's own."""
+        """The external control signal (%), None for the rig's default."""
         return None if self.dropped else self.U
 
     def written(self, U: float) -> Self:
-        """A control signal (%) was written."""
+        """Return the state after a control signal (%) was written."""
         return replace(self, U=U)
 
     def beaten(self, heartbeat: int, now: float) -> Self:
-        """A heartbeat was written at ``now`` (s)."""
+        """Return the state after a heartbeat was written at ``now`` (s)."""
         if heartbeat == 0 and self.heartbeat != 0:
             return type(self)()
         if heartbeat == self.heartbeat:
@@ -50,6 +51,6 @@ class Command:
         return replace(self.seen(now), heartbeat=heartbeat, moved_s=now, dropped=False)
 
     def seen(self, now: float) -> Self:
-        """The rig looks at it at ``now`` (s)."""
+        """Return the state after a check of the watchdog at ``now`` (s)."""
         still = self.heartbeat != 0 and now - self.moved_s > STANDSTILL_S
         return replace(self, U=None, dropped=True) if still and not self.dropped else self

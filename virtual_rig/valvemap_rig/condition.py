@@ -1,4 +1,4 @@
-"""Condition of a valve and its oil: the state that the flow map depends on."""
+"""Condition of a valve and its oil, on which the flow map depends."""
 
 from typing import NamedTuple
 
@@ -8,16 +8,16 @@ from valvemap_rig.faults import Faults, edge_factor, temperature_rise, worn_gap
 
 
 class Condition(NamedTuple):
-    """A valve at one moment.
+    """Condition of a valve at one sample.
 
     Attributes
     ----------
     edge_factor
-        Flow of the main edge over that of the new valve.
+        Flow of the main edge relative to the new valve.
     gap
-        Flow coefficient of a gap worn into it, l/min per √bar.
+        Flow coefficient of a gap worn into the main edge, l/min per √bar.
     temperature_rise
-        Of the tank, K.
+        Rise of the tank temperature, K.
     """
 
     edge_factor: float = 1.0
@@ -29,7 +29,7 @@ AS_NEW = Condition()
 
 
 def condition(faults: Faults, index: int, rate: float) -> Condition:
-    """The condition of a valve at sample number ``index``.
+    """Return the condition of a valve at sample number ``index``.
 
     >>> condition((), 0, 100.0) == AS_NEW
     True

@@ -1,6 +1,6 @@
-"""What remembers the sample before: hysteresis and first-order lag, as loops in fixed order.
+"""Elements with memory: hysteresis and first-order lag, as loops in fixed order.
 
-A memory of NaN means none: the first sample then finds the element at rest.
+A memory of NaN means none: the element then starts in equilibrium with the first sample.
 """
 
 import math
@@ -12,7 +12,7 @@ from valvemap_rig.kernels import Floats
 
 
 def play(u: Floats, width: float, memory: float) -> Floats:
-    """Hysteresis of the given width (play operator): y follows u, at most width/2 behind.
+    """Apply the play operator: y follows u with hysteresis, |y - u| ≤ width/2.
 
     >>> play(np.array([0.0, 2.0, 1.5, 0.0]), 1.0, float("nan"))
     array([0. , 1.5, 1.5, 0.5])
@@ -21,7 +21,7 @@ def play(u: Floats, width: float, memory: float) -> Floats:
 
 
 def lag(u: Floats, time_constant: float, period: float, memory: float) -> Floats:
-    """First-order lag, exact for a signal that is constant over each period.
+    """Apply a first-order lag, exact for a signal that is constant over each period.
 
     >>> lag(np.array([0.0, 1.0, 1.0]), 1.0, 1.0, float("nan")).round(3)
     array([0.   , 0.632, 0.865])
@@ -33,7 +33,7 @@ def lag(u: Floats, time_constant: float, period: float, memory: float) -> Floats
 
 
 def changing_lag(u: Floats, time_constants: Floats, period: float, memory: float) -> Floats:
-    """The same with a time constant for each sample; where it is 0 nothing lags.
+    """Apply a first-order lag with a time constant per sample; 0 means no lag.
 
     >>> changing_lag(np.array([0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0]), 1.0, 0.0).round(3)
     array([0.   , 0.632, 1.   ])

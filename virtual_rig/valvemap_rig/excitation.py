@@ -1,7 +1,7 @@
-"""What drives the rig: the valve's signal U (%) and the load valve's set point p2 (bar).
+"""Excitations of the rig: the valve's signal U (%) and the load valve's set point p2 (bar).
 
-Every excitation is a function of the sample's number alone, so that any block can be computed by
-itself. ``external`` takes U from outside.
+Every excitation is a function of the sample number only, so that blocks can be computed
+independently. ``external`` receives U from a client.
 """
 
 from typing import Annotated, Literal, assert_never
@@ -112,7 +112,7 @@ def drive(
     valve: str,
     external_U: float,
 ) -> tuple[Floats, Floats]:
-    """U (%) and p2 set point (bar), both (N,), of samples ``index`` (N consecutive numbers).
+    """Return U (%) and the p2 set point (bar), both (N,), of N consecutive samples ``index``.
 
     >>> U, p2 = drive(Structured(), np.arange(0, 22_000, 5_000), 100.0, 200.0, 1, "V", 0.0)
     >>> U, p2
@@ -149,8 +149,8 @@ def drive(
 
 
 def low_discrepancy_points(number: NDArray[np.int64], p0_bar: float) -> tuple[Floats, Floats]:
-    """Points ``number`` (0 …) of the R2 sequence (Roberts 2018) over U (%) and dp (bar)."""
-    k = number.astype(np.float64) + 1.0  # point 0 would be the very middle
+    """Return points ``number`` (0 …) of the R2 sequence (Roberts 2018) over U (%), dp (bar)."""
+    k = number.astype(np.float64) + 1.0  # point 0 would be the centre
     U = (0.5 + 0.7548776662466927 * k) % 1.0
     dp = (0.5 + 0.5698402909980532 * k) % 1.0
     return 100.0 * U, p0_bar * dp
@@ -159,7 +159,7 @@ def low_discrepancy_points(number: NDArray[np.int64], p0_bar: float) -> tuple[Fl
 def _periods(
     index: NDArray[np.int64], period_s: float, rate: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Number of the period each sample falls into, and its phase (0 … 1) there."""
+    """Return the period number and the phase (0 … 1) of each sample."""
     samples = max(1, round(period_s * rate))
     return index // samples, (index % samples) / samples
 
@@ -177,7 +177,7 @@ def _between(low: float, high: float, share: Floats) -> Floats:
 
 
 def _random(seed: int, stream: str, number: NDArray[np.int64]) -> Floats:
-    """The random number that belongs to each point; ``number`` never falls."""
+    """Return the random number of each point; ``number`` must not decrease."""
     if number.size == 0:
         return np.empty(0)
     first = int(number[0])

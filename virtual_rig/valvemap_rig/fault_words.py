@@ -1,4 +1,4 @@
-"""What a fault does, in a sentence: with its unit, and whether it can be seen at all."""
+"""The effect of a fault in a sentence, with its unit and compared with the sensor noise."""
 
 from typing import Final, assert_never
 
@@ -59,7 +59,7 @@ def _what(fault: Fault, bench: ValveBench, sensors: Sensors) -> str:  # noqa: C9
 
 
 def _at_full(bench: ValveBench, sensors: Sensors, worn: Condition) -> str:
-    """The change of flow at full signal and the largest drop, beside the meter's noise."""
+    """Describe the change of flow at full signal and the largest drop, and the meter's noise."""
     dp = largest_drop(bench, _FULL_PERCENT)
     new, now = (float(true_flow(bench, _FULL_PERCENT, dp, worn=c)) for c in (AS_NEW, worn))
     change, noise = now - new, sensors.Q.noise
@@ -69,7 +69,7 @@ def _at_full(bench: ValveBench, sensors: Sensors, worn: Condition) -> str:
 
 
 def _sized(fault: Fault, sensors: Sensors) -> str:
-    """A size in the signal's unit, beside the sensor's noise."""
+    """Describe a size in the signal's unit, and the sensor's noise."""
     (signal,) = fault.signals
     size, noise, unit = abs(fault.size), getattr(sensors, signal).noise, _UNITS[signal]
     hidden = f", within its noise of {noise:g} {unit}" if size < noise else ""

@@ -1,4 +1,4 @@
-"""What can go wrong: with the valve, the oil, the sensors and the clock.
+"""Faults of the valve, the oil, the sensors and the clock.
 
 ==================  ====================================  ========================================
 kind                size                                  what happens
@@ -6,7 +6,7 @@ kind                size                                  what happens
 wear                % of the main edge's flow             drifts there over the duration, and stays
 damage              % of the main edge's flow             at once; a duration of 0 = for good
 edge                l/min per √bar                        a gap worn into the main edge, at once
-lag                 s                                     the signal lags so much more, first order
+lag                 s                                     additional first-order lag of the signal
 temperature_ramp    K                                     tank drifts there over the duration, stays
 frozen              not used                              the signal keeps its last value
 spikes              in the signal's unit                  2 % of the samples are off by ± size
@@ -17,8 +17,8 @@ drop_out            share of samples, 0 … 1               the sample is not se
 clock_step          s                                     source timestamps are off by size
 ==================  ====================================  ========================================
 
-A fault of sensors concerns one signal: ``Q`` unless said otherwise, all of them for the last three
-kinds but the clock.
+A sensor fault affects one signal, by default ``Q``; bad_quality, uncertain_quality and drop_out
+affect all signals by default.
 """
 
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ SPIKE_SHARE = 0.02
 
 
 class FaultKind(StrEnum):
-    """Everything that can be made to go wrong."""
+    """The kinds of faults."""
 
     WEAR = "wear"
     DAMAGE = "damage"
@@ -92,7 +92,7 @@ UNITS: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.CLOCK_STEP: "s",
     }
 )
-"""Units of the sizes; "" where there is none to give."""
+"""Units of the sizes; "" if not used."""
 
 _OF_SENSORS = frozenset(
     {
@@ -137,7 +137,7 @@ class Fault(Parameters):
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """The signals it concerns."""
+        """The affected signals."""
         if self.signal is not None:
             return (self.signal,)
         if self.kind in _OF_ALL_SIGNALS:
@@ -146,7 +146,7 @@ class Fault(Parameters):
 
 
 def described_sizes() -> str:
-    """What the size of each kind is, with its limits, in one text.
+    """Return the meaning and limits of the size of each kind, in one text.
 
     >>> described_sizes()[:46]
     "wear: % of the main edge's flow, -90 … 100; da"
@@ -158,16 +158,16 @@ def described_sizes() -> str:
 
 
 class FaultError(ValueError):
-    """A fault as commanded makes no sense; the sentence says what is allowed."""
+    """A commanded fault is invalid; the message names the allowed values."""
 
 
 def commanded_fault(kind: str, size: float, duration_s: float) -> Fault:
-    """A fault from an operator's command; ``kind`` may name the signal: ``"offset.p1"``.
+    """Return the fault of an operator's command; ``kind`` may name the signal: ``"offset.p1"``.
 
     Raises
     ------
     FaultError
-        naming the argument and what is allowed.
+        naming the argument and the allowed values.
 
     Examples
     --------
@@ -195,7 +195,7 @@ with .U, .p1, .p2, .Q or .T behind that of a sensor
 
 
 class ActiveFault(NamedTuple):
-    """A fault and the number of the sample at which it starts."""
+    """A fault, and the number of its first sample."""
 
     fault: Fault
     start: int
@@ -205,14 +205,14 @@ Faults = tuple[ActiveFault, ...]
 
 
 def still_felt(faults: Faults, index: int, rate: float) -> Faults:
-    """Those that are felt at sample ``index`` or later."""
+    """Return the faults with an effect at sample ``index`` or later."""
     return tuple(active for active in faults if not _is_over(active, index, rate))
 
 
 def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """Flow of the main edge over that of the new valve, (N,): wear and damage multiply.
+    """Return the main edge's flow relative to the new valve, (N,): wear and damage multiply.
 
-    However many there are, something is left of the edge, and of the poppet.
+    The product is limited, so that a part of the edge and of the poppet always remains.
     """
     factor = np.ones(index.shape)
     for active in faults:
@@ -224,7 +224,7 @@ def edge_factor(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats
 
 
 def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """Flow coefficient of the gap worn into the main edge, l/min per √bar, (N,): they add up."""
+    """Return the flow coefficient of the worn gap, l/min per √bar, (N,): gaps add up."""
     gap = np.zeros(index.shape)
     for active in faults:
         if active.fault.kind is FaultKind.EDGE:
@@ -233,7 +233,7 @@ def worn_gap(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
 
 
 def temperature_rise(faults: Faults, index: NDArray[np.int64], rate: float) -> Floats:
-    """What ramps add to the tank's temperature, K, (N,); however many, within ±50 K."""
+    """Return the total of the temperature ramps, K, (N,), limited to ±50 K."""
     rise = np.zeros(index.shape)
     for active in faults:
         if active.fault.kind is FaultKind.TEMPERATURE_RAMP:
@@ -242,7 +242,7 @@ def temperature_rise(faults: Faults, index: NDArray[np.int64], rate: float) -> F
 
 
 def clock_error_ns(faults: Faults, index: NDArray[np.int64], rate: float) -> NDArray[np.int64]:
-    """What the clock is off, ns in multiples of 100, (N,)."""
+    """Return the clock error, ns in multiples of 100, (N,)."""
     error = np.zeros(index.shape, dtype=np.int64)
     for active in faults:
         if active.fault.kind is FaultKind.CLOCK_STEP:
@@ -251,7 +251,7 @@ def clock_error_ns(faults: Faults, index: NDArray[np.int64], rate: float) -> NDA
 
 
 class SensorFaults(NamedTuple):
-    """What happens to one signal at N samples, all arrays of shape (N,)."""
+    """Effects of the faults on one signal at N samples, all arrays of shape (N,)."""
 
     added: Floats
     lag_s: Floats
@@ -263,7 +263,7 @@ class SensorFaults(NamedTuple):
 def sensor_faults(
     faults: Faults, signal: Signal, index: NDArray[np.int64], rate: float, seed: int, valve: str
 ) -> SensorFaults:
-    """What the faults do to one signal."""
+    """Return the effects of the faults on one signal."""
     added, lag_s = np.zeros((2, *index.shape))
     sums = {FaultKind.OFFSET: added, FaultKind.LAG: lag_s}
     frozen = np.zeros(index.shape, dtype=np.bool_)
@@ -310,7 +310,7 @@ def _is_on(active: ActiveFault, index: NDArray[np.int64], rate: float) -> NDArra
 
 
 def _progress(active: ActiveFault, index: NDArray[np.int64], rate: float) -> Floats:
-    """0 before the start, rising to 1 at the end of the duration, 1 from there."""
+    """Return the progress: 0 before the start, rising to 1 at the end of the duration, then 1."""
     return np.clip((index - active.start + 1) / _length(active, rate), 0.0, 1.0)
 
 

@@ -1,7 +1,7 @@
-"""Many valves at once: one computed recording, played to each from another place, with own noise.
+"""A fleet of valves: one recording, played for each valve with its own offset and noise.
 
-The physics of a thousand valves cost more than a core; a fleet is for whoever wants the load, not
-the physics. Same scenario: same samples bit for bit, in whatever blocks they are asked for.
+Simulating a thousand valves needs more than one core; a fleet is meant for load tests, not for
+physics. The same scenario gives the same samples bit for bit, for any division into blocks.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ _NOISE = 8_191  # a prime: a valve's noise does not repeat together with its sig
 
 @dataclass(frozen=True)
 class FleetRecording:
-    """What a fleet plays.
+    """The recording of a fleet.
 
-    ``signals`` (L, 5) and ``noise`` (M, 5) in the order of ``SIGNALS``; ``starts`` (2, V), where
-    each of the V valves starts in the two.
+    ``signals`` (L, 5) and ``noise`` (M, 5) in the order of ``SIGNALS``; ``starts`` (2, V), the
+    offsets of each of the V valves in the two.
     """
 
     signals: Floats
@@ -41,7 +41,7 @@ class FleetRecording:
 
 
 def valve_names(scenario: Scenario) -> list[str]:
-    """Names of a fleet's valves, made of that of the one on the bench.
+    """Return the names of a fleet's valves, derived from the valve on the bench.
 
     >>> valve_names(Scenario(fleet={"valves": 100}))[:2]
     ['Valvistor001', 'Valvistor002']
@@ -52,7 +52,7 @@ def valve_names(scenario: Scenario) -> list[str]:
 
 
 def record(scenario: Scenario) -> FleetRecording:
-    """Compute what the fleet of a scenario plays: its first valve, without its faults.
+    """Compute the recording of a scenario's fleet from its first valve, without faults.
 
     Examples
     --------

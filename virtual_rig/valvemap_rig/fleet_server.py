@@ -25,11 +25,11 @@ _TICK_S = 0.02
 _LATE_S = 0.1
 _REPORT_S = 1.0
 _VALUES_PER_TURN = 200_000
-_QUEUED_S = 30.0  # so long may all items of one client wait to be published
+_QUEUED_S = 30.0  # s; queue capacity for all items of one client
 
 
 class FleetServer(Startable):
-    """Many valves that clients can watch; made by :meth:`create`."""
+    """A server with a fleet of valves; created by :meth:`create`."""
 
     def __init__(self, server: HardenedServer, scenario: Scenario, clock: Clock) -> None:
         self._server = server
@@ -47,16 +47,16 @@ class FleetServer(Startable):
     async def create(
         cls, settings: ServerSettings, scenario: Scenario, *, clock: Clock | None = None
     ) -> Self:
-        """Make the server and its nodes; it does not listen yet.
+        """Create the server and its nodes; it does not listen yet.
 
         Parameters
         ----------
         settings
-            Identity, endpoint and security; limits are raised to what the fleet needs.
+            Identity, endpoint and security; limits are raised as the fleet needs.
         scenario
-            What to play; its ``fleet`` says to how many valves.
+            Scenario to play; its ``fleet`` gives the number of valves.
         clock
-            Time of day and time that never jumps; the machine's if None.
+            Clock; None: the system clock.
         """
         clock = clock or SystemClock()
         names = valve_names(scenario)
@@ -68,7 +68,7 @@ class FleetServer(Startable):
 
     @property
     def url(self) -> str:
-        """Where the fleet listens."""
+        """Endpoint URL of the fleet."""
         return self._server.url
 
     @property
@@ -78,21 +78,21 @@ class FleetServer(Startable):
 
     @property
     def samples(self) -> int:
-        """How many samples of each valve were published since the start."""
+        """Number of samples of each valve published since the start."""
         return self._samples
 
     @property
     def late_ticks(self) -> int:
-        """How often samples were published more than 0.1 s late."""
+        """Number of times that samples were published more than 0.1 s late."""
         return self._late_ticks
 
     @property
     def lost(self) -> int:
-        """How many notifications clients lost because their queues were full."""
+        """Number of notifications lost because clients' queues were full."""
         return self._server.counters.lost_notifications
 
     async def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises
         ------
@@ -105,9 +105,9 @@ class FleetServer(Startable):
         await self._server.stop()
 
     async def run(self) -> None:
-        """Play until the scenario is over, or cancelled; samples are never dropped.
+        """Play until the scenario ends or the task is cancelled; samples are never dropped.
 
-        After a stall they are published late, in order, each with the time that belongs to it.
+        After a stall, samples are published late, in order, with their nominal source times.
         """
         start_ns, started_at = self._clock.now() // 100 * 100, self._clock.monotonic()
         spacing_ns = 1e9 / self._rate
@@ -140,7 +140,7 @@ class FleetServer(Startable):
 
 
 def _roomy(settings: ServerSettings, scenario: Scenario) -> ServerSettings:
-    """Let clients subscribe to all of it, and wait for a while."""
+    """Raise the limits so that clients can subscribe to all signals of the fleet."""
     limits = settings.limits
     items = 6 * len(valve_names(scenario)) + 100
     second = items * scenario.sample_rate_hz * scenario.time_factor

@@ -1,4 +1,4 @@
-"""What a rig's signals have been: its newest samples, in rings that fill once and then turn."""
+"""The history of a rig's signals: its newest samples in ring buffers."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from guarded_opcua import Records, Span, Variable
 from valvemap_rig.information_model import Columns, RigNodes
 
-_MOST_SAMPLES = 1_000_000  # of all valves together, 150 bytes each
+_MOST_SAMPLES = 1_000_000  # samples of all valves together, 150 bytes each
 
 
 class RigHistory:
@@ -28,11 +28,11 @@ class RigHistory:
 
     @property
     def variables(self) -> list[Variable]:
-        """Those whose history it keeps."""
+        """The variables with a history."""
         return [variable for ring in self._rings for variable in ring.variables]
 
     def keep(self, columns: Columns, rows: slice, now: int) -> None:
-        """Take in what is published at ``now`` (UTC ns)."""
+        """Store the samples published at ``now`` (UTC ns)."""
         signals, sequences = self._rings
         signals.keep(
             columns.values[rows],
@@ -44,12 +44,12 @@ class RigHistory:
         sequences.keep(columns.sequences[rows], columns.t[rows], now)
 
     def raw(self, variable: Any, span: Span, skip: int, most: int) -> Records:  # noqa: ANN401 - a NodeId
-        """What a variable was, see :class:`guarded_opcua.Historian`."""
+        """Return raw values of a variable, see :class:`guarded_opcua.Historian`."""
         return self._ring_of[variable].raw(variable, span, skip, most)
 
 
 class Ring:
-    """The last ``length`` samples of variables of one type."""
+    """Ring buffer of the last ``length`` samples of variables of one type."""
 
     def __init__(self, variables: Sequence[Variable], length: int, dtype: DTypeLike) -> None:
         self.variables = tuple(variables)
@@ -60,7 +60,7 @@ class Ring:
         self._present = np.zeros(shape, np.bool_)
         self._source = np.zeros(shape, np.int64)
         self._server = np.zeros(length, np.int64)
-        self._kept = 0  # samples so far
+        self._kept = 0  # number of samples stored since the start
 
     def keep(
         self,
@@ -70,7 +70,7 @@ class Ring:
         codes: ArrayLike = 0,
         present: ArrayLike = 1,
     ) -> None:
-        """Take k samples in, all (k, variables); times in UTC ns."""
+        """Store k samples, all (k, variables); times in UTC ns."""
         length, k = len(self._server), len(values)
         places = np.arange(self._kept, self._kept + k) % length
         self._values[places] = values
@@ -81,7 +81,7 @@ class Ring:
         self._kept += k
 
     def raw(self, variable: Any, span: Span, skip: int, most: int) -> Records:  # noqa: ANN401 - a NodeId
-        """What a variable was, see :class:`guarded_opcua.Historian`."""
+        """Return raw values of a variable, see :class:`guarded_opcua.Historian`."""
         column, length = self._column[variable], len(self._server)
         oldest = max(self._kept - length, 0)
         turned = np.roll(self._source[:, column], -oldest)[: self._kept - oldest]

@@ -1,4 +1,4 @@
-"""What the rig publishes: its nodes, and how a block of samples becomes updates of them."""
+"""The nodes of the rig, and the publication of a block of samples."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -45,7 +45,7 @@ Updates = list[tuple[Variable, object, int, int]]
 
 @dataclass(frozen=True)
 class Actions:
-    """What operators can do, by method call and by writing ``UCommand`` and ``Heartbeat``."""
+    """Actions of operators: method calls, and writes of ``UCommand`` and ``Heartbeat``."""
 
     start_scenario: StartScenario
     stop_scenario: StopScenario
@@ -56,7 +56,7 @@ class Actions:
 
 @dataclass(frozen=True)
 class RigStatus:
-    """How the rig is doing."""
+    """Status variables of the rig."""
 
     sample_count: Variable
     late_ticks: Variable
@@ -64,7 +64,7 @@ class RigStatus:
     overflows: Variable
 
     def updates(self, samples: int, late_ticks: int, lag_s: float, lost: int, now: int) -> Updates:
-        """Say it, at ``now`` (UTC ns)."""
+        """Return the updates of the status at ``now`` (UTC ns)."""
         return [
             (self.sample_count, samples, GOOD, now),
             (self.late_ticks, late_ticks, GOOD, now),
@@ -75,10 +75,10 @@ class RigStatus:
 
 @dataclass(frozen=True)
 class FleetNodes:
-    """What changes in a fleet.
+    """Changing nodes of a fleet.
 
-    ``signals`` has the columns U, p1, p2, Q, T of the first valve, then those of the next;
-    ``sequences`` one per valve.
+    ``signals`` has the columns U, p1, p2, Q, T of the first valve, then of the next; ``sequences``
+    has one column per valve.
     """
 
     status: RigStatus
@@ -88,9 +88,9 @@ class FleetNodes:
 
 @dataclass(frozen=True)
 class RigNodes(FleetNodes):
-    """What changes in a rig.
+    """Changing nodes of a rig.
 
-    ``of_valves`` are the variables behind the blocks: of each valve U, p1, p2, Q, T, and Sequence.
+    ``of_valves`` are the variables of the blocks: U, p1, p2, Q, T, and Sequence of each valve.
     """
 
     scenario: Variable
@@ -129,7 +129,7 @@ async def add_rig(server: HardenedServer, scenario: Scenario, actions: Actions) 
 
 
 async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[str]) -> FleetNodes:
-    """Add the nodes of many valves that nobody operates, below Objects/TestRig, too."""
+    """Add the nodes of a fleet, without methods and commands, below Objects/TestRig."""
     kind = _add_valve_type(server, scenario)
     rig = await add_object(server, None, "TestRig", description="Many valves, from a recording")
     status = await _add_status(server, rig, scenario)
@@ -143,10 +143,10 @@ async def add_fleet(server: HardenedServer, scenario: Scenario, names: Sequence[
 
 @dataclass(frozen=True)
 class Columns:
-    """A block of n samples as the server takes it in.
+    """A block of n samples, in the layout of the server's blocks.
 
     ``values``, ``times``, ``codes`` and ``present`` have a column for each signal of each valve,
-    ``sequences`` and ``t`` one for each valve. One sample's signals share their time.
+    ``sequences`` and ``t`` one for each valve. The signals of a sample share their timestamp.
     """
 
     values: Floats
@@ -158,7 +158,7 @@ class Columns:
 
 
 def columns_of(block: RigBlock, sequence_offset: int) -> Columns:
-    """Lay a block out for publishing, all of it at once: samples may go out one by one."""
+    """Convert a whole block to columns, of which single rows can be published."""
     valves = list(block.valves.values())
     t = np.stack([valve.t for valve in valves], axis=1)
     sequence = (block.sequence.astype(np.int64) + sequence_offset) % 2**32
@@ -173,9 +173,9 @@ def columns_of(block: RigBlock, sequence_offset: int) -> Columns:
 
 
 def publish(server: HardenedServer, nodes: RigNodes, columns: Columns, rows: slice) -> None:
-    """Publish some samples of a block.
+    """Publish the given rows of a block.
 
-    A signal that is not present is left out; ``Sequence`` never is.
+    Signals that are not present are skipped; ``Sequence`` is always published.
     """
     server.write_block(
         nodes.signals,
@@ -190,7 +190,7 @@ def publish(server: HardenedServer, nodes: RigNodes, columns: Columns, rows: sli
 def publish_fleet(
     server: HardenedServer, nodes: FleetNodes, samples: Floats, start: int, t: NDArray[np.int64]
 ) -> None:
-    """Publish samples (n, valves, 5), the first of which has the number ``start``."""
+    """Publish samples (n, valves, 5); the first has the number ``start``."""
     n, count = samples.shape[:2]
     server.write_block(nodes.signals, samples.reshape(n, -1), t)
     sequence = np.arange(start, start + n) % 2**32
@@ -198,7 +198,7 @@ def publish_fleet(
 
 
 def part(block: RigBlock, start: int, stop: int) -> RigBlock:
-    """Samples ``start`` to ``stop`` of a block, as views."""
+    """Return samples ``start`` to ``stop`` of a block, as views."""
     if start == 0 and stop == len(block):
         return block
     chosen = slice(start, stop)
@@ -302,10 +302,10 @@ async def _add_methods(
 
 
 def _add_valve_type(server: HardenedServer, scenario: Scenario) -> ua.NodeId:
-    """Add the type of all valves, of the code that makes them."""
+    """Add the ObjectType of the valves, using the code that adds the valves."""
 
     def nothing(*_: object) -> None:
-        """Nobody calls what is only declared."""
+        """Do nothing: methods of the type are never called."""
 
     async def declare(place: Declarations, own: ua.NodeId) -> None:
         nobody = Actions(nothing, nothing, nothing, nothing, nothing)
@@ -324,7 +324,7 @@ def _add_valve_type(server: HardenedServer, scenario: Scenario) -> ua.NodeId:
 async def _add_valves_own(
     server: _Place, valve: ua.NodeId, bench: ValveBench, actions: Actions
 ) -> Signals:
-    """Add what a valve has, or what its type declares."""
+    """Add the components of a valve, or the declarations of its type."""
     prefix, name, circuit = valve.Identifier, bench.name, bench.circuit
     reach = largest_drop(bench, _REACHABLE_U)
     for last, values, unit, high, description in (
@@ -414,7 +414,7 @@ async def _add_signals(server: _Place, valve: ua.NodeId, bench: ValveBench) -> S
             f"{valve.Identifier}.{last}",
             None,
             unit=unit,
-            value_range=(-0.05 * high, 1.05 * high),  # noise around zero is no error
+            value_range=(-0.05 * high, 1.05 * high),  # noise around zero is within the range
             instrument_range=(-0.05 * high, 1.05 * high),
             description=description,
         )

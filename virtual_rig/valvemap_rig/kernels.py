@@ -1,7 +1,8 @@
 """The rig's equations as compiled loops; symbols and sources: ``oil``, ``valvistor``, ``circuit``.
 
-All in one file, because numba's cache watches no other. Every value comes from its own arguments
-by operations in fixed order: the same bits in whatever block it is computed.
+They are in one file because numba's cache does not detect changes of other files. Every value
+depends only on its arguments, by operations in fixed order, so the result is the same bit for bit
+in any block.
 """
 
 import math
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.void]  # of one record of the types below
-Record: TypeAlias = Any  # one of those records: numba knows its fields
+Record: TypeAlias = Any  # one of those records; numba resolves its fields
 N: TypeAlias = Any  # a number; in the formulas of the oil also an array of numbers
 
 OIL = np.dtype([(name, np.float64) for name in ("A", "B", "rho_15", "expansion", "heat_capacity")])
@@ -51,9 +52,9 @@ RHO_K = 860.0  # kg/m³, the density to which the flow coefficients K belong
 NU_LEAKAGE = 46.0  # mm²/s, the viscosity to which the leakages belong
 SEAT_SINE = math.sqrt(0.5)  # gap of a 45° seat over the stroke
 
-ROOT_BAR = 1e-10  # a root in p1 is found to this …
-ROOT_SHARE = 4.0 * float(np.finfo(np.float64).eps)  # … and to this share of it
-MOST_STEPS = 1000  # of a root: a dozen is usual, halving alone takes 60
+ROOT_BAR = 1e-10  # absolute tolerance of a root in p1, bar …
+ROOT_SHARE = 4.0 * float(np.finfo(np.float64).eps)  # … and relative tolerance
+MOST_STEPS = 1000  # iterations of a root search; about 12 are usual, bisection takes 60
 
 
 @numba.njit(cache=True)
@@ -67,7 +68,7 @@ def balance(
     edge: Floats,
     gap: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Q, Q_PV (l/min), x_MP (mm) and p_c (bar) of the valve at N points."""
+    """Return Q, Q_PV (l/min), x_MP (mm) and p_c (bar) of the valve at N points."""
     n = y.size
     Q, Q_PV, x_MP, p_c = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -89,9 +90,9 @@ def excess(
     edge: N,
     gap: N,
 ) -> N:
-    """What the valve takes minus what the supply gives at p1, l/min at tank pressure.
+    """Return the valve's flow minus the supply's flow at p1, l/min at tank pressure.
 
-    It rises with p1: from -Q_pump at 0 bar to what the valve takes at p0.
+    It increases with p1, from -Q_pump at 0 bar to the valve's flow at p0.
     """
     o, c = oil[0], circuit[0]
     Q, _, _, _ = _valve(valve[0], o, y, p1, load_pressure(circuit, p1, p2_set), T, edge, gap)
@@ -109,13 +110,13 @@ def settled(
     edge: Floats,
     gap: Floats,
 ) -> tuple[Floats, Floats]:
-    """p1 and p2 (bar) where the valve takes what the supply gives, at N points."""
+    """Return p1 and p2 (bar) at which the valve's flow equals the supply's, at N points."""
     n, c = y.size, circuit[0]
     p1, p2 = np.empty(n), np.empty(n)
     shut = c.p0 - c.override
     for i in range(n):
         sample = (y[i], p2_set[i], T[i], edge[i], gap[i])
-        # Where the valve takes more than the pump gives with the relief valve shut, p1 is lower.
+        # If the valve takes more than the pump's flow with the relief valve closed, p1 is lower.
         if excess(shut, valve, oil, circuit, *sample) > 0:
             p1[i] = _supply_pressure(0.0, shut, valve, oil, circuit, sample)
         else:
@@ -128,7 +129,7 @@ def settled(
 def _supply_pressure(
     low: N, high: N, valve: Numbers, oil: Numbers, circuit: Numbers, sample: tuple[N, N, N, N, N]
 ) -> N:
-    """The root of `excess` between two pressures, by Brent's method (1973, ch. 4); NaN: none.
+    """Return the root of `excess` between two pressures by Brent's method (1973, ch. 4), or NaN.
 
     ``b`` is the best point, ``a`` the one before it, ``c`` the other end of the bracket.
     """
@@ -167,7 +168,7 @@ def _supply_pressure(
 
 @numba.njit(cache=True)
 def _trial(a: N, b: N, c: N, f_a: N, f_b: N, f_c: N) -> N:
-    """From b to where a secant, or a parabola of p1 over the excess, meets zero; else infinity."""
+    """Return the step from b to the zero of a secant or inverse parabola; infinity if none."""
     if a == c:
         return -f_b * (b - a) / (f_b - f_a)
     to_a, to_c = (f_a - f_b) / (a - b), (f_c - f_b) / (c - b)
@@ -177,14 +178,14 @@ def _trial(a: N, b: N, c: N, f_a: N, f_b: N, f_c: N) -> N:
 
 @numba.njit(cache=True)
 def supply_share(circuit: Numbers, p1: N) -> N:
-    """Share of the pump's flow that the relief valve leaves at p1."""
+    """Return the share of the pump's flow that does not pass the relief valve at p1."""
     c = circuit[0]
     return min(max((c.p0 - p1) / c.override, 0.0), 1.0)
 
 
 @numba.njit(cache=True)
 def load_pressure(circuit: Numbers, p1: N, p2_set: N) -> N:
-    """p2 behind a valve at p1: the set point, at least the load valve's own, at most p1."""
+    """Return p2: the set point, at least the load valve's own pressure, at most p1."""
     c = circuit[0]
     share = supply_share(circuit, p1)
     return min(max(p2_set, c.load_minimum + c.load_resistance * share * share), p1)
@@ -192,26 +193,26 @@ def load_pressure(circuit: Numbers, p1: N, p2_set: N) -> N:
 
 @numba.njit(cache=True)
 def viscosity(A: N, B: N, T: N) -> N:
-    """ν (mm²/s) at T (°C) by Walther."""
+    """Return ν (mm²/s) at T (°C) by Walther."""
     return 10.0 ** (10.0 ** (A - B * np.log10(T + 273.15))) - 0.7
 
 
 @numba.njit(cache=True)
 def compression(p: N) -> N:
-    """Density at p (bar) over density without pressure, by Dowson and Higginson."""
+    """Return the density at p (bar) relative to p = 0, by Dowson and Higginson."""
     p_GPa = 1e-4 * p
     return 1.0 + 0.6 * p_GPa / (1.0 + 1.7 * p_GPa)
 
 
 @numba.njit(cache=True)
 def density(rho_15: N, expansion: N, p: N, T: N) -> N:
-    """ρ (kg/m³) at p (bar) and T (°C)."""
+    """Return ρ (kg/m³) at p (bar) and T (°C)."""
     return rho_15 * (1.0 - expansion * (T - 15.0)) * compression(p)
 
 
 @numba.njit(cache=True)
 def throttling_heat(heat_capacity: N, dp: N, rho: N) -> N:
-    """Rise of temperature (K) behind a throttle that takes dp (bar)."""
+    """Return the rise of temperature (K) across a throttle with pressure drop dp (bar)."""
     return dp * 1e5 / (rho * heat_capacity)
 
 
@@ -245,13 +246,13 @@ def _position(
     nu_gap: N,
     edge: N,
 ) -> N:
-    """The one root of ``_surplus``, in the one of its three regions where the sign changes."""
+    """Return the unique root of ``_surplus``, in the region of the three where its sign changes."""
     f_seat = _surplus(v, 0.0, y, p1, p2, rho, nu, nu_gap, edge)
     f_stop = _surplus(v, v.stroke, y, p1, p2, rho, nu, nu_gap, edge)
-    if f_seat <= 0.0:  # the pilot takes so little that the poppet stays on its seat
+    if f_seat <= 0.0:  # the pilot flow is too small to lift the poppet off its seat
         low, high, f_high = -1.0, 0.0, f_seat
         f_low = _surplus(v, low, y, p1, p2, rho, nu, nu_gap, edge)
-    elif f_stop >= 0.0:  # the pilot takes so much that the poppet stands at its stop
+    elif f_stop >= 0.0:  # the pilot flow holds the poppet at its stop
         low, high, f_low = v.stroke, v.stroke + 1.0, f_stop
         f_high = _surplus(v, high, y, p1, p2, rho, nu, nu_gap, edge)
     else:
@@ -278,7 +279,7 @@ def _root(
     nu_gap: N,
     edge: N,
 ) -> N:
-    """Ridders' method between ends of different sign; the bracket never opens."""
+    """Return a root by Ridders' method, from a bracket with a change of sign."""
     w = low
     for _ in range(100):
         middle = 0.5 * (low + high)
@@ -313,7 +314,7 @@ def _surplus(
     nu_gap: N,
     edge: N,
 ) -> N:
-    """Q_PV - Q_c on the path: falls all the way from w = -1 to w = stroke + 1, eq. (2)."""
+    """Return Q_PV - Q_c, eq. (2); it decreases from w = -1 to w = stroke + 1."""
     p_c = _control_pressure(v, w, p1, p2, rho, nu, edge)
     opening = v.x_0 + min(max(w, 0.0), v.stroke)
     into_chamber = _slot(v, v.K_c, v.slot_width, opening, p1 - p_c, rho, nu)
@@ -322,10 +323,10 @@ def _surplus(
 
 @numba.njit(cache=True)
 def _control_pressure(v: Record, w: N, p1: N, p2: N, rho: N, nu: N, edge: N) -> N:
-    """p_c on the path w: poppet pressed on its seat (w < 0), floating, at its stop (w > stroke).
+    """Return p_c at w: poppet on its seat (w < 0), floating, or at its stop (w > stroke).
 
-    Floating, p_c follows from the balance of forces, eq. (1). On the seat it may be anything
-    above that, up to p1 at w = -1; at the stop anything below, down to p2 at w = stroke + 1.
+    Floating, p_c follows from the balance of forces, eq. (1). On the seat it is higher, up to p1 at
+    w = -1; at the stop it is lower, down to p2 at w = stroke + 1.
     """
     x = min(max(w, 0.0), v.stroke)
     dp = p1 - p2
@@ -341,13 +342,13 @@ def _control_pressure(v: Record, w: N, p1: N, p2: N, rho: N, nu: N, edge: N) -> 
 
 @numba.njit(cache=True)
 def _main_flow(v: Record, x: N, dp: N, rho: N, nu: N, edge: N) -> N:
-    """Q_MP, eq. (4)."""
+    """Return Q_MP, eq. (4)."""
     return _orifice(v.K_MP * x * edge, 2.0 * x * SEAT_SINE, v.poppet_re, v.C_d, dp, rho, nu)
 
 
 @numba.njit(cache=True)
 def _pilot_flow(v: Record, y: N, dp: N, rho: N, nu: N, nu_gap: N) -> N:
-    """Q_PV over the pilot and its gap."""
+    """Return Q_PV through the pilot and its gap."""
     x_PV = v.pilot_stroke * y / (1.0 + v.pilot_jet * dp)
     return (
         _slot(v, v.K_PV, v.pilot_width, x_PV, dp, rho, nu)
@@ -357,7 +358,7 @@ def _pilot_flow(v: Record, y: N, dp: N, rho: N, nu: N, nu_gap: N) -> N:
 
 @numba.njit(cache=True)
 def _slot(v: Record, K: N, width: N, opening: N, dp: N, rho: N, nu: N) -> N:
-    """Flow (l/min) over a rectangular slot; its hydraulic diameter is 4·area/perimeter."""
+    """Return the flow (l/min) through a rectangular slot with D_h = 4·area/perimeter."""
     if opening <= 0.0:
         return 0.0
     D_h = 2.0 * width * opening / (width + opening)
@@ -366,7 +367,7 @@ def _slot(v: Record, K: N, width: N, opening: N, dp: N, rho: N, nu: N) -> N:
 
 @numba.njit(cache=True)
 def _orifice(K: N, D_h: N, re_t: N, C_d: N, dp: N, rho: N, nu: N) -> N:
-    """Flow (l/min) by C_d(Re) = C_d∞/√(1 + Re_t/Re), solved for C_d over the flow number."""
+    """Return the flow (l/min) by C_d(Re) = C_d∞/√(1 + Re_t/Re), solved by the flow number."""
     if dp <= 0.0 or K <= 0.0:
         return 0.0
     turbulent = K * math.sqrt(dp * RHO_K / rho)

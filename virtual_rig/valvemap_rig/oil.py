@@ -1,4 +1,4 @@
-"""Hydraulic oil: how thick, how heavy, and how much warmer behind a throttle.
+"""Hydraulic oil: viscosity, density and throttling heat.
 
 ::
 
@@ -6,9 +6,8 @@
     ρ(p, T) = ρ₁₅·(1 - α·(T - 15 °C))·(1 + 0.6·p/(1 + 1.7·p))        Dowson-Higginson; p in GPa
     ΔT = Δp/(ρ·c_p)                       throttling heat, about 6 K per 100 bar
 
-The rise of viscosity with pressure is left out (20 % per 100 bar, felt in the laminar region
-only). The throttling heat is the common rule without the cooling by expansion, which would take
-some 20 % off it.
+The rise of viscosity with pressure is neglected (20 % per 100 bar, relevant only in laminar flow).
+The throttling heat neglects the cooling by expansion, which would reduce it by about 20 %.
 """
 
 import math
@@ -54,7 +53,7 @@ class Oil(Parameters):
 
 
 def viscosity(oil: Oil, T: Floats) -> Floats:
-    """Kinematic viscosity ν (mm²/s) at T (°C), by Walther's equation (ASTM D341).
+    """Return the kinematic viscosity ν (mm²/s) at T (°C) by Walther's equation (ASTM D341).
 
     >>> viscosity(Oil(), np.array([20.0, 40.0, 100.0])).round(1)
     array([133.8,  46. ,   6.8])
@@ -63,7 +62,7 @@ def viscosity(oil: Oil, T: Floats) -> Floats:
 
 
 def walther_constants(oil: Oil) -> tuple[float, float]:
-    """A and B of Walther's equation, through the viscosities at 40 and 100 °C."""
+    """Return A and B of Walther's equation from the viscosities at 40 and 100 °C."""
     z_40, z_100 = (math.log10(math.log10(nu + 0.7)) for nu in (oil.nu_40_mm2_s, oil.nu_100_mm2_s))
     t_40, t_100 = (math.log10(celsius + 273.15) for celsius in (40.0, 100.0))
     B = (z_40 - z_100) / (t_100 - t_40)
@@ -71,7 +70,7 @@ def walther_constants(oil: Oil) -> tuple[float, float]:
 
 
 def density(oil: Oil, p: Floats, T: Floats) -> Floats:
-    """Density ρ (kg/m³) at p (bar, gauge) and T (°C); Dowson and Higginson 1966.
+    """Return the density ρ (kg/m³) at p (bar, gauge) and T (°C); Dowson and Higginson 1966.
 
     >>> density(Oil(), np.array([0.0, 200.0]), np.array([40.0, 40.0])).round(1)
     array([859.7, 869.7])
@@ -80,7 +79,7 @@ def density(oil: Oil, p: Floats, T: Floats) -> Floats:
 
 
 def throttling_heat(oil: Oil, dp: Floats, rho: Floats) -> Floats:
-    """How much warmer (K) oil of density ``rho`` leaves a throttle with pressure drop dp (bar).
+    """Return the temperature rise (K) of oil of density ``rho`` at a pressure drop dp (bar).
 
     >>> throttling_heat(Oil(), np.array([100.0]), np.array([864.8])).round(2)
     array([5.93])
@@ -89,7 +88,7 @@ def throttling_heat(oil: Oil, dp: Floats, rho: Floats) -> Floats:
 
 
 def numbers(oil: Oil) -> kernels.Numbers:
-    """What the compiled loops need of the oil."""
+    """Return the parameters of the oil for the compiled loops."""
     A, B = walther_constants(oil)
     row = (A, B, oil.rho_15_kg_m3, oil.expansion_per_K, oil.heat_capacity_J_kg_K)
     return np.array([row], dtype=kernels.OIL)

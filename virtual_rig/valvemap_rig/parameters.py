@@ -1,4 +1,4 @@
-"""How the rig's parameters are declared: each with default, unit, meaning, source and bounds."""
+"""Declaration of the rig's parameters with default, unit, meaning, source and bounds."""
 
 from typing import Any, Self
 
@@ -24,7 +24,7 @@ class Parameters(BaseModel):
 
 
 def parameter(default: Any, unit: str, description: str, source: str, **bounds: Any) -> Any:  # noqa: ANN401 - pydantic's Field is Any too
-    """One line of a data sheet: default, unit, meaning, source and the range that is allowed."""
+    """Return the field of a parameter: default, unit, meaning, source and allowed range."""
     return Field(
         default=default,
         description=description,
@@ -34,7 +34,7 @@ def parameter(default: Any, unit: str, description: str, source: str, **bounds: 
 
 
 def data_sheet(model: type[BaseModel]) -> list[tuple[str, Any, str, str, str]]:
-    """Rows (name, default, unit, description, source) of every parameter of a model.
+    """Return the rows (name, default, unit, description, source) of a model's parameters.
 
     >>> from valvemap_rig.oil import Oil
     >>> data_sheet(Oil)[0][:3]

@@ -1,7 +1,7 @@
-"""Random numbers by address: sample i of a stream is the same in whatever blocks it is drawn.
+"""Random access to random numbers: number i of a stream does not depend on the block size.
 
 Each stream is a counter-based generator (Philox) keyed by seed, owner and purpose, and drawn in
-fixed chunks, so that nothing has to be remembered between blocks.
+fixed chunks, so that no state is kept between blocks.
 """
 
 import zlib
@@ -16,7 +16,7 @@ _CHUNK = 1024
 
 
 def normal(seed: int, stream: str, start: int, n: int) -> Floats:
-    """Standard normal numbers start … start + n - 1 of a stream.
+    """Return standard normal numbers start … start + n - 1 of a stream.
 
     >>> whole = normal(1, "Valvistor.Q noise", 0, 3000)
     >>> bool((normal(1, "Valvistor.Q noise", 1000, 100) == whole[1000:1100]).all())
@@ -26,7 +26,7 @@ def normal(seed: int, stream: str, start: int, n: int) -> Floats:
 
 
 def uniform(seed: int, stream: str, start: int, n: int) -> Floats:
-    """Numbers start … start + n - 1 of a stream, uniform in [0, 1)."""
+    """Return numbers start … start + n - 1 of a stream, uniform in [0, 1)."""
     return _draw("uniform", seed, stream, start, n)
 
 

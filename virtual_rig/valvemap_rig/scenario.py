@@ -1,4 +1,4 @@
-"""A scenario: all that the rig needs to run, from a TOML file or built in."""
+"""Scenarios of the rig, built in or from a TOML file."""
 
 import tomllib
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from valvemap_rig.sensors import Sensors
 
 
 class ScenarioError(ValueError):
-    """A scenario cannot be had; one line names file, field, value and what is allowed."""
+    """A scenario is missing or invalid; one line names file, field, value and allowed values."""
 
 
 class ValveBench(Bench):
@@ -136,12 +136,12 @@ BUILTIN: Mapping[str, Scenario] = MappingProxyType(
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Take a built-in scenario by its name, or read one from a TOML file.
+    """Return a built-in scenario by its name, or read one from a TOML file.
 
     Raises
     ------
     ScenarioError
-        in one line: file, field, value, what is allowed.
+        in one line: file, field, value, allowed values.
 
     Examples
     --------
@@ -182,11 +182,11 @@ class VerificationPoints(NamedTuple):
 def verification_points(
     scenario: Scenario, valve: str | None = None, n: int = 1000, worn: Condition = AS_NEW
 ) -> VerificationPoints:
-    """Take the reachable ones of n points spread evenly over the map, with the flow's truth.
+    """Return the reachable ones of n points spread evenly over the map, with their true flow.
 
-    They are those of the ``verification`` excitation that the new valve can reach at the tank's set
-    temperature; their truth is that of the valve and the oil in the condition ``worn``. ``valve``
-    defaults to the first one.
+    They are the points of the ``verification`` excitation that the new valve can reach at the
+    tank's set temperature. The true flow is that of the valve and oil in the condition ``worn``.
+    ``valve`` defaults to the first one.
 
     Raises
     ------

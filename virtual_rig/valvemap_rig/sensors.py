@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: lag, offset, noise, quantisation, and their faults."""
+"""Sensor models: lag, offset, noise, quantisation and faults."""
 
 from typing import Literal, NamedTuple
 
@@ -35,7 +35,7 @@ class Sensors(Parameters):
 
 
 class SensorMemory(NamedTuple):
-    """What a sensor remembers: its lagging value and the last one it showed (NaN = none)."""
+    """State of a sensor: its lagging value and its last output (NaN = none)."""
 
     lagging: float = float("nan")
     shown: float = float("nan")
@@ -51,7 +51,7 @@ def measure(
     stream: str,
     start: int,
 ) -> tuple[SensorMemory, Floats]:
-    """What the sensor shows of N true values, the first of which is sample number ``start``.
+    """Return the sensor's outputs for N true values; the first is sample number ``start``.
 
     >>> import numpy as np
     >>> from valvemap_rig.faults import sensor_faults
@@ -77,7 +77,7 @@ def measure(
 
 
 def _held(shown: Floats, faults: SensorFaults, before: float) -> Floats:
-    """Each frozen value replaced by the last one shown before the freeze."""
+    """Return the outputs with each frozen value replaced by the last one before the freeze."""
     source = np.maximum.accumulate(np.where(faults.frozen, -1, np.arange(shown.size)))
     first = shown[0] if np.isnan(before) else before
     return np.where(source < 0, first, shown[np.maximum(source, 0)])

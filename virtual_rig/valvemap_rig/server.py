@@ -1,4 +1,4 @@
-"""The rig on OPC UA: plays a scenario in real time and publishes every sample of it."""
+"""OPC UA server of the rig: plays a scenario in real time and publishes every sample."""
 
 import asyncio
 import logging
@@ -46,8 +46,8 @@ from valvemap_rig.simulation import (
 _log = logging.getLogger(__name__)
 
 _TICK_S = 0.02
-_AHEAD_S = 0.1  # computing a block costs much the same however long it is
-_COMMANDED_AHEAD_S = 0.02  # but a command from outside acts with the next block only
+_AHEAD_S = 0.1  # s; the cost of a block hardly depends on its length
+_COMMANDED_AHEAD_S = 0.02  # s; external commands take effect in the next block
 _LATE_S = 0.1
 _REPORT_S = 1.0
 _SAMPLES_PER_TURN = 200
@@ -57,7 +57,7 @@ OnBlock = Callable[[RigBlock], None]
 
 
 class RigServer(Startable):
-    """A rig that clients can watch and operate; made by :meth:`create`."""
+    """A server with a rig that clients can monitor and operate; created by :meth:`create`."""
 
     def __init__(
         self,
@@ -77,8 +77,8 @@ class RigServer(Startable):
         self._started_at = 0.0
         self._block = NOTHING
         self._columns: Columns
-        self._taken = 0  # samples of the block that are published
-        self._played = 0  # samples of the scenario that are published
+        self._taken = 0  # published samples of the block
+        self._played = 0  # published samples of the scenario
         self._sequence_offset = 0
         self._samples = 0
         self._late_ticks = 0
@@ -96,18 +96,18 @@ class RigServer(Startable):
         on_block: OnBlock | None = None,
         clock: Clock | None = None,
     ) -> Self:
-        """Make the server and its nodes; it does not listen yet.
+        """Create the server and its nodes; it does not listen yet.
 
         Parameters
         ----------
         settings
             Identity, endpoint and security.
         scenario
-            What :meth:`run` plays first; its valves, sensors and rates stay for all others.
+            First scenario of :meth:`run`; its valves, sensors and rates apply to all later ones.
         on_block
-            Called with every block of samples, e.g. to record it.
+            Called with each block of samples, e.g. to record it.
         clock
-            Time of day and time that never jumps; the machine's if None.
+            Clock; None: the system clock.
         """
         clock = clock or SystemClock()
         server = await HardenedServer.create(settings, clock)
@@ -124,26 +124,26 @@ class RigServer(Startable):
 
     @property
     def url(self) -> str:
-        """Where the rig listens."""
+        """Endpoint URL of the rig."""
         return self._server.url
 
     @property
     def scenario(self) -> Scenario | None:
-        """The running scenario, None if none runs."""
+        """The running scenario, or None."""
         return self._scenario
 
     @property
     def samples(self) -> int:
-        """How many samples were published since the start."""
+        """Number of samples published since the start."""
         return self._samples
 
     @property
     def late_ticks(self) -> int:
-        """How often samples were published more than 0.1 s late."""
+        """Number of times that samples were published more than 0.1 s late."""
         return self._late_ticks
 
     async def start(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises
         ------
@@ -156,15 +156,15 @@ class RigServer(Startable):
         await self._server.stop()
 
     async def run(self) -> None:
-        """Play the scenario, then whatever operators start, until cancelled.
+        """Play the scenario, then the ones that operators start, until cancelled.
 
-        Samples are never dropped: after a stall they are published late, in order, each with
-        the source time that belongs to it.
+        Samples are never dropped: after a stall, they are published late, in order, with their
+        nominal source times.
 
         Raises
         ------
         Exception
-            what ``on_block`` raises, e.g. on a full disk.
+            any exception of ``on_block``, e.g. on a full disk.
         """
         self.start_scenario(self._base.name)
         while True:
@@ -180,7 +180,7 @@ class RigServer(Startable):
         Raises
         ------
         InvalidArgument
-            if there is none of that name.
+            if there is no scenario with that name.
         """
         known = {**BUILTIN, self._base.name: self._base}
         if name not in known:
@@ -197,12 +197,12 @@ class RigServer(Startable):
         _log.info("scenario %s started", name)
 
     def stop_scenario(self) -> None:
-        """Stop the running scenario; what was published last becomes Uncertain.
+        """Stop the running scenario; the last published values become Uncertain.
 
         Raises
         ------
         CommandRejected
-            if none runs.
+            if no scenario is running.
         """
         if self._scenario is None:
             raise CommandRejected("no scenario is running")
@@ -213,12 +213,12 @@ class RigServer(Startable):
         self._server.mark_block(self._nodes.signals, _UNCERTAIN_LAST_USABLE_VALUE)
 
     def inject_fault(self, valve: str, kind: str, size: float, duration_s: float) -> str:
-        """Make something go wrong, within a tenth of a second; returns its effect as a sentence.
+        """Inject a fault, effective within 0.1 s; return its effect as a sentence.
 
         Raises
         ------
         InvalidArgument
-            if kind or size make no sense: names what is allowed.
+            if kind or size is invalid; the message names the allowed values.
         CommandRejected
             if no scenario runs, or there are too many faults.
         """
@@ -238,7 +238,7 @@ class RigServer(Startable):
         return effect
 
     def conditions(self) -> dict[str, Condition]:
-        """The condition of every valve at the newest computed sample."""
+        """Return the condition of every valve at the newest computed sample."""
         if self._scenario is None:
             return {}
         index = max(self._state.index - 1, 0)
@@ -248,11 +248,11 @@ class RigServer(Startable):
         }
 
     def command_U(self, valve: str, U: float) -> None:
-        """Take a control signal (%) from outside, within 0.02 s where U is driven by it."""
+        """Set the external control signal (%), used within 0.02 s by the external excitation."""
         self._commands[valve] = self._commands[valve].written(U)
 
     def heartbeat(self, valve: str, count: int) -> None:
-        """Take the heartbeat of who writes the control signal; see :mod:`valvemap_rig.command`."""
+        """Set the heartbeat of the client that writes U; see :mod:`valvemap_rig.command`."""
         now = self._clock.monotonic()
         self._commands[valve] = self._commands[valve].beaten(count, now)
 
@@ -262,7 +262,7 @@ class RigServer(Startable):
         self._scenario = None
 
     def _play(self, scenario: Scenario) -> float:
-        """Publish what is due; return the time to the next samples, s."""
+        """Publish the due samples; return the time until the next samples, s."""
         rate = scenario.sample_rate_hz * scenario.time_factor
         elapsed = self._clock.monotonic() - self._started_at
         due = min(int(elapsed * rate) + 1 - self._played, _SAMPLES_PER_TURN)

@@ -1,6 +1,6 @@
-"""The rig in motion: from a scenario and a state to the next block of samples, and nothing else.
+"""Simulation of the rig: from a scenario and a state to the next block of samples.
 
-Same scenario, same commands: same samples bit for bit, in whatever blocks they are computed.
+The same scenario and commands give the same samples bit for bit, for any division into blocks.
 """
 
 from collections.abc import Mapping
@@ -35,9 +35,9 @@ MOST_FAULTS = 200
 
 @dataclass(frozen=True)
 class Commands:
-    """What an operator does before a block: signals (%) and faults, both by valve name.
+    """Commands of an operator before a block: signals (%) and faults, by valve name.
 
-    Faults start with the block's first sample, whatever their ``start_s``.
+    Faults start with the block's first sample; their ``start_s`` is ignored.
     """
 
     U: Mapping[str, float] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class Commands:
 
 @dataclass(frozen=True)
 class ValveState:
-    """What one valve remembers between blocks."""
+    """State of one valve between blocks."""
 
     U: float
     faults: Faults
@@ -59,7 +59,7 @@ class ValveState:
 
 @dataclass(frozen=True)
 class RigState:
-    """Number of the next sample, time of sample 0 (UTC ns), and every valve's memory."""
+    """Number of the next sample, time of sample 0 (UTC ns), and the states of the valves."""
 
     index: int
     start_ns: int
@@ -107,7 +107,7 @@ class RigBlock:
 
 
 def initial(scenario: Scenario, start_ns: int) -> RigState:
-    """State before the first sample, which belongs to ``start_ns`` (UTC; rounded to 100 ns)."""
+    """Return the state before the first sample, at ``start_ns`` (UTC; rounded to 100 ns)."""
     valves = {
         bench.name: ValveState(
             U=own_command(scenario),
@@ -123,7 +123,7 @@ def initial(scenario: Scenario, start_ns: int) -> RigState:
 
 
 def own_command(scenario: Scenario) -> float:
-    """The control signal (%) while none comes from outside."""
+    """Return the control signal (%) without an external command."""
     excitation = scenario.excitation
     return excitation.U_start_percent if isinstance(excitation, External) else 0.0
 
@@ -131,12 +131,12 @@ def own_command(scenario: Scenario) -> float:
 def advance(
     scenario: Scenario, state: RigState, n: int, commands: Commands | None = None
 ) -> tuple[RigState, RigBlock]:
-    """Compute the next n samples, fewer where the scenario ends.
+    """Compute the next n samples, or fewer at the end of the scenario.
 
     Raises
     ------
     ScenarioError
-        if a command names a valve that is not there, a U outside 0 … 100 %, or one fault too many.
+        if a command names an unknown valve, a U outside 0 … 100 %, or too many faults.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def advance(
 
 
 def is_over(scenario: Scenario, state: RigState) -> bool:
-    """Whether the scenario has come to its end."""
+    """Return whether the scenario has ended."""
     return scenario.samples is not None and state.index >= scenario.samples
 
 
@@ -232,7 +232,7 @@ def _advance_valve(
 
 
 def _source_time(scenario: Scenario, start_ns: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Time of day of each sample: with a time factor, samples follow each other faster."""
+    """Return the source time of each sample; a time factor shortens the intervals."""
     spacing = 1e7 / (scenario.sample_rate_hz * scenario.time_factor)  # in ticks of 100 ns
     return np.asarray(start_ns + np.rint(index * spacing).astype(np.int64) * 100)
 

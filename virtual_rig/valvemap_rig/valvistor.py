@@ -1,8 +1,8 @@
 """The Valvistor: a seat valve whose main poppet amplifies the flow of a small pilot valve.
 
-Oil reaches the control chamber (pressure p_c) over a slot in the main poppet that opens with its
-stroke, and leaves it over the pilot valve; the pilot sets the stroke at which both flows agree.
-Numbers in brackets are the paper's equations, right-hand sides as corrected::
+Oil enters the control chamber (pressure p_c) through a slot in the main poppet that opens with its
+stroke, and leaves it through the pilot valve. The pilot thus sets the stroke at which both flows
+are equal. Numbers in brackets are the paper's equations, with corrected right-hand sides::
 
     (1)  p_c - p₂ = Δp/φ - (F_spring + F_flow)/(A₁ + A₂)          balance of forces
          F_spring = F₀ + k·x_MP
@@ -13,7 +13,7 @@ Numbers in brackets are the paper's equations, right-hand sides as corrected::
     (4)  Q_MP = K_MP·x_MP·√Δp                                     main poppet
     (6)  Q_T  = Q_MP + Q_PV + seat leakage
 
-(3) and (5) are what follows from these without springs, jets and friction of the oil:
+(3) and (5) follow from these without springs, jet forces and viscous friction:
 x_MP = (Q_PV/K_c)·√(φ/((φ-1)·Δp)) - x₀ = K_PV·x_PV/(K_c·√(φ-1)) - x₀, which no longer depends
 on Δp. On its seat (x_MP = 0) and at its stop the balance (1) does not hold: the stop carries the
 rest of the force, and pilot and slot are merely in series.
@@ -21,9 +21,9 @@ rest of the force, and pilot and slot are merely in series.
 Every orifice obeys C_d(Re) = C_d∞/√(1 + Re_t/Re): turbulent √Δp far above the transition number
 Re_t, laminar (C_d ∝ √Re, flow ∝ Δp/ν) far below.
 
-What bends the curves away from √Δp: a jet force ∝ x·Δp alone would not, as everything else in (1)
-and (2) scales with Δp too. It takes a force that does not: the springs of poppet and pilot, the
-magnet, and the friction of the oil.
+The curves deviate from √Δp because of forces that do not scale with Δp: the springs of poppet and
+pilot, the magnet, and viscous friction. A jet force ∝ x·Δp alone would not cause a deviation, as
+all other terms in (1) and (2) scale with Δp, too.
 """
 
 import math
@@ -147,9 +147,9 @@ class Valvistor(Parameters):
 
 
 class PoppetState(NamedTuple):
-    """Where the valve stands at N points, all arrays of shape (N,).
+    """State of the valve at N points, all arrays of shape (N,).
 
-    ``Q`` is the total flow counted at p1 and T (l/min), ``Q_PV`` the pilot's part of it,
+    ``Q`` is the total flow at p1 and T (l/min), ``Q_PV`` the pilot's part of it,
     ``x_MP`` the poppet's stroke (mm), ``p_c`` the pressure in the control chamber (bar).
     """
 
@@ -160,7 +160,7 @@ class PoppetState(NamedTuple):
 
 
 def pilot_opening(valve: Valvistor, U: Floats) -> Floats:
-    """Opening y (0 … 1) of the pilot at signal U (%): dead band, straight line, saturation.
+    """Return the pilot's opening y (0 … 1) at signal U (%): dead band, line, saturation.
 
     >>> pilot_opening(Valvistor(), np.array([0.0, 2.5, 50.25, 98.0, 100.0]))
     array([0. , 0. , 0.5, 1. , 1. ])
@@ -179,20 +179,20 @@ def poppet_state(
     edge: Floats,
     gap: ArrayLike = 0.0,
 ) -> PoppetState:
-    """Balance the valve at N points.
+    """Return the equilibrium of the valve at N points.
 
     Parameters
     ----------
     y : (N,) array
         Opening of the pilot, 0 … 1.
     p1, p2 : (N,) arrays
-        Pressures before and behind the valve, bar; p2 >= p1 passes nothing.
+        Pressures upstream and downstream of the valve, bar; no flow if p2 >= p1.
     T : (N,) array
         Oil temperature at the inlet, °C.
     edge : (N,) array
-        Flow coefficient of the main edge over that of the new valve (wear > 1).
+        Flow coefficient of the main edge relative to the new valve (wear > 1).
     gap : (N,) array
-        Flow coefficient of a gap worn into it, l/min per √bar: open at any stroke.
+        Flow coefficient of a gap worn into the main edge, l/min per √bar: open at any stroke.
 
     Examples
     --------
@@ -209,7 +209,7 @@ def poppet_state(
 
 
 def numbers(valve: Valvistor) -> kernels.Numbers:
-    """What the compiled loops need of a valve; slots are as wide as their K asks for."""
+    """Return the parameters of a valve for the compiled loops; K defines the slots' widths."""
     K_per_mm = 0.06 * valve.discharge_coefficient * math.sqrt(2e5 / kernels.RHO_K)
     row = (
         valve.phi,

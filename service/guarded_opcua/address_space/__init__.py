@@ -1,1 +1,1 @@
-"""The nodes: made, read, written, browsed; the server described by its own nodes."""
+"""Nodes: creation, Read, Write, Browse; the nodes that describe the server."""

@@ -1,4 +1,4 @@
-"""asyncua's internal server, for what stays its own: the address space and the server's session."""
+"""asyncua's internal server, used only for the address space and the internal session."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,11 +22,11 @@ class AsyncuaServer(InternalServer):
     def __init__(self, cache: Path | None) -> None:
         self._cache = cache
         super().__init__(user_manager=_Nobody())
-        self.disabled_clock = True  # the server writes its times itself, see self_description.py
+        self.disabled_clock = True  # self_description.py updates CurrentTime instead
         self.allow_remote_admin = False
 
     def hand_events_to(self, to_peers: Callable[[Any], None]) -> None:
-        """Let events that are made with asyncua reach the subscriptions of peers."""
+        """Forward events that are created with asyncua to the subscriptions of peers."""
         service = _EventForwarder(self.aspace, self, to_peers)
         self.subscription_service = service
         self.isession.subscription_service = service

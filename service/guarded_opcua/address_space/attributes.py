@@ -1,4 +1,4 @@
-"""Read and Write for a user: what may be seen and changed (Part 4, 5.11)."""
+"""Read, Write and Call with the permissions of a user (Part 4, 5.11)."""
 
 import dataclasses
 import inspect
@@ -27,7 +27,7 @@ _WRITE_BIT = 1 << ua.AccessLevel.CurrentWrite
 
 
 class Attributes:
-    """The attributes of all nodes, as each role sees them."""
+    """Reads and writes the attributes of all nodes, subject to the user's role."""
 
     def __init__(
         self,
@@ -62,13 +62,13 @@ class Attributes:
         return _part(held, wanted.IndexRange) if wanted.IndexRange else held
 
     def held(self, item: ua.WriteValue) -> ua.DataValue:
-        """Return what is there before a write."""
+        """Return the value before a write."""
         return held_attribute(self._aspace, item.NodeId, item.AttributeId)
 
     async def write(  # noqa: PLR0911 - one per reason
         self, item: ua.WriteValue, role: Role, outside: Outside
     ) -> int:
-        """Write one value; a status code."""
+        """Write one value; return a status code."""
         held = self.held(item)
         if is_missing(held):
             return int(held.StatusCode.value)
@@ -92,7 +92,7 @@ class Attributes:
         except CommandRejected as error:
             _log.warning("%s: write refused: %s", item.NodeId.Identifier, error)
             return rejection_code(error)
-        except Exception:  # noqa: BLE001 - a write must be answered, whatever happens in it
+        except Exception:  # noqa: BLE001 - each write is answered, even if its handler fails
             _log.exception("%s: write failed", item.NodeId.Identifier)
             return _Codes.BadInternalError
         self._take_write(variable, value, item.Value.SourceTimestamp)
@@ -101,7 +101,7 @@ class Attributes:
     async def call(
         self, request: ua.CallMethodRequest, role: Role, outside: Outside
     ) -> ua.CallMethodResult:
-        """Call a method of our own."""
+        """Call a method of the server's namespace."""
         owner = self._aspace.get(request.ObjectId)
         if owner is None or request.MethodId not in self._aspace:
             return _no_call(_Codes.BadNodeIdUnknown)

@@ -1,8 +1,7 @@
-"""Variables that change together, kept and written as arrays.
+"""Variables that change together, stored and written as arrays.
 
-A server that writes one variable at a time spends some ten microseconds of Python on each change.
-A block is written as arrays, and its monitored items are served as arrays by ``block_items``. A
-client sees no difference.
+Writing variables one at a time costs about 10 µs of Python per change. A block is written as
+arrays, and its monitored items are served as arrays by ``block_items``. Clients see no difference.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,9 +36,9 @@ class Batch:
 
     ``values`` (k, n, w) with w elements of each variable's value; ``codes`` (k, n) StatusCodes;
     ``has`` (k, n), False where a sample has no value; ``source`` (k, n) in 100 ns since 1601;
-    ``present`` (k, n), False where there is no sample, or None if all are there; ``server`` one
-    time for all. With ``columns`` (n,), in any order, the n are those columns of the block, each
-    once, and the others stay as they are; None: the n are all.
+    ``present`` (k, n), False where there is no sample, or None if all are present; ``server`` one
+    time for all. ``columns`` (n,), in any order and each once, are the columns of the block that
+    are written; None: all columns.
     """
 
     values: Values
@@ -65,7 +64,7 @@ class Batch:
         )
 
     def of(self, which: Columns) -> Self:
-        """The same samples of some of the n."""
+        """Return the samples of the given columns of the batch."""
         return type(self)(
             self.values[:, which],
             self.codes[:, which],
@@ -78,23 +77,24 @@ class Batch:
 
 
 class Watcher(Protocol):
-    """Takes in all that is written to a block."""
+    """Receives all batches written to a block."""
 
     def take_in(self, batch: Batch, moment: int) -> None:
-        """Take samples in, the first of which belongs to the moment."""
+        """Process the samples of a batch; ``moment`` is that of the first."""
 
 
 class Block:
-    """The newest values of n variables of one type, a column each.
+    """The newest values of n variables of one type, one column each.
 
-    Made by ``HardenedServer.add_block``. All wait for initial data; ``now`` is UTC ns.
+    Created by ``HardenedServer.add_block``. The initial status is BadWaitingForInitialData; ``now``
+    is UTC ns.
 
     Attributes
     ----------
     type
-        Their data type: a number of fixed width.
+        Data type: a number of fixed width.
     length
-        Length of their values if they are arrays, None for scalars.
+        Length of the values if they are arrays, None for scalars.
     """
 
     def __init__(
@@ -111,19 +111,19 @@ class Block:
         self._has = np.zeros(n, np.bool_)
         self._source = np.full(n, ticks_of_ns(now), np.int64)
         self._server = self._source.copy()
-        self._held: dict[int, AttributeValue] = {}  # of the columns that a variable shows
-        self._watched: set[int] = set()  # columns that somebody watches one by one
+        self._held: dict[int, AttributeValue] = {}  # of columns with a variable
+        self._watched: set[int] = set()  # columns with callbacks of single items
 
     def __len__(self) -> int:
         return len(self._values)
 
     def check(self, variable: Variable) -> None:
-        """See to it that a variable can show a column.
+        """Check that a variable can be attached to a column.
 
         Raises
         ------
         ServerError
-            if it is of another type.
+            if its type differs from the block's.
         """
         if variable.type != self.type or self.type not in DTYPES:
             raise ServerError(f"{variable.id.Identifier}: a block is of numbers of one type")
@@ -131,13 +131,13 @@ class Block:
             raise ServerError(f"{variable.id.Identifier}: a block is of scalars, or of arrays")
 
     def adopt(self, column: int, data: ua.DataValue) -> None:
-        """Take a value over that a variable had before."""
+        """Copy the previous value of a variable to its column."""
         self._values[column], *rest = self._content(data)
         self._codes[column], self._has[column], self._source[column] = rest[:3]
         self._server[column] = rest[3]
 
     def show(self, column: int, variable: Variable, held: AttributeValue) -> None:
-        """Let a variable show a column: ``held`` is its attribute Value."""
+        """Attach a variable to a column; ``held`` is its attribute Value."""
         self.check(variable)
         held.value_callback = self._reader(column)
         held.datachange_callbacks = _Callbacks(held.datachange_callbacks, self._watched, column)
@@ -145,7 +145,7 @@ class Block:
 
     @property
     def width(self) -> int:
-        """How many elements the value of a variable has."""
+        """Number of elements of each value."""
         return self._values.shape[1]
 
     def batch(
@@ -157,14 +157,14 @@ class Block:
         now: int,
         columns: ArrayLike | None = None,
     ) -> Batch:
-        """Make a batch of what is written; times in UTC ns; ``columns`` if it is not all.
+        """Return a batch of the samples of all or the given columns; times in UTC ns.
 
         Raises
         ------
         ValueError
-            if the shapes do not fit.
+            if the shapes are inconsistent.
         """
-        found = np.array(values, self.dtype)  # a copy: it may be queued
+        found = np.array(values, self.dtype)  # a copy, since it may be queued
         written = None if columns is None else np.asarray(columns, np.intp)
         width = len(self) if written is None else len(written)
         shape = (-1, width) if self.length is None else (-1, width, self.length)
@@ -189,7 +189,7 @@ class Block:
         )
 
     def batch_of(self, column: int, data: ua.DataValue) -> Batch:
-        """Make a batch of one value of one variable."""
+        """Return a batch of one value of one variable."""
         n = len(self)
         value, code, has, source, server = self._content(data)
         return Batch(
@@ -202,7 +202,7 @@ class Block:
         )
 
     def take(self, batch: Batch) -> None:
-        """Take the next samples in and hand them to whom they concern."""
+        """Store the next samples, and notify the monitored items."""
         if not batch.codes.size or (batch.present is not None and not batch.present.any()):
             return
         moment = self._ledger.moment + 1
@@ -225,7 +225,7 @@ class Block:
         )
 
     def newest(self, column: int) -> Batch:
-        """Return the newest value of a variable as the batch of a block that has no others."""
+        """Return the newest value of a variable as a batch with a single column."""
         one = slice(column, column + 1)
         return Batch(
             self._values[None, one].copy(),
@@ -240,11 +240,11 @@ class Block:
         self,
         value: Values,
         code: int,
-        has: bool,  # noqa: FBT001 - one of what the arrays hold
+        has: bool,  # noqa: FBT001 - an element of an array
         source: int,
         server: int,
     ) -> ua.DataValue:
-        """Make a DataValue of what the arrays hold."""
+        """Return a DataValue of array elements."""
         if not has:
             content = ua.Variant()
         elif self.length is None:
@@ -254,7 +254,7 @@ class Block:
         return ua.DataValue(content, ua.StatusCode(code), _instant(source), _instant(server))
 
     def marked(self, code: int, now: int, columns: Columns | None = None) -> Batch:
-        """Make a batch of the newest values, of some columns or of all, with another StatusCode."""
+        """Return a batch of the newest values, of all or the given columns, with a new status."""
         which = slice(None) if columns is None else columns
         return Batch(
             self._values[None, which].copy(),
@@ -267,17 +267,17 @@ class Block:
         )
 
     def are_good(self, columns: Columns) -> NDArray[np.bool_]:
-        """Whether the newest values of some columns are Good."""
+        """Return whether the newest values of the columns are Good, shape (n,)."""
         return np.asarray(self._codes[columns] < _UNCERTAIN)
 
     def unknown(self, columns: Sequence[int], now: int) -> Batch:
-        """Make a batch that says of some columns that their variables are gone."""
+        """Return a batch with BadNodeIdUnknown for the columns of removed variables."""
         one = () if self.length is None else (self.length,)
         values = np.zeros((1, len(columns), *one), self.dtype)
         return self.batch(values, [now], ua.StatusCodes.BadNodeIdUnknown, None, now, columns)
 
     def _content(self, data: ua.DataValue) -> tuple[Any, int, bool, int, int]:
-        """Value (0 if there is none), code, whether there is a value, source and server time."""
+        """Return value (0 if null), code, whether it has a value, source and server time."""
         has = data.Value is not None and data.Value.Value is not None
         code = 0 if data.StatusCode is None else data.StatusCode.value
         server = 0 if data.ServerTimestamp is None else ticks(data.ServerTimestamp)
@@ -302,7 +302,7 @@ class Block:
         self._server[where] = batch.server
 
     def _for_others(self, batch: Batch) -> Iterator[tuple[int, int, ua.DataValue]]:
-        """Samples, in their order, of those variables that somebody watches one by one."""
+        """Yield (row, column, value) of the samples of variables with single items, in order."""
         watched = self._watched
         if not watched:
             return
@@ -328,7 +328,7 @@ class Block:
 
 
 class _Callbacks(dict[int, Callable[..., Any]]):
-    """Who watches one variable by itself; its block must know whether there is anybody."""
+    """Callbacks of single items on one variable; keeps the block's ``watched`` set up to date."""
 
     def __init__(self, held: dict[int, Callable[..., Any]], watched: set[int], column: int) -> None:
         super().__init__(held)
@@ -353,6 +353,6 @@ def _spread(array: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     return array if array.shape == shape else np.broadcast_to(array, shape)
 
 
-@lru_cache(maxsize=64)  # the signals of a sample share their times
+@lru_cache(maxsize=64)  # the signals of a sample share their timestamps
 def _instant(ticks_: int) -> Any:  # noqa: ANN401 - a datetime of asyncua's
     return instant((ticks_ - TICKS_1970) * 100)

@@ -28,7 +28,7 @@ _ALL = sum(int(mask) for mask, _, _ in _MASKED)
 
 @dataclass(frozen=True)
 class Continuation:
-    """What a Browse has not yet returned."""
+    """The remaining references of a Browse."""
 
     rest: tuple[ua.ReferenceDescription, ...]
     page: int
@@ -39,7 +39,7 @@ Continuations = OrderedDict[bytes, Continuation]
 
 
 class View:
-    """Answers what refers to what."""
+    """Answers Browse and TranslateBrowsePathsToNodeIds."""
 
     def __init__(self, aspace: AddressSpace, limits: Limits) -> None:
         self._aspace = aspace
@@ -47,7 +47,7 @@ class View:
         self._subtypes: dict[ua.NodeId, frozenset[ua.NodeId]] = {}
 
     def forget_types(self) -> None:
-        """Read the reference types anew: nodes were added."""
+        """Clear the cached subtypes of reference types after nodes were added."""
         self._subtypes.clear()
 
     def browse(
@@ -56,7 +56,7 @@ class View:
         wanted: ua.BrowseDescription,
         continuations: Continuations,
     ) -> ua.BrowseResult:
-        """Browse one node; what does not fit waits behind a continuation point."""
+        """Browse one node; store the remaining references behind a continuation point."""
         if params.View is not None and not params.View.ViewId.is_null():
             return _fault(_Codes.BadViewIdUnknown)
         most = self._limits.references_per_node
@@ -130,7 +130,7 @@ class View:
     async def translate(  # noqa: PLR0911 - one per reason
         self, path: ua.BrowsePath, breathe: Breathe
     ) -> ua.BrowsePathResult:
-        """Follow a browse path to its nodes, letting others go first between them."""
+        """Return the targets of a browse path; ``breathe`` is awaited between nodes."""
         elements = path.RelativePath.Elements
         if not elements:
             return _no_path(_Codes.BadNothingToDo)

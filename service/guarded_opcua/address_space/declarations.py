@@ -1,4 +1,4 @@
-"""Variables, methods and arguments of a server's own namespace, as declared."""
+"""Declarations of variables, methods and arguments of the server's namespace."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from guarded_opcua.errors import CommandRejected
 from guarded_opcua.security.users import Role
 
 Range = tuple[float, float]
-Value = Any  # what a variable holds: bool, int, float, str, or a list or array of them
+Value = Any  # bool, int, float, str, or a list or array of them
 OnWrite = Callable[[Any], Awaitable[None] | None]
 Function = Callable[..., Any]
 
 
 class OutOfRange(CommandRejected):
-    """A number lies outside of what is allowed; OPC UA says BadOutOfRange."""
+    """A number is outside of its allowed range; the status is BadOutOfRange."""
 
 
 class InvalidArgument(CommandRejected):
-    """One argument of a call makes no sense; OPC UA says BadInvalidArgument and which one."""
+    """One argument of a call is invalid; the status is BadInvalidArgument, with its index."""
 
     def __init__(self, index: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -30,7 +30,7 @@ class InvalidArgument(CommandRejected):
 
 @dataclass(frozen=True)
 class Argument:
-    """A method's argument: name, type, what it means and what is allowed.
+    """A method's argument: name, type, description and allowed values.
 
     ``value_range`` is checked on every call (numbers only); a Double must be finite, or NaN where
     ``or_nan``.
@@ -47,7 +47,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of our own: what :meth:`HardenedServer.write` and its peers need to know."""
+    """A variable of the server's namespace; the handle for :meth:`HardenedServer.write`."""
 
     id: ua.NodeId
     type: ua.VariantType
@@ -60,7 +60,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Method:
-    """A method of our own."""
+    """A method of the server's namespace."""
 
     id: ua.NodeId
     function: Function

@@ -1,4 +1,4 @@
-"""Attributes as nodes hold them: which there are (Part 3, 5.9) and which may be read."""
+"""Stored attributes of nodes: existence (Part 3, 5.9) and read access."""
 
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace
@@ -9,10 +9,10 @@ _READ = 1 << ua.AccessLevel.CurrentRead
 
 
 def held_attribute(aspace: AddressSpace, id_: ua.NodeId, attribute: int) -> ua.DataValue:
-    """Return an attribute of a node; BadNodeIdUnknown or BadAttributeIdInvalid without it.
+    """Return an attribute of a node; BadNodeIdUnknown or BadAttributeIdInvalid if missing.
 
-    Null is a value of a Variable. Any other attribute that holds Null is an optional one that the
-    node does not have, such as the default Value of a VariableType.
+    Null is a valid Value of a Variable. Any other attribute that is Null is an absent optional one,
+    such as the default Value of a VariableType.
     """
     held: ua.DataValue = aspace.read_attribute_value(id_, attribute)
     is_null = held.Value is None or held.Value.VariantType == ua.VariantType.Null
@@ -22,13 +22,13 @@ def held_attribute(aspace: AddressSpace, id_: ua.NodeId, attribute: int) -> ua.D
 
 
 def is_missing(held: ua.DataValue) -> bool:
-    """Whether there is no such node, or no such attribute of it."""
+    """Return whether the node or its attribute does not exist."""
     code = 0 if held.StatusCode is None else held.StatusCode.value
     return code in (_Codes.BadNodeIdUnknown, _Codes.BadAttributeIdInvalid)
 
 
 def is_readable(aspace: AddressSpace, id_: ua.NodeId) -> bool:
-    """Whether the Value of a node may be read; only Variables have a level of access."""
+    """Return whether the Value of a node may be read; only Variables have an AccessLevel."""
     level = aspace.read_attribute_value(id_, _Ids.AccessLevel).Value
     return level is None or level.Value is None or bool(level.Value & _READ)
 

@@ -1,8 +1,7 @@
-"""Nodes of our own put straight into the address space.
+"""Direct insertion of nodes into the address space.
 
-asyncua's own way asks a session, looks through all references of the parent for each new child,
-and takes a quarter of a millisecond; thousands of valves would take minutes. What comes out is the
-same.
+asyncua's AddNodes searches all references of the parent for each new child and takes 0.25 ms per
+node; thousands of valves would take minutes. The resulting nodes are identical.
 """
 
 import datetime as dt
@@ -21,7 +20,7 @@ _Ids = ua.AttributeIds
 _Types = ua.VariantType
 _HAS_TYPE = ua.NodeId(ua.ObjectIds.HasTypeDefinition)
 _TYPED = (ua.NodeClass.Object, ua.NodeClass.Variable)
-# what a node may be given: name, bit, attribute, type of the value (None: it says so itself)
+# attributes of AddNodes: name, bit, attribute, type of the value (None: a Variant)
 _ATTRIBUTES = tuple(
     (name, int(getattr(ua.NodeAttributesMask, name)), getattr(_Ids, name), kind)
     for name, kind in (
@@ -47,7 +46,7 @@ _ATTRIBUTES = tuple(
 
 @contextmanager
 def many_nodes() -> Iterator[None]:
-    """Add nodes at twice the speed: none of them is garbage, now or later."""
+    """Disable the garbage collector while nodes are added, then freeze them; halves the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -59,12 +58,12 @@ def many_nodes() -> Iterator[None]:
 
 
 def insert(aspace: AddressSpace, item: ua.AddNodesItem, utc: dt.datetime) -> ua.NodeId:
-    """Add an object, variable or method below its parent; ``utc`` is the time of its value.
+    """Add an object, variable or method below its parent; ``utc`` is the timestamp of its value.
 
     Raises
     ------
     ServerError
-        if the node is there already, or its parent or type is not.
+        if the node exists, or its parent or type does not.
     """
     id_, parent = item.RequestedNewNodeId, aspace.get(item.ParentNodeId)
     for wrong, code in (
@@ -116,7 +115,7 @@ def property_item(
     name: str | ua.QualifiedName,
     value: Any,  # noqa: ANN401 - of any type
 ) -> ua.AddNodesItem:
-    """Describe a property; its name is of the standard's namespace, if it does not say another."""
+    """Return the AddNodesItem of a property; a ``str`` name is in namespace 0."""
     content = ua.Variant(value)
     named = name if isinstance(name, ua.QualifiedName) else ua.QualifiedName(name, 0)
     text = ua.LocalizedText(named.Name)
@@ -150,12 +149,12 @@ def _attribute(value: Any, kind: ua.VariantType) -> AttributeValue:  # noqa: ANN
 
 @lru_cache(10_000)
 def _shared(value: Any, kind: ua.VariantType) -> ua.DataValue:  # noqa: ANN401
-    """Most nodes say the same of themselves; who changes an attribute replaces its DataValue."""
+    """Return a shared DataValue: most nodes have equal attributes, and writes replace it."""
     return ua.DataValue(ua.Variant(value, kind))
 
 
 def reference(kind: ua.NodeId, target: NodeData, *, forward: bool) -> ua.ReferenceDescription:
-    """Describe a reference to a node."""
+    """Return the ReferenceDescription of a node."""
     attributes = target.attributes
     found = ua.ReferenceDescription(
         ReferenceTypeId=kind,

@@ -1,4 +1,4 @@
-"""What a server says of a namespace of its own (Part 5, 6.3.13)."""
+"""NamespaceMetadata of the server's namespace (Part 5, 6.3.13)."""
 
 import datetime as dt
 
@@ -16,7 +16,7 @@ def describe_namespace(
 ) -> ua.NodeId:
     """Add the NamespaceMetadata of a namespace below Server/Namespaces.
 
-    All its ids are strings, and the same whenever the server runs.
+    The ids of the namespace are strings and do not change between runs.
     """
     item = ua.AddNodesItem()
     item.ParentNodeId = ua.NodeId(_Ids.Server_Namespaces)

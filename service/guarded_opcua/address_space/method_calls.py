@@ -1,4 +1,4 @@
-"""Calls of a server's own methods (Part 4, 5.12)."""
+"""Method calls in the server's namespace (Part 4, 5.12)."""
 
 import inspect
 from collections.abc import Awaitable, Callable, Sequence
@@ -19,9 +19,9 @@ Outside = Callable[[Awaitable[Any]], Awaitable[Any]]
 async def call_method(
     method: Method, arguments: Sequence[ua.Variant], outside: Outside
 ) -> ua.CallMethodResult:
-    """Check the arguments, run the method, turn what it says into a result.
+    """Check the arguments, run the method, and return its result or status.
 
-    What the method waits for is awaited by ``outside``, so that others are served meanwhile.
+    An awaitable result is awaited by ``outside``, so that other connections are served.
     """
     result = ua.CallMethodResult()
     if len(arguments) != len(method.inputs):
@@ -52,14 +52,14 @@ async def call_method(
     except CommandRejected as error:
         _log.warning("%s(%s) refused: %s", method.id.Identifier, _shown(values), error)
         result.StatusCode = ua.StatusCode(rejection_code(error))
-    except Exception:  # noqa: BLE001 - a method must answer, whatever happens in it
+    except Exception:  # noqa: BLE001 - each call is answered, even if the method fails
         _log.exception("%s(%s) failed", method.id.Identifier, _shown(values))
         result.StatusCode = ua.StatusCode(ua.StatusCodes.BadInternalError)
     return result
 
 
 def rejection_code(error: CommandRejected) -> int:
-    """Status code of a command that was refused."""
+    """Return the status code of a rejected command."""
     if isinstance(error, OutOfRange):
         return ua.StatusCodes.BadOutOfRange
     return ua.StatusCodes.BadInvalidState

@@ -1,4 +1,4 @@
-"""Nodes of other people's namespaces, from UANodeSets (Part 6, annex F), at their own ids."""
+"""Nodes of other namespaces, imported from UANodeSets (Part 6, annex F) with their ids."""
 
 from asyncua import Server, ua
 from asyncua.server.address_space import AddressSpace, AttributeValue
@@ -10,7 +10,7 @@ _LEVELS = ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel
 
 
 async def import_node_set(server: Server, aspace: AddressSpace, text: str) -> None:
-    """Add the nodes of a UANodeSet; nobody writes their variables, and their levels say so."""
+    """Add the nodes of a UANodeSet; their access levels are set to read-only."""
     for id_ in await server.import_xml(xmlstring=text.encode(), auto_load_definitions=False):
         attributes = aspace[id_].attributes
         _mark_array(attributes.get(ua.AttributeIds.Value))
@@ -22,17 +22,17 @@ async def import_node_set(server: Server, aspace: AddressSpace, text: str) -> No
 
 
 def _mark_array(held: AttributeValue | None) -> None:
-    """Mark a list of values as the array that it is; asyncua's importer leaves some unmarked."""
+    """Mark a list of values as an array; asyncua's importer leaves some unmarked."""
     content = None if held is None or held.value is None else held.value.Value
     if content is not None and isinstance(content.Value, list):
         content.is_array = True
 
 
 def refer(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
-    """Have a node refer to another, which does not refer back."""
+    """Add a forward reference to a node, without the inverse one."""
     aspace[source].references.append(reference(kind, aspace[target], forward=True))
 
 
 def refer_back(aspace: AddressSpace, source: ua.NodeId, kind: ua.NodeId, target: ua.NodeId) -> None:
-    """Say of the target that the source refers to it."""
+    """Add the inverse reference to the target."""
     aspace[target].references.append(reference(kind, aspace[source], forward=False))

@@ -1,4 +1,4 @@
-"""Objects, variables and methods added to a server's own namespace."""
+"""Add objects, variables and methods to the server's namespace."""
 
 import datetime as dt
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ class NodeOwner(Protocol):
         """All nodes."""
 
     def utc(self) -> dt.datetime:
-        """Time of day."""
+        """Return the time of day."""
 
     def register_variable(self, variable: Variable, value: Value) -> None:
-        """Take a variable into care."""
+        """Register a variable and publish its first value."""
 
     def register_method(self, method: Method) -> None:
-        """Take a method into care."""
+        """Register a method."""
 
 
 async def add_object(
@@ -59,19 +59,19 @@ async def add_object(
     Parameters
     ----------
     server
-        Where.
+        Server that gets the node.
     parent
-        The object that organizes it; None is the Objects folder.
+        Object that organizes it; None: the Objects folder.
     id
         String identifier; its last segment (after ``.``) becomes the BrowseName.
     description
-        A sentence for who browses.
+        Description attribute.
     type_definition
-        Its type; BaseObjectType if None.
+        Type of the object; None: BaseObjectType.
     name
-        Its BrowseName where another namespace gives that.
+        BrowseName, if it is in another namespace.
     as_add_in
-        The parent has it as an AddIn (Part 3, 4.10.3).
+        Use HasAddIn as the reference from the parent (Part 3, 4.10.3).
 
     Returns
     -------
@@ -115,38 +115,38 @@ async def add_variable(
     Parameters
     ----------
     server, parent
-        Where; the variable is a component of the parent.
+        Server, and the node that has the variable as a component.
     id
         String identifier, e.g. ``Valvistor.U``; its last segment becomes the BrowseName.
     value
-        First value; None starts as BadWaitingForInitialData.
+        First value; None: BadWaitingForInitialData.
     description
-        A sentence for who browses.
+        Description attribute.
     type
         Data type.
     unit
-        Makes it an AnalogUnitRangeType with EngineeringUnits and EURange.
+        Engineering unit; the variable becomes an AnalogUnitRangeType with EURange.
     value_range
-        Lowest and highest value; peers cannot write beyond it. Needed with a unit.
+        Lowest and highest value, enforced on writes. Required with a unit.
     instrument_range
-        What the instrument behind it can show, as property InstrumentRange; with a unit only.
+        Range of the instrument, as property InstrumentRange; only with a unit.
     dimensions
-        None: a scalar. Otherwise the length of each dimension, 0 = any.
+        Length of each dimension, 0 = any; None: a scalar.
     enum_strings
         Names of the values 0, 1, …, as property EnumStrings.
     writable_by
-        The least role that may write; None: nobody.
+        Lowest role that may write; None: read-only.
     on_write
-        Called with each value a peer writes, after type and range were checked and before the
-        value is taken; raise :class:`~guarded_opcua.errors.CommandRejected` to refuse it.
+        Called with each value a peer writes, after the checks of type and range and before the
+        value is stored; raise :class:`~guarded_opcua.errors.CommandRejected` to refuse it.
     or_nan
-        Peers may write NaN, too.
+        Accept NaN in writes.
     type_definition
-        Its VariableType; None: AnalogUnitRangeType with a unit, BaseDataVariableType without.
+        VariableType; None: AnalogUnitRangeType with a unit, BaseDataVariableType without.
     data_type
-        Its DataType, if that is derived from ``type``, such as an enumeration.
+        DataType, if it is derived from ``type``, such as an enumeration.
     name
-        Its BrowseName where another namespace gives that.
+        BrowseName, if it is in another namespace.
 
     Returns
     -------
@@ -208,20 +208,20 @@ async def add_method(
     Parameters
     ----------
     server, parent
-        Where; the method is a component of the parent.
+        Server, and the object that has the method as a component.
     id
         String identifier; its last segment becomes the BrowseName.
     function
-        Called with the arguments' plain values, once their number, types and ranges are checked;
-        may be a coroutine function. Returns the outputs: a tuple, one value for a single output,
-        or None for none. :class:`~guarded_opcua.errors.CommandRejected` becomes BadInvalidState,
+        Called with the arguments' plain values, after the checks of number, types and ranges; may
+        be a coroutine function. Returns the outputs: a tuple, one value for a single output, or
+        None for none. :class:`~guarded_opcua.errors.CommandRejected` becomes BadInvalidState,
         :class:`OutOfRange` BadOutOfRange.
     inputs, outputs
         Arguments.
     required
-        The least role that may call it.
+        Lowest role that may call it.
     description
-        A sentence for who browses.
+        Description attribute.
     """
     item = _item(server, parent, id, ua.NodeClass.Method)
     item.ReferenceTypeId = ua.NodeId(ua.ObjectIds.HasComponent)
@@ -248,7 +248,7 @@ async def add_property(
     code: int = ua.StatusCodes.Good,
     description: str = "",
 ) -> None:
-    """Add a property; its type is the value's own if ``data_type`` is None."""
+    """Add a property; ``data_type`` None: the type of the value."""
     last = name.Name if isinstance(name, ua.QualifiedName) else name
     nodeid = ua.NodeId(f"{parent.Identifier}.{last}", server.namespace_index)
     item = property_item(parent, nodeid, name, value)

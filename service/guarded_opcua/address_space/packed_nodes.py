@@ -1,8 +1,8 @@
-"""Nodes that come into being when somebody first asks for them.
+"""Nodes that are created on first access.
 
-The standard nodes are bytes until then. There are 6,000 of them, and hardly a client looks at a
-hundred: a server that unpacks them all starts half a second later and carries half a million
-objects. What a server holds of each of a thousand things alike is a function until then.
+The 6,000 standard nodes are stored pickled. Few clients access more than a hundred of them;
+unpickling all at start takes half a second and creates half a million objects. The nodes below a
+lazy folder are stored as a function that creates them.
 """
 
 import gc
@@ -13,21 +13,21 @@ from typing import Any, TypeVar
 from asyncua import ua
 from asyncua.server.address_space import AddressSpace, NodeData
 
-_FREEZE_EVERY = 128  # nodes: they stay for ever, a collector that looks at all stops every client
+_FREEZE_EVERY = 128  # nodes; these live as long as the server, so exempt them from full collections
 
 T = TypeVar("T")
 _Name = tuple[int, str]
 
 
 def pack(nodes: Mapping[ua.NodeId, NodeData]) -> dict[ua.NodeId, bytes]:
-    """Each node on its own."""
+    """Return the nodes, each pickled separately."""
     return {id_: pickle.dumps(node, pickle.HIGHEST_PROTOCOL) for id_, node in nodes.items()}
 
 
 def make_later(aspace: AddressSpace, folder: ua.NodeId, make: Callable[[], None]) -> None:
-    """Have the nodes below a folder added by ``make`` when somebody first looks at one of them.
+    """Register ``make`` to create the nodes below a folder when one of them is first accessed.
 
-    Their identifiers begin with the folder's and a dot; so no other node's may.
+    Their identifiers begin with the folder's identifier and a dot; no other node's may.
     """
     nodes = aspace._nodes  # noqa: SLF001 - as AddressSpace.load does
     assert isinstance(nodes, PackedNodes)  # noqa: S101 - see load_standard_address_space
@@ -35,7 +35,7 @@ def make_later(aspace: AddressSpace, folder: ua.NodeId, make: Callable[[], None]
 
 
 def is_below(index: int, name: str, folders: Collection[_Name]) -> bool:
-    """Whether an identifier is one of the folders', or of what is below one of them.
+    """Return whether an identifier is that of one of the folders or of a node below one.
 
     >>> is_below(1, "V1.RLS.Residual", {(1, "V1")}), is_below(1, "V11.RLS", {(1, "V1")})
     (True, False)
@@ -45,12 +45,12 @@ def is_below(index: int, name: str, folders: Collection[_Name]) -> bool:
 
 
 class PackedNodes(dict[ua.NodeId, NodeData]):
-    """What :class:`asyncua.server.address_space.AddressSpace` keeps its nodes in.
+    """The node table of :class:`asyncua.server.address_space.AddressSpace`, created lazily.
 
     Parameters
     ----------
     packed
-        From :func:`pack`, of a source that is trusted: unpacking runs what it says.
+        Result of :func:`pack`, from a trusted source, since unpickling executes code.
 
     Examples
     --------
@@ -66,11 +66,11 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
         self._later: dict[_Name, tuple[NodeData, Callable[[], None]]] = {}
 
     def make_later(self, folder: ua.NodeId, make: Callable[[], None]) -> None:
-        """See :func:`make_later`; the folder is put aside until then, it has no children yet."""
+        """See :func:`make_later`; the folder, without children, is set aside until then."""
         self._later[folder.NamespaceIndex, str(folder.Identifier)] = self.pop(folder), make
 
     def take_away(self, folders: Collection[ua.NodeId]) -> list[NodeData]:
-        """Forget folders and all below them, made or not; return what was made."""
+        """Remove folders and all nodes below, created or not; return the created ones."""
         names = {(folder.NamespaceIndex, str(folder.Identifier)) for folder in folders}
         for later in [later for later in self._later if is_below(*later, names)]:
             del self._later[later]
@@ -79,7 +79,7 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
         return [self.pop(id_) for id_ in below]
 
     def __missing__(self, id_: ua.NodeId) -> NodeData:
-        """Make or unpack a node that nobody asked for yet."""
+        """Create or unpickle a node on first access."""
         if self._made(id_):
             return self[id_]
         node: NodeData = pickle.loads(self._packed.pop(id_))  # noqa: S301 - trusted, see above
@@ -111,24 +111,24 @@ class PackedNodes(dict[ua.NodeId, NodeData]):
             super().__delitem__(id_)
 
     def get(self, id_: ua.NodeId, default: T | None = None) -> NodeData | T | None:
-        """The node, or the default."""
+        """Return the node, or the default."""
         try:
             return self[id_]
         except KeyError:
             return default
 
     def keys(self) -> Any:  # noqa: ANN401 - a view of dict, or a list
-        """All ids, made and unpacked or not."""
+        """Return all ids, of created and pickled nodes."""
         return list(self)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all nodes."""
         self._packed.clear()
         self._later.clear()
         super().clear()
 
     def _made(self, id_: ua.NodeId) -> bool:
-        """Make the nodes that this one is among, folder by folder; False if none are to be made."""
+        """Populate the lazy folders above a node, outermost first; return whether any existed."""
         made, names = False, str(id_.Identifier).split(".") if self._later else ()
         for depth in range(1, len(names) + 1):
             later = self._later.pop((id_.NamespaceIndex, ".".join(names[:depth])), None)

@@ -1,4 +1,4 @@
-"""What peers send as values and arguments, checked against what was declared."""
+"""Values and arguments from peers, checked against their declarations."""
 
 import math
 
@@ -20,7 +20,7 @@ _INTEGERS = {
 
 
 def check(expected: Argument | Variable, given: ua.Variant) -> int:
-    """Check type, shape, finiteness and range of a value that a peer sent; a status code."""
+    """Check type, shape, finiteness and range of a peer's value; return a status code."""
     if given.VariantType != expected.type or bool(given.is_array) != expected.array:
         return ua.StatusCodes.BadTypeMismatch
     values = ua.flatten(given.Value) if expected.array else [given.Value]
@@ -43,7 +43,7 @@ def plain(given: ua.Variant) -> Value:
 
 
 def as_variant(kind: ua.VariantType, value: Value, *, array: bool = False) -> ua.Variant:
-    """Make a variant of our own value (numpy arrays and scalars too)."""
+    """Return a Variant of a Python or numpy value."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if array:

@@ -1,4 +1,4 @@
-"""Nodes taken away while a server runs."""
+"""Removal of nodes while a server runs."""
 
 from collections.abc import Collection
 
@@ -16,12 +16,12 @@ def remove(
     referrers: Collection[ua.NodeId],
     now: int,
 ) -> list[ua.NodeId]:
-    """Remove folders and all below them; who watches a value there hears BadNodeIdUnknown.
+    """Remove folders and all nodes below; their monitored items report BadNodeIdUnknown.
 
     Parameters
     ----------
     folders
-        Identifiers of what is below one begin with its own and a dot.
+        Objects; the identifiers of nodes below begin with the object's and a dot.
     referrers
         All other nodes that refer to them.
     now
@@ -30,7 +30,7 @@ def remove(
     Returns
     -------
     list
-        The nodes that had been made.
+        The removed nodes that had been created.
     """
     nodes = aspace._nodes  # noqa: SLF001 - as AddressSpace.load does
     assert isinstance(nodes, PackedNodes)  # noqa: S101 - see load_standard_address_space

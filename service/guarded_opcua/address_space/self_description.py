@@ -1,4 +1,4 @@
-"""What the server says of itself: capabilities, limits, status, diagnostics (Part 5, 6.3)."""
+"""The Server object: capabilities, limits, status, diagnostics (Part 5, 6.3)."""
 
 import asyncio
 import datetime as dt
@@ -63,7 +63,7 @@ _LIMIT_OF = {
     ),
     _Ids.Server_ServerCapabilities_MaxMonitoredItemsQueueSize: "queue_size",
 }
-# not offered at all: 0 would mean "without limit"
+# not supported; set to 1, since 0 would mean "no limit"
 _NOT_OFFERED = (
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateData,
     _Ids.Server_ServerCapabilities_OperationLimits_MaxNodesPerHistoryUpdateEvents,
@@ -125,7 +125,7 @@ Summary = Callable[[], dict[str, int]]
 
 
 class SelfDescription:
-    """Keeps the standard nodes of the Server object true."""
+    """Updates the standard nodes of the Server object."""
 
     def __init__(
         self,
@@ -146,11 +146,11 @@ class SelfDescription:
     def announce(
         self, aggregates: Iterable[int] | None, *, conditions: bool, past_events: int
     ) -> None:
-        """Write what does not change while the server runs.
+        """Write the nodes that do not change while the server runs.
 
-        ``aggregates`` are those that are computed of histories, None where there are no histories;
-        ``conditions`` says whether there are any, ``past_events`` how many past ones are
-        in one answer at most, 0 where none are remembered.
+        ``aggregates`` are the supported aggregates, None without HistoryRead of values.
+        ``conditions``: whether there are conditions. ``past_events`` is the maximum number of
+        events per HistoryRead response, 0 without event history.
         """
         settings, limits = self._settings, self._settings.limits
         for node, name in _LIMIT_OF.items():
@@ -199,7 +199,7 @@ class SelfDescription:
         )
 
     def _show_aggregates(self, aggregates: Iterable[int]) -> None:
-        """List the functions that HistoryRead computes where clients look for them."""
+        """Add the supported aggregates to the AggregateFunctions folders."""
         for folder in (
             _Ids.HistoryServerCapabilities_AggregateFunctions,
             _Ids.Server_ServerCapabilities_AggregateFunctions,
@@ -214,7 +214,7 @@ class SelfDescription:
             self._write(ua.NodeId(node), not_supported)
 
     def start(self) -> None:
-        """Say that the server runs, and keep its clock."""
+        """Set the state to Running, and start updating the current time."""
         self._started = self._clock.now()
         self._set(_Ids.Server_ServerStatus_State, ua.ServerState.Running, _Types.Int32)
         self._set(_Ids.Server_ServerStatus_StartTime, instant(self._started), _Types.DateTime)
@@ -229,12 +229,12 @@ class SelfDescription:
         self._task = asyncio.create_task(self._refresh_for_ever())
 
     def stop(self) -> None:
-        """Keep the clock no longer."""
+        """Stop updating the current time."""
         if self._task is not None:
             self._task.cancel()
 
     def set_service_level(self, level: int) -> None:
-        """Say how well the server can serve: 255 best, 0 not at all."""
+        """Set the ServiceLevel: 255 healthy, 0 out of service."""
         self._set(_Ids.Server_ServiceLevel, level, _Types.Byte)
 
     async def _refresh_for_ever(self) -> None:

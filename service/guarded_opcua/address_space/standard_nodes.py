@@ -1,4 +1,4 @@
-"""The standard address space: parsed once, then read from a file of the user's own."""
+"""The standard address space: parsed once, then loaded from the user's cache."""
 
 import asyncio
 import gc
@@ -22,20 +22,20 @@ from guarded_opcua.security.owner_only import write_owner_only
 _log = bounded_logger(__name__)
 _HAS_COMPONENT = ua.NodeId(ua.ObjectIds.HasComponent)
 _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
-_FORMAT = 3  # raise it when the preparation below changes
+_FORMAT = 3  # increment when the preparation below changes
 
 
 async def load_standard_address_space(
     aspace: AddressSpace, management: NodeManagementService, folder: Path | None
 ) -> None:
-    """Fill an address space with the standard nodes, from the cache if it can be trusted.
+    """Fill an address space with the standard nodes, from the cache if it is trusted.
 
-    The cache is a pickle, so a file that somebody else could have written is never opened:
-    file and folder must be the user's own and writable by nobody else.
+    The cache is a pickle, so it is loaded only if the user owns the file and its folder and no
+    other user can write to them.
     """
     file = (folder or user_cache_folder()) / _file_name()
     gc_was_enabled = gc.isenabled()
-    gc.disable()  # half a million new objects and no garbage: three times faster
+    gc.disable()  # half a million new objects, none of them garbage: three times faster
     try:
         packed = _read(file)
         if packed is None:
@@ -48,11 +48,11 @@ async def load_standard_address_space(
     finally:
         if gc_was_enabled:
             gc.enable()
-        gc.freeze()  # a full collection over these nodes would stop every client for 0.2 s
+        gc.freeze()  # a full collection over these nodes would block the event loop for 0.2 s
 
 
 def user_cache_folder() -> Path:
-    """Return the folder where this platform keeps what can be made again."""
+    """Return the user's cache folder on this platform."""
     if sys.platform == "win32":
         return (
             Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "hardened-opcua" / "Cache"
@@ -74,7 +74,7 @@ def _read(file: Path) -> dict[ua.NodeId, bytes] | None:
         content = file.read_bytes()
         if zlib.crc32(content[4:]) != int.from_bytes(content[:4]):
             raise ValueError("its checksum is wrong")  # noqa: TRY301 - as any other damage
-        packed = pickle.loads(content[4:])  # noqa: S301 - only a file of our own, see above
+        packed = pickle.loads(content[4:])  # noqa: S301 - only a file of this user, see above
     except Exception as error:  # noqa: BLE001 - a damaged pickle raises anything
         _log.warning("%s: damaged, made anew: %s", file, error)
         return None
@@ -100,13 +100,13 @@ def _ours(path: Path, *, directory: bool) -> bool:
         return False
     right_kind = stat.S_ISDIR(status.st_mode) if directory else stat.S_ISREG(status.st_mode)
     if sys.platform == "win32":
-        return right_kind  # %LOCALAPPDATA% is the user's own by its access control list
+        return right_kind  # the access control list of %LOCALAPPDATA% protects it
     forbidden = stat.S_IWGRP | stat.S_IWOTH
     return right_kind and status.st_uid == os.geteuid() and not status.st_mode & forbidden
 
 
 def _close_for_writing(aspace: AddressSpace) -> None:
-    """Standard variables are written by the server alone; their access levels say so."""
+    """Set the access levels of the standard variables to read-only."""
     writing = 1 << ua.AccessLevel.CurrentWrite | 1 << ua.AccessLevel.HistoryWrite
     for attribute in (ua.AttributeIds.AccessLevel, ua.AttributeIds.UserAccessLevel):
         for nodeid in list(aspace.keys()):
@@ -119,7 +119,7 @@ def _close_for_writing(aspace: AddressSpace) -> None:
 
 
 def _drop_methods(aspace: AddressSpace, owner: ua.NodeId) -> None:
-    """Take away the methods of an object and of all below it: nobody would carry them out."""
+    """Remove the methods of an object and of all components, since they are not implemented."""
     node = aspace.get(owner)
     for part in [ref for ref in node.references if ref.IsForward] if node is not None else ():
         if part.NodeClass == ua.NodeClass.Method:

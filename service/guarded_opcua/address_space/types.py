@@ -1,4 +1,4 @@
-"""Types of objects: declared by the same code that adds their instances (Part 3, 6.2)."""
+"""ObjectTypes, declared by the code that adds their instances (Part 3, 6.2)."""
 
 from collections.abc import Callable, Collection, Coroutine, Iterable
 from typing import Any, Protocol
@@ -21,13 +21,13 @@ class TypeOwner(NodeOwner, Protocol):
     """The server that types are added to."""
 
     def add_later(self, folder: ua.NodeId, add: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Add what is below a node when somebody first looks there."""
+        """Populate a folder lazily, when a client first accesses a node below it."""
 
 
 class Declarations:
-    """A place for nodes that stand for those of instances: without values, and nobody calls them.
+    """A node owner for instance declarations, which have no values and no functions.
 
-    What adds nodes to a server adds them here as well.
+    It is passed to the code that adds nodes to a server.
     """
 
     def __init__(self, server: NodeOwner) -> None:
@@ -36,7 +36,7 @@ class Declarations:
         self.utc = server.utc
 
     def register_variable(self, variable: Variable, value: Value) -> None:  # noqa: ARG002
-        """Leave a variable without a value, and an array of any length."""
+        """Keep the variable without a value; arrays get unspecified dimensions."""
         attributes = self.address_space[variable.id].attributes
         held = attributes.get(ua.AttributeIds.ArrayDimensions)
         if variable.array and held is not None and held.value is not None:
@@ -45,13 +45,13 @@ class Declarations:
             held.value = ua.DataValue(dimensions)
 
     def register_method(self, method: Method) -> None:
-        """Leave a method without a function."""
+        """Keep the method without a function."""
 
     def write(self, updates: Iterable[Any]) -> None:
-        """Leave all without values."""
+        """Ignore the values."""
 
     def add_history(self, variables: Collection[Variable], historian: Any) -> None:  # noqa: ANN401
-        """Leave all without a past."""
+        """Ignore the histories."""
 
 
 Declare = Callable[[Declarations, ua.NodeId], Coroutine[Any, Any, None]]
@@ -66,20 +66,20 @@ def add_type(
     description: str = "",
     optional: Collection[str] = (),
 ) -> ua.NodeId:
-    """Add a type of objects, derived from BaseObjectType.
+    """Add an ObjectType, derived from BaseObjectType.
 
     Parameters
     ----------
     id
         String identifier; those of its instance declarations begin with it and a dot.
     name
-        Its BrowseName.
+        BrowseName.
     declare
-        Adds what its instances have, when somebody first looks; it must not wait.
+        Adds the instance declarations on first access; it must not suspend.
     description
-        A sentence for who browses.
+        Description attribute.
     optional
-        Names of what not all instances have; those in angle brackets are placeholders.
+        Names of optional components; names in angle brackets are placeholders.
     """
     item = ua.AddNodesItem()
     item.ParentNodeId = ua.NodeId(_Ids.BaseObjectType)

@@ -1,4 +1,4 @@
-"""Engineering units by their UNECE codes, as OPC UA Part 8, 5.6.3 numbers them."""
+"""Engineering units by UNECE code (OPC UA Part 8, 5.6.3)."""
 
 from enum import Enum
 
@@ -24,7 +24,7 @@ class Unit(Enum):
 
     @property
     def information(self) -> ua.EUInformation:
-        """The unit as OPC UA publishes it."""
+        """The EUInformation of the unit."""
         number, symbol, name = self.value
         return ua.EUInformation(
             NamespaceUri=_NAMESPACE,

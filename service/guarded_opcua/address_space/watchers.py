@@ -1,4 +1,4 @@
-"""Who watches an attribute is notified of its new value."""
+"""Notification of the callbacks on an attribute."""
 
 from collections.abc import Coroutine
 from typing import Any
@@ -8,20 +8,20 @@ from asyncua.server.address_space import AttributeValue
 
 
 def notify(held: AttributeValue, data: ua.DataValue) -> None:
-    """Notify whoever watches an attribute of its new value."""
+    """Call the callbacks of an attribute with its new value."""
     for handle, callback in list(held.datachange_callbacks.items()):
         outcome = callback(handle, data)
-        if isinstance(outcome, Coroutine):  # of the server's own session
+        if isinstance(outcome, Coroutine):  # a callback of the internal session
             drive(outcome)
 
 
 def drive(coroutine: Coroutine[Any, Any, Any]) -> None:
-    """Run a coroutine that never waits: the callbacks behind a write only queue.
+    """Run a coroutine that never suspends, such as a callback that only queues.
 
     Raises
     ------
     RuntimeError
-        if it waits.
+        if it suspends.
     """
     try:
         coroutine.send(None)

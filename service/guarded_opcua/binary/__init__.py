@@ -1,1 +1,1 @@
-"""OPC UA binary (Part 6): encoding, and decoding what cannot be believed."""
+"""OPC UA binary (Part 6): encoding, and bounded decoding of untrusted input."""

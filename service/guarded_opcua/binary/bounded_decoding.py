@@ -1,15 +1,15 @@
-"""What peers send, decoded within a budget: the objects are asyncua's, the decoder is ours.
+"""Decoder of messages from peers within a budget; it creates asyncua's objects.
 
-It differs from asyncua's own where that goes beyond the bytes it has, or leaves Part 6:
+It differs from asyncua's decoder where that reads beyond its input or deviates from Part 6:
 
-* lengths are believed only as far as there are bytes, nesting and elements only as far as there
-  is budget, and combinations of flags are not kept for ever;
-* a matrix has as many elements as its dimensions say (5.2.2.16); a Variant holds another Variant
-  in an array only; types 26-31 are ByteStrings, higher ones are none;
-* the index of a QualifiedName has no sign (5.2.2.13), picoseconds stand behind the timestamp they
-  belong to (5.2.2.17), an inner DiagnosticInfo is no ExtensionObject (5.2.2.12), an
-  ExtensionObject in XML is refused;
-* a NodeId whose string is null is one whose string is empty (Part 3, 8.2.4).
+* lengths are limited by the available bytes, nesting and elements by the budget; combinations of
+  flags are not cached;
+* the number of a matrix's elements must match its dimensions (5.2.2.16); a Variant contains another
+  Variant only in an array; types 26-31 are ByteStrings, higher ones are refused;
+* the index of a QualifiedName is unsigned (5.2.2.13), picoseconds follow their timestamp
+  (5.2.2.17), an inner DiagnosticInfo is not an ExtensionObject (5.2.2.12), an ExtensionObject in
+  XML is refused;
+* a NodeId with a null string equals one with an empty string (Part 3, 8.2.4).
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -37,14 +37,14 @@ from guarded_opcua.binary.structures import Decoders, Length, array, array_at_en
 
 __all__ = ["Budget", "Malformed", "Reader", "TooMuch", "decode", "decode_slowly"]
 
-_MOST_DIMENSIONS = 8  # a value with more can hardly be printed or copied
+_MOST_DIMENSIONS = 8  # bounds the recursion when a value is printed or copied
 _IS_ARRAY, _HAS_DIMENSIONS, _KIND = 0x80, 0x40, 0x3F  # of a Variant's first byte
 _NO_BODY, _BINARY_BODY = 0, 1  # of an ExtensionObject
 _RESERVED = range(26, 32)  # Variant types that are ByteStrings
 
 
 def decode(kind: type, reader: Reader) -> Any:  # noqa: ANN401 - of that kind
-    r"""Decode a value of one of asyncua's types; whatever goes wrong is a status code.
+    r"""Decode a value of one of asyncua's types; every failure raises a status code.
 
     Raises
     ------
@@ -60,12 +60,12 @@ def decode(kind: type, reader: Reader) -> Any:  # noqa: ANN401 - of that kind
         return _decoders.of(kind)(reader)
     except (TooMuch, Malformed):
         raise
-    except Exception as error:  # wrong bytes make asyncua's constructors raise anything
+    except Exception as error:  # asyncua's constructors raise any exception on invalid input
         raise Malformed from error
 
 
 async def decode_slowly(kind: type, reader: Reader, breathe: Callable[[], Awaitable[None]]) -> Any:  # noqa: ANN401 - of that kind
-    """Decode a structure that ends with an array, letting others go first between its elements.
+    """Decode a structure that ends with an array; await ``breathe`` after each element.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def _data_value(reader: Reader) -> ua.DataValue:
 def _variant(reader: Reader) -> ua.Variant:
     encoding = byte(reader)
     kind, read, read_array = _VARIANTS[encoding & _KIND]
-    variant: ua.Variant = object.__new__(ua.Variant)  # its constructor guesses what is known
+    variant: ua.Variant = object.__new__(ua.Variant)  # its constructor would guess the type
     variant.VariantType, variant.Dimensions = kind, None
     if encoding & _IS_ARRAY:
         variant.is_array = True
@@ -118,12 +118,12 @@ def _variant(reader: Reader) -> ua.Variant:
 def _shaped(
     reader: Reader, values: list[Any] | None, dimensions: Sequence[int]
 ) -> list[Any] | None:
-    """Cut an array into the rows of its matrix."""
+    """Reshape an array to nested lists."""
     if not dimensions:
         return values
     if len(dimensions) > _MOST_DIMENSIONS or min(dimensions) < 0:
         raise Malformed
-    rows, size = [], 1  # of each level, from the outermost
+    rows, size = [], 1  # per level, from the outermost
     for length in dimensions:
         size *= length
         rows.append(size)
@@ -164,7 +164,7 @@ def _nothing(_: Reader) -> None:
 
 
 def _no_elements(reader: Reader) -> list[Any] | None:
-    """Read an array of Nulls: they take no bytes, so there is none but the empty one."""
+    """Read an array of Nulls; only an empty one is accepted, since Nulls take no bytes."""
     length = reader.length(1)
     if length > 0:
         raise Malformed

@@ -1,8 +1,8 @@
-"""Bytes of a peer, read in order and within a budget: lengths are checked first (Part 6, 5.2).
+"""Sequential reader of a peer's bytes within a budget (Part 6, 5.2).
 
-Nothing is allocated before it is believed: a length is checked against the bytes that are left
-and against the budget. Fields of a fixed size may be read beyond the end of a body that lies
-inside a message; :meth:`Reader.leave` notices.
+A length is checked against the remaining bytes and the budget before memory is allocated. Fields of
+a fixed size may be read beyond the end of a body inside a message; :meth:`Reader.leave` detects
+this.
 """
 
 import struct
@@ -20,14 +20,14 @@ Decoder = Callable[["Reader"], Any]
 
 @dataclass(frozen=True)
 class Budget:
-    """What one message may cost.
+    """Limits of one message.
 
     Attributes
     ----------
     elements
-        Elements of arrays that are decoded one by one, in all.
+        Total number of array elements that are decoded one by one.
     array_length
-        Longest array; rows of matrices, in all.
+        Longest array; total number of matrix rows.
     string_bytes
         Longest string.
     nesting
@@ -41,28 +41,28 @@ class Budget:
 
 
 class TooMuch(ua.uaerrors.UaStatusCodeError):
-    """A packet asks for more than it may cost."""
+    """A message exceeds the budget."""
 
     def __init__(self) -> None:
         super().__init__(_Codes.BadEncodingLimitsExceeded)
 
 
 class Malformed(ua.uaerrors.UaStatusCodeError):
-    """A packet cannot be what it says it is."""
+    """A message is malformed."""
 
     def __init__(self) -> None:
         super().__init__(_Codes.BadDecodingError)
 
 
 class Reader:
-    r"""A place in the bytes of a peer, and what is left of the budget for them.
+    r"""A position in the bytes of a peer, with the remaining budget.
 
     Attributes
     ----------
     data
         The bytes.
     at, end
-        Where the next value begins, and where the current body ends.
+        Offset of the next value, and of the end of the current body.
 
     Examples
     --------
@@ -93,7 +93,7 @@ class Reader:
 
     @property
     def left(self) -> int:
-        """Bytes that are left."""
+        """Number of remaining bytes."""
         return self.end - self.at
 
     def length(self, least: int) -> int:
@@ -136,7 +136,7 @@ class Reader:
         return self.data[at:stop]
 
     def spend(self, elements: int) -> None:
-        """Take elements off the budget.
+        """Subtract elements from the budget.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class Reader:
             raise TooMuch
 
     def spend_rows(self, rows: int) -> None:
-        """Take rows of a matrix off the budget: one without elements may have any number.
+        """Subtract matrix rows from the budget; a matrix without elements may have many.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Reader:
             raise TooMuch
 
     def nest(self) -> None:
-        """Go one level deeper, until :meth:`unnest`.
+        """Enter a nesting level, until :meth:`unnest`.
 
         Raises
         ------
@@ -169,11 +169,11 @@ class Reader:
             raise TooMuch
 
     def unnest(self) -> None:
-        """Come back from :meth:`nest`."""
+        """Leave a nesting level."""
         self._nesting += 1
 
     def enter(self) -> int:
-        """Enter a body whose length stands before it; return where the one around it ends.
+        """Enter a body with a length prefix; return the end of the enclosing body.
 
         Raises
         ------
@@ -189,12 +189,12 @@ class Reader:
         return outer
 
     def leave(self, outer: int) -> None:
-        """Leave a body, whatever of it was read.
+        """Leave a body, skipping its unread bytes.
 
         Raises
         ------
         Malformed
-            if more was read than is in it.
+            if the reader is beyond the end of the body.
         """
         if self.at > self.end:
             raise Malformed

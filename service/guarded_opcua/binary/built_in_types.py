@@ -1,4 +1,4 @@
-"""Values of the built-in types that hold no structure, decoded (Part 6, 5.2.2)."""
+"""Decoders of the built-in types without structures (Part 6, 5.2.2)."""
 
 import struct
 from datetime import datetime
@@ -27,7 +27,7 @@ NUMBERS = {
     "Float": "f",
     "Double": "d",
 }
-"""Formats of :mod:`struct`, by the names of the types."""
+""":mod:`struct` formats by type name."""
 
 
 def number(form: str) -> Decoder:
@@ -59,7 +59,7 @@ def numbers(form: str) -> Decoder:
 
 
 def string(reader: Reader) -> str | None:
-    """Read a String; what is no UTF-8 is kept as asyncua keeps it."""
+    """Read a String; invalid UTF-8 is kept by surrogate escapes, as in asyncua."""
     content = reader.byte_string()
     return None if content is None else content.decode("utf-8", "surrogateescape")
 
@@ -117,7 +117,7 @@ def node_id(reader: Reader) -> ua.NodeId:
         server = uint32(reader) if encoding & _HAS_SERVER else None
         if uri is not None or server is not None:
             return ua.ExpandedNodeId(identifier, namespace, kind, uri, server)
-    node: ua.NodeId = object.__new__(ua.NodeId)  # its constructor checks again
+    node: ua.NodeId = object.__new__(ua.NodeId)  # skips the checks of the constructor
     node.Identifier, node.NamespaceIndex, node.NodeIdType = identifier, namespace, kind
     return node
 

@@ -12,7 +12,7 @@ Ranges = tuple[slice, ...]
 
 
 class IndexRangeError(ValueError):
-    """The text is no NumericRange."""
+    """The text is not a NumericRange."""
 
 
 def parse_index_range(text: str) -> Ranges:
@@ -38,7 +38,7 @@ def parse_index_range(text: str) -> Ranges:
 
 
 def select(variant: ua.Variant, ranges: Ranges) -> ua.Variant | None:
-    """Cut the part out of an array, a string or a byte string; None if there is none of it."""
+    """Return the range of an array, string or byte string; None if it is out of bounds."""
     if not variant.is_array:
         if len(ranges) != 1 or not isinstance(variant.Value, str | bytes):
             return None

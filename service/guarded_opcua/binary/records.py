@@ -1,4 +1,4 @@
-"""DataValues in OPC UA binary (Part 6, 5.2.2.17), many at once: records of a few layouts."""
+"""Vectorised encoder of DataValues (Part 6, 5.2.2.17) as records of a few layouts."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -18,10 +18,10 @@ _OF_STAMPS[ua.TimestampsToReturn.Both] = SOURCE | SERVER
 
 
 class Form(NamedTuple):
-    """What the records have in common.
+    """Common format of the records.
 
-    ``type`` and ``dtype`` of the values; ``length`` of each, None for scalars; ``handle``, whether
-    a client handle goes before each.
+    ``type`` and ``dtype`` of the values; ``length`` of each, None for scalars; ``handle``: whether
+    a client handle precedes each.
     """
 
     type: ua.VariantType
@@ -33,24 +33,24 @@ class Form(NamedTuple):
 def encode_records(
     form: Form, stamps: NDArray[np.int8] | int, parts: Mapping[str, NDArray[Any]]
 ) -> tuple[bytes, NDArray[np.int64]]:
-    """Encode N values with the times that were asked for.
+    """Encode N values with the requested timestamps.
 
     Parameters
     ----------
     form
-        Of all of them.
+        Format of all records.
     stamps
-        TimestampsToReturn, of all or of each.
+        TimestampsToReturn, for all or for each.
     parts
-        Arrays (N,): ``value`` (N, length; 1 for scalars), ``status``, ``has`` (False where there is
-        no value), ``source`` and ``server`` (100 ns since 1601), ``handle``.
+        Arrays (N,): ``value`` (N, length; 1 for scalars), ``status``, ``has`` (False without a
+        value), ``source`` and ``server`` (100 ns since 1601), ``handle``.
 
     Returns
     -------
     data
-        The records, one after the other.
+        The concatenated records.
     ends
-        Where each ends, after a 0: shape (N + 1,).
+        End offsets of the records, preceded by 0: shape (N + 1,).
     """
     status, count = parts["status"], len(parts["status"])
     masks = _OF_STAMPS[stamps] | parts["has"].view(np.uint8) | (status != 0) * np.uint8(STATUS)
@@ -96,7 +96,7 @@ def _layout(mask: int, form: Form) -> np.dtype[np.void]:
 
 @lru_cache
 def _bytes_there(form: Form) -> NDArray[np.bool_]:
-    """Which bytes of the longest layout each mask keeps, shape (masks, bytes)."""
+    """Return the bytes of the longest layout that each mask includes, shape (masks, bytes)."""
     whole = _layout(VALUE | STATUS | SOURCE | SERVER, form)
     there = np.zeros((_MASKS, whole.itemsize), np.bool_)
     for mask in range(_MASKS):

@@ -1,6 +1,6 @@
-"""Decoders of structures, made once for each type from asyncua's annotations (Part 6, 5.2.5-5.2.8).
+"""Decoders of structures, created once per type from asyncua's annotations (Part 6, 5.2.5-5.2.8).
 
-Fields that may be absent stand in the order of the bits of a mask before them, as in asyncua.
+Optional fields have the order of the bits of the mask before them, as in asyncua.
 """
 
 import functools
@@ -17,22 +17,22 @@ from asyncua.ua import ua_binary
 from guarded_opcua.binary.bounded_reader import Decoder, Reader
 from guarded_opcua.binary.built_in_types import NUMBERS, number, numbers
 
-_MASK = "Encoding"  # asyncua's name of the field that says which others are there
+_MASK = "Encoding"  # asyncua's name of the mask of optional fields
 
 
 class Length:
-    """The length of an array whose elements are decoded one by one."""
+    """Marker type: the length of an array whose elements are decoded one by one."""
 
 
 class Decoders:
-    """Makes and keeps the decoders.
+    """Creates and caches the decoders.
 
     Parameters
     ----------
     built_in
         Decoders of the built-in types, by name.
     of_derived
-        Decoder of what may be a structure or one derived from it.
+        Decoder of a structure or a subtype of it.
     """
 
     def __init__(self, built_in: Mapping[str, Decoder], of_derived: Decoder) -> None:
@@ -41,15 +41,15 @@ class Decoders:
         self._made: dict[Any, Decoder] = {Length: _length}
 
     def of(self, hint: Any) -> Decoder:  # noqa: ANN401 - a type annotation
-        """Return the decoder of what a field is annotated with."""
+        """Return the decoder of a type annotation."""
         found = self._made.get(hint)
         if found is None:
-            self._made[hint] = self.deeper(hint)  # until it is made: it may contain itself
+            self._made[hint] = self.deeper(hint)  # until it is created, as types may be recursive
             found = self._made[hint] = self._make(hint)
         return found
 
     def deeper(self, hint: Any) -> Decoder:  # noqa: ANN401 - a type annotation
-        """Return a decoder that counts as one level of nesting."""
+        """Return a decoder that adds one level of nesting."""
 
         def read(reader: Reader) -> Any:  # noqa: ANN401 - of that type
             reader.nest()
@@ -64,7 +64,7 @@ class Decoders:
         name = getattr(hint, "__name__", "")
         if name in NUMBERS:
             return numbers(NUMBERS[name])
-        # asyncua takes a null array of a built-in type for None, of another type for []
+        # asyncua decodes a null array to None for built-in types, else to []
         return array(self.of(hint), may_be_null=hasattr(ua.VariantType, name))
 
     def _make(self, hint: Any) -> Decoder:  # noqa: ANN401 - a type annotation
@@ -114,13 +114,13 @@ class Decoders:
 class _Field(NamedTuple):
     name: str
     hint: Any
-    bit: int  # of the mask that says whether it is there; 0: always
-    is_plain: bool  # there always, and taken by the constructor in its place
+    bit: int  # mask bit; 0: not optional
+    is_plain: bool  # not optional, and a positional parameter of the constructor
 
 
 @functools.cache
 def array_at_end(kind: type) -> tuple[dict[str, Any], str, type] | None:
-    """Return the annotations of all fields but the last, and name and element of the last.
+    """Return the annotations of all fields except the last, and the last's name and element type.
 
     None if the structure does not end with an array of structures.
     """
@@ -182,7 +182,7 @@ def _flags(kind: type[IntFlag]) -> Decoder:
         found = value(reader)
         if found in members:
             return members[found]
-        flags = int.__new__(kind, found)  # its class would keep each combination for ever
+        flags = int.__new__(kind, found)  # the class would cache each combination
         flags._name_, flags._value_ = None, found
         return flags
 

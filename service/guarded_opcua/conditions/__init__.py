@@ -1,1 +1,1 @@
-"""Conditions (Part 9): what stays until somebody has seen it, as events, nodes and methods."""
+"""Conditions and alarms (Part 9): their events, nodes and methods."""

@@ -1,4 +1,4 @@
-"""What clients ask of conditions: acknowledge, confirm, comment, refresh (Part 9, 5.5 to 5.7)."""
+"""Methods of conditions: acknowledge, confirm, comment, refresh (Part 9, 5.5 to 5.7)."""
 
 import secrets
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ _REFRESH_SEVERITY = 100
 
 REFRESHES = (_REFRESH, _REFRESH_2)
 _MOVES = tuple(METHODS.values())
-_GIVEN = {  # types of what each method is given
+_GIVEN = {  # input argument types of each method
     METHODS["AddComment"]: (_Types.ByteString, _Types.LocalizedText),
     METHODS["Acknowledge"]: (_Types.ByteString, _Types.LocalizedText),
     METHODS["Confirm"]: (_Types.ByteString, _Types.LocalizedText),
@@ -43,32 +43,32 @@ _GIVEN = {  # types of what each method is given
 
 
 class Asking(Owner, Protocol):
-    """The session that calls."""
+    """The calling session."""
 
     @property
     def role(self) -> Role:
-        """Role of who is logged in."""
+        """Role of the logged-in user."""
 
 
 class Conditions:
-    """Conditions as clients see them: reported once per change, shown anew on request."""
+    """Serves conditions to clients: an event per change, ConditionRefresh, methods."""
 
     def __init__(self, subscriptions: Subscriptions, nodes: ConditionNodes, clock: Clock) -> None:
         self.keeper: ConditionKeeper | None = None
         self.nodes = nodes
         self._subscriptions = subscriptions
         self._clock = clock
-        self._refreshing: set[int] = set()  # numbers of subscriptions
+        self._refreshing: set[int] = set()  # SubscriptionIds
 
     def report(self, condition: Condition) -> None:
-        """Say that a condition has changed: an event if anybody listens, nodes if there are any."""
+        """Emit an event for a changed condition if it is monitored; update its nodes if any."""
         events = self._subscriptions.events
         if events.has_audience(condition.key.emitters, Role.OBSERVER):
             events.trigger(condition.event())
         self.nodes.show(condition)
 
     def is_call(self, wanted: ua.CallMethodRequest) -> bool:
-        """Whether a call is one for a condition."""
+        """Return whether a call is a method of a condition."""
         return self.keeper is not None and (
             wanted.MethodId in _MOVES or wanted.MethodId in REFRESHES
         )
@@ -76,7 +76,7 @@ class Conditions:
     async def call(
         self, session: Asking, wanted: ua.CallMethodRequest, outside: Outside
     ) -> ua.CallMethodResult:
-        """Carry a call out; what takes a while is awaited by ``outside``."""
+        """Execute a call; slow operations are awaited by ``outside``."""
         given = wanted.InputArguments or []
         expected = _GIVEN[wanted.MethodId]
         if len(given) != len(expected):
@@ -146,7 +146,7 @@ class Conditions:
             self._mark(_Ids.RefreshEndEventType, "Refresh ends."),
         )
         subscription = session.subscriptions[number]
-        assert self.keeper is not None  # noqa: S101 - nobody is asked else, see is_call
+        assert self.keeper is not None  # noqa: S101 - see is_call
         self._refreshing.add(number)
         refresh = Refresh(self._subscriptions, subscription, items, marks, self.keeper, self._clock)
         refresh.begin(lambda: self._refreshing.discard(number))

@@ -1,7 +1,7 @@
-"""One condition as it stands, and the event that says so (Part 9, 5.5 to 5.8). Pure.
+"""The state of a condition, and its event (Part 9, 5.5 to 5.8); no I/O.
 
-There are no branches: an alarm that comes again before anybody has acknowledged it is the same
-condition still. It is retained while it is active, unacknowledged or unconfirmed (annex B.1).
+There are no branches: an alarm that becomes active again before it is acknowledged stays the same
+condition. It is retained while it is active, unacknowledged or unconfirmed (annex B.1).
 """
 
 import hashlib
@@ -17,13 +17,13 @@ from guarded_opcua.monitoring.event_filter import Event
 
 _Ids = ua.ObjectIds
 _Types = ua.VariantType
-_EVENT_ID = struct.Struct("<qqB")  # which coming, time of the change, how it stands then
+_EVENT_ID = struct.Struct("<qqB")  # activation number, time of the change, state flags
 _DIGEST_BYTES = 15
 _LOCALE = "en"
 
 
 class ConditionClass(Enum):
-    """Whose business a condition is (Part 9, 5.9)."""
+    """ConditionClass (Part 9, 5.9)."""
 
     PROCESS = _Ids.ProcessConditionClassType
     MAINTENANCE = _Ids.MaintenanceConditionClassType
@@ -31,7 +31,7 @@ class ConditionClass(Enum):
 
 
 class ConditionKind(Enum):
-    """What makes it active: its type."""
+    """Type of a condition, which defines when it is active."""
 
     OFF_NORMAL = _Ids.OffNormalAlarmType
     ABOVE_LIMIT = _Ids.ExclusiveLimitAlarmType
@@ -40,7 +40,7 @@ class ConditionKind(Enum):
 
 @dataclass(frozen=True)
 class ConditionKey:
-    """What a condition is, whether it is there or not.
+    """Static data of a condition, independent of its state.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class ConditionKey:
     name
         ConditionName.
     source, source_name
-        What it is a condition of.
+        Source node and its name.
     emitters
-        The objects whose subscribers hear of it.
+        Objects whose subscribers receive the events.
     """
 
     id: ua.NodeId
@@ -64,28 +64,28 @@ class ConditionKey:
 
     @property
     def type_definition(self) -> ua.NodeId:
-        """Its type."""
+        """NodeId of the condition's type."""
         return ua.NodeId(abs(self.kind.value))
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition as it stands.
+    """The state of a condition.
 
     Attributes
     ----------
     severity
         1 … 1,000.
     message
-        What there is to say of it.
+        Message of the event.
     coming
-        How often it came.
+        Number of activations.
     changed
-        When it last came, went, was acknowledged or confirmed, UTC ns.
+        Time of the last activation, deactivation, acknowledgement or confirmation, UTC ns.
     limit
-        What it is judged by, of limit alarms.
+        Limit of a limit alarm.
     comment, commented_by, commented
-        What was said of it last, by whom, and when (UTC ns; 0: never).
+        Last comment, its user, and its time (UTC ns; 0: never).
     """
 
     key: ConditionKey
@@ -103,12 +103,12 @@ class Condition:
 
     @property
     def retain(self) -> bool:
-        """Whether it is shown to those who ask for a refresh."""
+        """Whether ConditionRefresh includes the condition."""
         return self.active or not self.acked or not self.confirmed
 
     @property
     def event_id(self) -> bytes:
-        """Name of the change that led to how it stands: the same for ever, after a restart, too."""
+        """EventId of the last change; deterministic, so it survives a restart."""
         remarked = self.commented > self.changed
         moment = self.commented if remarked else self.changed
         flags = self.active, self.acked, self.confirmed, remarked
@@ -116,12 +116,12 @@ class Condition:
         return _signed(self.key.id, _EVENT_ID.pack(self.coming, moment, stands))
 
     def event(self) -> Event:
-        """The event of its newest change."""
+        """Return the event of the last change."""
         kind = self.key.type_definition
         return Event(self.key.emitters, kind, self.fields(), condition=self.key.id)
 
     def is_told_by(self, event_id: object) -> bool:
-        """Whether an event of its present coming has that name: older ones are closed."""
+        """Return whether an EventId belongs to the current activation; older ones are rejected."""
         if not isinstance(event_id, bytes) or len(event_id) != _EVENT_ID.size + _DIGEST_BYTES:
             return False
         content = event_id[: _EVENT_ID.size]
@@ -130,7 +130,7 @@ class Condition:
         )
 
     def fields(self) -> Mapping[str, ua.Variant]:
-        """All that an event says of it, by browse path; times are those of the newest change."""
+        """Return all event fields by browse path; times are those of the last change."""
         key, now = self.key, instant(max(self.changed, self.commented))
         commented, changed = instant(self.commented), instant(self.changed)
         category = ua.NodeId(key.category.value)
@@ -184,7 +184,7 @@ class Condition:
 
 
 def event_fields() -> tuple[str, ...]:
-    """All fields that events of conditions have, of whatever kind, by browse path.
+    """Return the browse paths of all event fields of all kinds of conditions.
 
     >>> [path for path in event_fields() if path.endswith("Limit")]
     ['HighLimit', 'LowLimit']

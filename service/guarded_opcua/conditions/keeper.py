@@ -1,4 +1,4 @@
-"""The port behind which somebody knows how conditions stand."""
+"""The port of condition keepers, which hold the states of conditions."""
 
 from collections.abc import Awaitable, Iterator, Sequence
 from typing import Protocol
@@ -9,22 +9,22 @@ from guarded_opcua.conditions.condition import Condition
 
 
 class ConditionKeeper(Protocol):
-    """Knows conditions and does what people ask for, at once or in a while.
+    """Holds the states of conditions and executes their methods, synchronously or asynchronously.
 
-    What changes of a condition is said by :meth:`HardenedServer.report`, before the call ends.
+    The keeper reports a changed condition by :meth:`HardenedServer.report` before the call ends.
     """
 
     def find(self, condition: ua.NodeId) -> Condition | None:
-        """How a condition stands; None: there is no such one."""
+        """Return the state of a condition, None if it is unknown."""
 
     def retained(self) -> Iterator[Sequence[Condition]]:
-        """Those that are to be shown, a few at a time."""
+        """Yield the retained conditions in groups."""
 
     def acknowledge(self, condition: ua.NodeId, comment: str) -> Awaitable[None] | None:
-        """Note that it was seen, if it was not; CommandRejected refuses."""
+        """Acknowledge a condition unless it is; raise CommandRejected to refuse."""
 
     def confirm(self, condition: ua.NodeId, comment: str) -> Awaitable[None] | None:
-        """Note that it was dealt with; CommandRejected refuses."""
+        """Confirm a condition; raise CommandRejected to refuse."""
 
     def remark(self, condition: ua.NodeId, comment: str) -> Awaitable[None] | None:
-        """Note what somebody said of it; CommandRejected refuses."""
+        """Add a comment to a condition; raise CommandRejected to refuse."""

@@ -1,4 +1,4 @@
-"""Nodes of conditions: made when somebody looks at them, written when their condition changes."""
+"""Nodes of conditions: created on first access, updated when the condition changes."""
 
 from collections.abc import Callable, Iterable, Iterator
 
@@ -37,12 +37,12 @@ Write = Callable[[ua.NodeId, ua.DataValue], None]
 
 
 class ConditionNodes:
-    """The conditions that have nodes.
+    """The conditions whose nodes have been created.
 
     Parameters
     ----------
     aspace
-        Where.
+        Address space of the server.
     write
         Publishes the value of a variable.
     """
@@ -56,7 +56,7 @@ class ConditionNodes:
         return key.id in self._made
 
     def make(self, condition: Condition, at: int) -> None:
-        """Add what is below a condition's object: all of it that its events say."""
+        """Create the nodes below a condition's object, one for each event field."""
         id_ = condition.key.id
         for path, variant in condition.fields().items():
             self._add(id_, path, variant, at)
@@ -70,11 +70,11 @@ class ConditionNodes:
         self.show(condition)
 
     def forget(self, ids: Iterable[ua.NodeId]) -> None:
-        """Conditions among nodes that were removed have none any more."""
+        """Unregister the conditions among removed nodes."""
         self._made.difference_update(ids)
 
     def show(self, condition: Condition) -> None:
-        """Write what changed of a condition, if it has nodes."""
+        """Update the changed values of a condition, if its nodes exist."""
         if condition.key.id not in self._made:
             return
         moment = instant(max(condition.changed, condition.commented))
@@ -87,7 +87,7 @@ class ConditionNodes:
     def _add(self, condition: ua.NodeId, path: str, variant: ua.Variant, at: int) -> None:
         above = path.rpartition("/")[0]
         parent = _node_of(condition, above) if above else condition
-        if above and parent not in self._aspace:  # an object: it has no value
+        if above and parent not in self._aspace:  # an object without a value
             self._insert(condition, parent, above, None, at)
         self._insert(parent, _node_of(condition, path), path, variant, at)
 
@@ -122,7 +122,7 @@ class ConditionNodes:
 
 
 def references_to(keys: Iterable[ConditionKey]) -> Iterator[ua.ReferenceDescription]:
-    """Say which conditions a source has, whether they have nodes yet or not."""
+    """Return the references from a source to its conditions, whose nodes need not exist yet."""
     for key in keys:
         name = str(key.id.Identifier).rpartition(".")[2]
         yield ua.ReferenceDescription(

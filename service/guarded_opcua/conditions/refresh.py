@@ -1,4 +1,4 @@
-"""A refresh: all conditions that are retained, shown anew to one subscription (Part 9, 4.5)."""
+"""ConditionRefresh: events of all retained conditions for one subscription (Part 9, 4.5)."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -10,20 +10,20 @@ from guarded_opcua.monitoring.event_item import EventItem
 from guarded_opcua.subscriptions.registry import Subscriptions
 from guarded_opcua.subscriptions.subscription import Subscription
 
-_STEPS_AT_ONCE = 16  # before others' refreshes go on
-_NO_ROOM_S = 0.05  # before it is tried again to queue what found no room
-_PATIENCE_S = 10.0  # with a client that takes nothing: what is left is lost, and it hears so
+_STEPS_AT_ONCE = 16  # events before other refreshes continue
+_NO_ROOM_S = 0.05  # s; retry interval while the queue is full
+_PATIENCE_S = 10.0  # s; then remaining events overflow the queue of a client that does not read
 
 
 class Refresh:
-    """Shows what is retained in slices, on the client's account, as fast as the client takes it.
+    """Queues the retained conditions in slices, charged to the client, as its queue has room.
 
     Parameters
     ----------
     items
-        Those of the subscription that are to hear of it.
+        Event items of the subscription that receive the refresh.
     marks
-        The events that begin and end it: they pass whatever a filter says.
+        RefreshStart and RefreshEnd events, which bypass the filter.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Refresh:
         self._ended: Callable[[], None]
 
     def begin(self, ended: Callable[[], None]) -> None:
-        """Show them, soon; ``ended`` is called when all are."""
+        """Start the refresh; ``ended`` is called at its end."""
         self._ended = ended
         self._go_on()
 
@@ -75,7 +75,7 @@ class Refresh:
         return group is not None
 
     def _offer_one(self) -> bool:
-        """Hand the next event over; False if it finds no room yet."""
+        """Deliver the next event; return False if the queue is full."""
         item, event, unfiltered = self._pending[0]
         if self._is_there(item):
             if item.room <= 0 and self._waited_s < _PATIENCE_S:
@@ -95,7 +95,7 @@ class Refresh:
 def _groups(
     marks: tuple[Event, Event], keeper: ConditionKeeper
 ) -> Iterator[list[tuple[Event, bool]]]:
-    """The events in their order, some at a time, and whether they pass whatever a filter says."""
+    """Yield the events in order, in groups, each with whether it bypasses the filter."""
     begin, end = marks
     yield [(begin, True)]
     for some in keeper.retained():

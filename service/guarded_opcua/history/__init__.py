@@ -1,1 +1,1 @@
-"""What variables have been: who keeps it, and how it is read (Part 11)."""
+"""Histories of variables and events: the historian port and HistoryRead (Part 11)."""

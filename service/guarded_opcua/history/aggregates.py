@@ -1,7 +1,8 @@
-"""Aggregates of a variable's past, interval by interval (OPC UA Part 13).
+"""Aggregates of a variable's history per interval (OPC UA Part 13).
 
-Raw values are taken in a piece at a time, so that a day of them needs the memory of its intervals.
-Time runs with the request: backwards, all times are negated, and the later end begins an interval.
+Raw values are processed in chunks, so that memory depends on the number of intervals, not of
+values. Time has the direction of the request: in a backward request all times are negated, and an
+interval begins at its later end.
 """
 
 from enum import IntEnum
@@ -19,13 +20,13 @@ _Floats = NDArray[np.float64]
 _Times = NDArray[np.int64]
 _Codes32 = NDArray[np.uint32]
 
-INFO_TYPE: Final = 0x400  # Part 4, 7.39: the bits below speak of a data value
+INFO_TYPE: Final = 0x400  # Part 4, 7.39: the bits below belong to a data value
 CALCULATED, PARTIAL, MULTI_VALUE = 0x1, 0x4, 0x10
 _ANY_BIT: Final = CALCULATED | INTERPOLATED | PARTIAL | MULTI_VALUE
 
 
 class Aggregate(IntEnum):
-    """The functions there are, by their NodeIds in namespace 0."""
+    """Supported aggregate functions, by their NodeIds in namespace 0."""
 
     INTERPOLATIVE = ua.ObjectIds.AggregateFunction_Interpolative
     AVERAGE = ua.ObjectIds.AggregateFunction_Average
@@ -36,9 +37,10 @@ class Aggregate(IntEnum):
 
 
 class Aggregation:
-    """One aggregate of one variable, over some intervals.
+    """One aggregate of one variable over the given intervals.
 
-    ``stepped``: between two values the variable holds the first.
+    ``stepped``: between two values the variable holds the earlier one; otherwise interpolate
+    linearly.
 
     Examples
     --------
@@ -62,13 +64,13 @@ class Aggregation:
         self._sum = np.zeros(n)
         sign = -1.0 if aggregate is Aggregate.MINIMUM else 1.0
         self._extreme = _Extreme(n, sign)
-        self._first: int | None = None  # time of the first and the last value, as time runs
+        self._first: int | None = None  # signed time of the first and last value
         self._last: int | None = None
 
     def take(self, records: Records) -> None:
-        """Take the next values in, in the order of the request.
+        """Process the next values, in the order of the request.
 
-        Those before the first interval and behind the last are bounds.
+        Values before the first interval and after the last are bounding values.
         """
         if not len(records):
             return
@@ -99,7 +101,7 @@ class Aggregation:
             self._extreme.take(touched, values, starts, begins)
 
     def records(self) -> Records:
-        """The aggregate of each interval, stamped with its beginning."""
+        """Return the aggregate of each interval, with the interval's start as timestamp."""
         values, codes = {
             Aggregate.INTERPOLATIVE: self._interpolative,
             Aggregate.AVERAGE: self._average,
@@ -142,7 +144,7 @@ class Aggregation:
         return extreme.values(), np.where(self._good > 0, found, NO_DATA).astype(np.uint32)
 
     def _by_values(self, none: int | None) -> _Codes32:
-        """Status by the shares of values that are Bad and Good (Part 13, 5.3.3.2.1)."""
+        """Return the status by the shares of Bad and Good values (Part 13, 5.3.3.2.1)."""
         total = self._good + self._bad + self._uncertain
         bad = self._bad + (self._uncertain if self._rules.treat_uncertain_as_bad else 0)
         share = 100.0 / np.maximum(total, 1)
@@ -154,14 +156,14 @@ class Aggregation:
         return np.where(self._outside(), NO_DATA, codes).astype(np.uint32)
 
     def _outside(self) -> NDArray[np.bool_]:
-        """Intervals before the first value, and behind the last."""
+        """Return which intervals lie before the first value or after the last."""
         edges = self._intervals.edges
         if self._first is None or self._last is None:
             return np.ones(len(self._intervals), np.bool_)
         return (edges[1:] <= self._first) | (edges[:-1] > self._last)
 
     def _partial(self) -> NDArray[np.int64]:
-        """The bit for intervals that values do not cover, or that are cut short."""
+        """Return the Partial bit of intervals that are truncated or not covered by values."""
         edges = self._intervals.edges
         first = edges[0] if self._first is None else self._first
         last = edges[-1] if self._last is None else self._last
@@ -171,7 +173,7 @@ class Aggregation:
 
 
 class _Extreme:
-    """Largest value of each interval; smallest with ``sign`` -1."""
+    """Maximum of each interval; minimum with ``sign`` -1."""
 
     def __init__(self, n: int, sign: float) -> None:
         self._sign = sign
@@ -182,9 +184,9 @@ class _Extreme:
     def take(
         self, touched: _Times, values: _Floats, starts: _Times, begins: NDArray[np.bool_]
     ) -> None:
-        """Take values in: those of interval ``touched[k]`` begin at ``starts[k]``.
+        """Process values; those of interval ``touched[k]`` begin at index ``starts[k]``.
 
-        ``begins[k]``: the first of them is at the interval's own beginning.
+        ``begins[k]``: the first of them lies exactly at the start of the interval.
         """
         values = self._sign * values
         best = np.maximum.reduceat(values, starts)

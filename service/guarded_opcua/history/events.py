@@ -1,4 +1,4 @@
-"""HistoryRead of events (Part 11, 6.4.2): what objects have reported, a page at a time."""
+"""HistoryRead of the events of objects (Part 11, 6.4.2), page by page."""
 
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
@@ -12,54 +12,54 @@ from guarded_opcua.history.historian import EVER, Span
 from guarded_opcua.monitoring.event_filter import Event, EventFilter
 
 T = TypeVar("T")
-MOST_EVENTS: Final = 500  # judged for one page: what a filter costs is paid page by page
-MOST_FIELDS: Final = 10_000  # in one response, 20 µs each
-MOST_BYTES: Final = 500_000  # of one page, the event that passes it included
+MOST_EVENTS: Final = 500  # events filtered per page; bounds the cost of a request
+MOST_FIELDS: Final = 10_000  # fields in one response, 20 µs each
+MOST_BYTES: Final = 500_000  # bytes of one page, plus at most one event
 
 
 @dataclass(frozen=True)
 class PastEvent:
-    """An event that was: its time (UTC ns), and what makes it when somebody wants it."""
+    """A stored event: its time (UTC ns), and a function that creates the event on demand."""
 
     t: int
     event: Callable[[], Event]
 
 
 class EventHistorian(Protocol):
-    """Keeps what objects have reported."""
+    """Stores the events of objects."""
 
     def events(
         self, emitter: ua.NodeId, span: Span, skip: int, most: int
     ) -> Awaitable[Sequence[PastEvent]]:
-        """Up to ``most`` events of an object within a span, but for the first ``skip``."""
+        """Return up to ``most`` events of an object within a span, without the first ``skip``."""
 
 
 class Turn(Protocol):
-    """The running request's turn at the server."""
+    """The scheduled turn of the running request."""
 
     async def breathe(self) -> None:
-        """Let others go first if this request has lasted for long."""
+        """Yield to other connections if this request has used its time slice."""
 
     async def outside(self, slow: Awaitable[T]) -> T:
-        """Wait for something slow without keeping the turn."""
+        """Await a slow operation with the turn released."""
 
 
 @dataclass(frozen=True)
 class PastEvents:
-    """What of an object's events is still to be read.
+    """A request for an object's events, and the state of its continuation.
 
     Attributes
     ----------
     node
         The object.
     filter
-        Which of them, and what of each.
+        Filter and selected fields.
     span, skip
-        Where to go on: so many events of the span have been read.
+        Span still to be read, and the number of its events to skip.
     page
-        Most events in one answer, as the client wishes; 0: as many as go.
+        Maximum number of events per response, requested by the client; 0: no maximum.
     left
-        How many are wanted in all; None: the span says it.
+        Number of events still to be returned; None: all of the span.
     """
 
     node: ua.NodeId
@@ -73,7 +73,7 @@ class PastEvents:
 def past_events(
     node: ua.NodeId, details: ua.ReadEventDetails, filter_: EventFilter
 ) -> PastEvents | None:
-    """What a request asks for; None if it says too little (two of start, end and number)."""
+    """Parse a request; None unless two of start, end and number are given."""
     start, end = nanoseconds_given(details.StartTime), nanoseconds_given(details.EndTime)
     n = details.NumValuesPerNode
     if start is None and end is None:
@@ -91,7 +91,7 @@ def past_events(
 async def page_of_events(
     rest: PastEvents, historian: EventHistorian, turn: Turn, most: int
 ) -> tuple[Sequence[bytes], PastEvents | None]:
-    """The next events, encoded, and what is left then: a page may be empty and have a next one."""
+    """Return the next events, encoded, and the continuation, even after an empty page."""
     wanted = min(
         max(min(most, MOST_FIELDS) // max(len(rest.filter), 1), 1),
         rest.page or MOST_EVENTS,

@@ -1,4 +1,4 @@
-"""The port behind which somebody keeps what variables have been."""
+"""The port of historians, which store the values of variables."""
 
 from collections.abc import Awaitable, Sequence
 from dataclasses import dataclass, replace
@@ -9,14 +9,14 @@ from asyncua import ua
 from numpy.typing import NDArray
 
 EVER = -(2**63), 2**63 - 1
-"""All times that there are, UTC ns."""
+"""Range of all times, UTC ns."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """Source times from ``low`` to ``high`` (UTC ns, both belong to it).
+    """Source times from ``low`` to ``high`` (UTC ns, inclusive).
 
-    ``backwards``: the newest comes first.
+    ``backwards``: newest first.
     """
 
     low: int
@@ -25,13 +25,13 @@ class Span:
 
     @property
     def first(self) -> int:
-        """Where it begins."""
+        """First time in reading order."""
         return self.high if self.backwards else self.low
 
     def behind(self, skip: int, read: NDArray[np.int64]) -> tuple["Span", int]:
-        """Where it goes on once some of it is read, and how many records to leave out there.
+        """Return the remaining span after a partial read, and the number of its records to skip.
 
-        ``read`` are their times; ``skip`` were left out before these.
+        ``read`` are the times of the records read, after the ``skip`` records that were skipped.
         """
         last = int(read[-1])
         seen = int(np.count_nonzero(read == last))
@@ -47,7 +47,7 @@ class Records:
     Attributes
     ----------
     values
-        Numbers of the variable's type; whatever where there is none.
+        Numbers of the variable's type; arbitrary if the status is Bad.
     codes : uint32
         StatusCodes; a Bad one has no value.
     source, server : int64
@@ -67,7 +67,7 @@ class Records:
 
 
 def joined(parts: Sequence[Records]) -> Records:
-    """Records one after the other."""
+    """Concatenate records."""
     if len(parts) == 1:
         return parts[0]
     names = ("values", "codes", "source", "server")
@@ -75,25 +75,25 @@ def joined(parts: Sequence[Records]) -> Records:
 
 
 class Historian(Protocol):
-    """Keeps what variables have been.
+    """Stores the values of variables.
 
-    Calls come one after the other, in the order of the requests; an answer that takes longer than
-    a millisecond is an awaitable, so that nobody else waits for it.
+    Calls are sequential, in the order of the requests. If an answer takes longer than a
+    millisecond, return an awaitable, so that other requests are not delayed.
     """
 
     def raw(
         self, variable: ua.NodeId, span: Span, skip: int, most: int
     ) -> Records | Awaitable[Records]:
-        """What a variable was, as it was written.
+        """Return the raw values of a variable, as they were written.
 
         Parameters
         ----------
         variable
-            One of those it was registered for.
+            A variable with this historian.
         span
-            Times, and in which order; records of one time stay in the order they were written in.
+            Source times and reading order; records with the same time keep the order of writing.
         skip
-            So many of these records are left out.
+            Number of leading records to skip.
         most
-            So many are returned at most.
+            Maximum number of records to return.
         """

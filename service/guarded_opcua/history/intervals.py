@@ -1,4 +1,4 @@
-"""Into which intervals a variable's past is cut, and what counts as Good there (Part 13)."""
+"""Processing intervals, and the rules for their status (Part 13)."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ _Times = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Rules:
-    """How values that are not Good count (Part 13, 4.2.1.2); the shares in %."""
+    """AggregateConfiguration: treatment of values that are not Good (Part 13, 4.2.1.2); in %."""
 
     treat_uncertain_as_bad: bool = True
     percent_bad: int = 100
@@ -29,7 +29,7 @@ class Rules:
 class Intervals:
     """Successive intervals that begin at ``edges[k]`` and end before ``edges[k + 1]``.
 
-    Times run as the request does: backwards they are negated.
+    Times have the direction of the request: negated in a backward request.
 
     Examples
     --------
@@ -41,13 +41,13 @@ class Intervals:
 
     edges: _Times
     backwards: bool
-    truncated: bool  # the last one is shorter than the others
+    truncated: bool  # the last interval is shorter than the others
 
     @classmethod
     def of(cls, start: int, end: int, width: int, most: int) -> tuple["Intervals", int | None]:
-        """At most ``most`` of them, and where the others begin.
+        """Return at most ``most`` intervals, and the start of the next one, None if there is none.
 
-        ``width`` 0 makes one; times in UTC ns.
+        ``width`` 0 gives a single interval; times in UTC ns.
         """
         backwards, sign = start > end, -1 if start > end else 1
         first, last = sign * start, sign * end
@@ -64,5 +64,5 @@ class Intervals:
 
     @property
     def sign(self) -> int:
-        """-1 where times are negated."""
+        """Sign of the times: -1 if they are negated."""
         return -1 if self.backwards else 1

@@ -1,4 +1,4 @@
-"""A variable between the values that were written: at some times, and its area between them."""
+"""Interpolation of a variable at the edges of intervals, and its integral between them."""
 
 from typing import Final
 
@@ -19,7 +19,7 @@ NO_DATA: Final = int(ua.StatusCodes.BadNoData)
 
 
 class Line:
-    """What lies between the values that may be used: the variable at each edge, and its area."""
+    """Interpolates the usable values at each edge, and integrates them between the edges."""
 
     def __init__(self, intervals: Intervals, rules: Rules, *, stepped: bool) -> None:
         self._edges = intervals.edges
@@ -30,16 +30,16 @@ class Line:
         self._t0 = int(self._edges[0])
         self._values, self._area = np.zeros((2, n))
         self._codes = np.full(n, NO_DATA, np.uint32)
-        self._done = 0  # edges that are known
+        self._done = 0  # number of evaluated edges
         self._skips = np.zeros(n - 1, np.bool_)
-        self._last: tuple[_Times, _Floats, _Codes32, _Times] | None = None  # the last two used
-        self._seen = 0  # values so far
-        self._sum = 0.0  # area up to the last value used
+        self._last: tuple[_Times, _Floats, _Codes32, _Times] | None = None  # the last two usable
+        self._seen = 0  # number of values processed
+        self._sum = 0.0  # integral up to the last usable value
         self._began: int | None = None
         self._newest = 0.0  # value at `_began`, backwards
 
     def take(self, t: _Times, values: _Floats, codes: _Codes32) -> None:
-        """Take the next values in, of ascending times (N,)."""
+        """Process the next values, at ascending times (N,)."""
         limit = UNCERTAIN if self._rules.treat_uncertain_as_bad else BAD
         chosen = np.flatnonzero(codes < limit)
         number, self._seen = chosen + self._seen, self._seen + len(t)
@@ -62,7 +62,7 @@ class Line:
         self._last = t[-2:], values[-2:], codes[-2:], number[-2:]
 
     def _held(self, before: _Floats, after: _Floats, line: _Floats) -> _Floats:
-        """What the variable is between two values: the older one, or on the line."""
+        """Return the value between two samples: the earlier one if stepped, else interpolated."""
         if not self._stepped:
             return line
         return after if self._backwards else before
@@ -70,13 +70,13 @@ class Line:
     def _pass_edges(
         self, t: _Times, values: _Floats, codes: _Codes32, number: _Times, area: _Floats
     ) -> None:
-        """Know the edges up to the last value."""
+        """Evaluate the edges up to the last value."""
         stop = int(np.searchsorted(self._edges, t[-1], side="right"))
         if stop <= self._done:
             return
         rows = slice(self._done, stop)
         edges = self._edges[rows]
-        i = np.searchsorted(t, edges, side="left")  # the value at the edge, or the next one
+        i = np.searchsorted(t, edges, side="left")  # index of the value at or after the edge
         exact = t[i] == edges
         a = np.where(exact, i, i - 1)
         width = np.maximum(t[i] - t[a], 1)
@@ -92,14 +92,14 @@ class Line:
         self._done = stop
 
     def _note_skips(self, t: _Times, number: _Times) -> None:
-        """Mark the intervals in which values were left out."""
+        """Mark the intervals in which unusable values were skipped."""
         for k in np.flatnonzero(np.diff(number) > 1):
             first = np.searchsorted(self._edges, t[k], side="right") - 1
             last = np.searchsorted(self._edges, t[k + 1], side="left")
             self._skips[max(int(first), 0) : int(last)] = True
 
     def bounds(self) -> tuple[_Floats, _Codes32, _Floats]:
-        """Value, status and area at each edge."""
+        """Return value, status and integral at each edge."""
         values, codes, area = self._values.copy(), self._codes.copy(), self._area.copy()
         if self._last is None:
             return values, codes, area
@@ -107,7 +107,7 @@ class Line:
         ahead = slice(self._done, len(self._edges))
         began = 0 if self._began is None else int(np.searchsorted(self._edges, self._began))
         area[ahead], area[:began] = self._sum, 0.0
-        if self._backwards:  # these edges are behind the newest value
+        if self._backwards:  # these edges are later than the newest value
             values[:began], codes[:began] = self._newest, SUB_NORMAL | INTERPOLATED
             return values, codes, area
         slope = 0.0
@@ -118,7 +118,7 @@ class Line:
         return values, codes, area
 
     def known(self) -> _Floats:
-        """For how long each interval is known, s."""
+        """Return the covered duration of each interval, s."""
         if self._last is None or self._began is None:
             return np.zeros(len(self._edges) - 1)
         low = np.maximum(self._edges[:-1], self._began)
@@ -126,5 +126,5 @@ class Line:
         return np.maximum(high - low, 0) * 1e-9
 
     def skipped(self) -> NDArray[np.bool_]:
-        """Which intervals a value was left out of."""
+        """Return the intervals in which unusable values were skipped."""
         return self._skips

@@ -1,4 +1,4 @@
-"""HistoryRead of aggregates and at given times (Part 11, 6.4.4 and 6.4.5)."""
+"""HistoryRead of aggregates, and at given times (Part 11, 6.4.4 and 6.4.5)."""
 
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
@@ -16,16 +16,16 @@ from guarded_opcua.history.intervals import Intervals, Rules
 Raw = Callable[[Span, int, int], Awaitable[Records]]
 
 _Codes = ua.StatusCodes
-_PIECE = 50_000  # raw values at once: 10 ms
-_BOUNDS = 100  # values beside the intervals among which one is looked for that may be used
+_PIECE = 50_000  # raw values per chunk: 10 ms
+_BOUNDS = 100  # values searched for a usable bound on each side of the intervals
 _SAME_TYPE = Aggregate.MINIMUM, Aggregate.MAXIMUM
 
 
 @dataclass(frozen=True)
 class Processed:
-    """Aggregates that are still to be read: from ``start`` to ``end``, UTC ns, each ``width`` ns.
+    """Aggregates still to be read, from ``start`` to ``end``, UTC ns, in intervals of ``width`` ns.
 
-    A width of 0 is one interval.
+    A width of 0 means a single interval.
     """
 
     node: ua.NodeId
@@ -38,7 +38,7 @@ class Processed:
 
 @dataclass(frozen=True)
 class AtTimes:
-    """What a variable was at some times, UTC ns."""
+    """A request for a variable's values at given times, UTC ns."""
 
     node: ua.NodeId
     times: Sequence[int]
@@ -47,7 +47,7 @@ class AtTimes:
 def processed(
     node: ua.NodeId, details: ua.ReadProcessedDetails, number: int, span: tuple[int, int] | None
 ) -> Processed | int:
-    """What a request asks for of its node ``number``, or why it cannot be had."""
+    """Parse a request for its node ``number``; return a status code if it is invalid."""
     if span is None or span[0] == span[1]:
         return int(_Codes.BadInvalidArgument)
     milliseconds = details.ProcessingInterval
@@ -65,7 +65,7 @@ def processed(
 
 
 def type_of(aggregate: Aggregate, variable: Variable) -> ua.VariantType:
-    """Type of an aggregate's values."""
+    """Return the type of an aggregate's values."""
     if aggregate is Aggregate.COUNT:
         return ua.VariantType.UInt32
     return variable.type if aggregate in _SAME_TYPE else ua.VariantType.Double
@@ -74,7 +74,7 @@ def type_of(aggregate: Aggregate, variable: Variable) -> ua.VariantType:
 async def aggregated(
     asked: Processed, variable: Variable, raw: Raw, most: int
 ) -> tuple[Records, int | None]:
-    """Read the first ``most`` intervals, and say where the others begin."""
+    """Return the first ``most`` intervals, and the start of the next one."""
     intervals, rest = Intervals.of(asked.start, asked.end, asked.width, most)
     found = Aggregation(asked.aggregate, intervals, asked.rules, stepped=is_stepped(variable))
     for part in (_before(intervals), _inside(intervals), _behind(intervals)):
@@ -84,7 +84,7 @@ async def aggregated(
 
 
 async def at_times(times: Sequence[int], variable: Variable, raw: Raw) -> Records:
-    """What a variable was at some times, UTC ns: as it was written, or between two values."""
+    """Return a variable's values at given times, UTC ns: written or interpolated."""
     parts = []
     for t in times:
         intervals, _ = Intervals.of(t, t + 1, 0, most=1)
@@ -99,7 +99,7 @@ async def at_times(times: Sequence[int], variable: Variable, raw: Raw) -> Record
 
 
 def is_stepped(variable: Variable) -> bool:
-    """Whether a variable holds a value until the next one: what is counted does."""
+    """Return whether a variable holds its value until the next one; integers do."""
     return np.dtype(DTYPES[variable.type]).kind != "f"
 
 
@@ -125,7 +125,7 @@ def _behind(intervals: Intervals) -> tuple[Span, int, bool]:
 
 
 async def _pieces(raw: Raw, span: Span, most: int, reverse: bool) -> AsyncIterator[Records]:  # noqa: FBT001
-    """Records of a span piece by piece; at most ``most`` if that is no 0, turned round."""
+    """Yield the records of a span in chunks; with ``most`` > 0, one chunk of at most that many."""
     if most:
         found = await raw(span, 0, most)
         yield found[::-1] if reverse else found

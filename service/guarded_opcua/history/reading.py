@@ -1,4 +1,4 @@
-"""HistoryRead (Part 11, 6.4), a page at a time: raw values, aggregates, at given times, events."""
+"""HistoryRead (Part 11, 6.4), page by page: raw values, aggregates, at given times, events."""
 
 import secrets
 from collections import OrderedDict
@@ -41,26 +41,26 @@ from guarded_opcua.monitoring.event_filter import EventFilter, EventFilterRefuse
 from guarded_opcua.settings import Limits
 
 _Codes = ua.StatusCodes
-MOST_TIMES = 1_000  # of one variable in one request, each is looked up
+MOST_TIMES = 1_000  # times of one variable in one request; each is a lookup
 _BAD = 0x8000_0000
 
 
 @dataclass(frozen=True)
 class Rest:
-    """What of a variable's past is still to be read.
+    """A request for a variable's raw values, and the state of its continuation.
 
     Attributes
     ----------
     node
         The variable.
     span, skip
-        Where to go on: so many records of the span have been read.
+        Span still to be read, and the number of its records to skip.
     page
-        Most values in one answer, as the client wishes; 0: as many as go.
+        Maximum number of values per response, requested by the client; 0: no maximum.
     left
-        How many values are wanted in all; None: the span says it.
+        Number of values still to be returned; None: all of the span.
     lead, tail
-        Where bounding values are wanted, UTC ns.
+        Times of requested bounding values, UTC ns.
     """
 
     node: ua.NodeId
@@ -76,7 +76,7 @@ Rests = OrderedDict[bytes, Rest | Processed | PastEvents]
 
 
 class Histories:
-    """The histories of a server's variables, and of its objects' events."""
+    """The histories of a server's variables and events."""
 
     def __init__(self, limits: Limits, nodes: AddressSpace) -> None:
         self._limits = limits
@@ -85,19 +85,19 @@ class Histories:
         self._events: dict[ua.NodeId, EventHistorian] = {}
 
     def add(self, variable: Variable, historian: Historian) -> None:
-        """Have a variable's past answered for by somebody."""
+        """Register the historian of a variable."""
         self._kept[variable.id] = variable, historian
 
     def add_events(self, emitter: ua.NodeId, historian: EventHistorian) -> None:
-        """Have an object's past events answered for by somebody."""
+        """Register the historian of an object's events."""
         self._events[emitter] = historian
 
     async def read(
         self, params: ua.HistoryReadParameters, number: int, rests: Rests, turn: Turn
     ) -> bytes:
-        """Read one variable, ``number`` of those asked for: an encoded HistoryReadResult.
+        """Read node ``number`` of a request; return an encoded HistoryReadResult.
 
-        ``rests`` are the session's own: what does not fit waits there behind a continuation point.
+        ``rests`` are the continuation points of the session, where the remaining request is stored.
         """
         most = max(self._limits.history_values // len(params.NodesToRead), 1)
         rest = self._wanted(params, number, rests, most)
@@ -145,14 +145,14 @@ class Histories:
         return encode_history_result(code, point, b"".join(data), count, of)
 
     def release(self, wanted: ua.HistoryReadValueId, rests: Rests) -> bytes:
-        """Forget a continuation point."""
+        """Release a continuation point."""
         known = rests.pop(wanted.ContinuationPoint or b"", None) is not None
         return encode_history_result(_Codes.Good if known else _Codes.BadContinuationPointInvalid)
 
     def _wanted(  # noqa: C901, PLR0911 - one per reason
         self, params: ua.HistoryReadParameters, number: int, rests: Rests, most: int
     ) -> Rest | Processed | PastEvents | AtTimes | int:
-        """What is to be read, or why it cannot be."""
+        """Return the parsed request, or a status code if it is invalid."""
         wanted = params.NodesToRead[number]
         if wanted.ContinuationPoint:
             rest = rests.get(wanted.ContinuationPoint)
@@ -160,7 +160,7 @@ class Histories:
                 return _Codes.BadContinuationPointInvalid
             return rests.pop(wanted.ContinuationPoint)
         details = params.HistoryReadDetails
-        if wanted.NodeId not in self._nodes:  # some are made by the look
+        if wanted.NodeId not in self._nodes:  # the lookup creates lazy nodes
             return _Codes.BadNodeIdUnknown
         if isinstance(details, ua.ReadEventDetails):
             return self._wanted_events(wanted.NodeId, details)
@@ -198,7 +198,7 @@ class Histories:
 async def _page(
     rest: Rest, most: int, raw: Raw, kind: ua.VariantType
 ) -> tuple[Records, Rest | None]:
-    """The next values, and what is left then."""
+    """Return the next values, and the continuation."""
     found = await raw(rest.span, rest.skip, most + 1)
     more = None
     if len(found) > most:
@@ -213,7 +213,7 @@ async def _page(
 
 
 async def _bound(at: int, raw: Raw, kind: ua.VariantType, span: Span, *, lead: bool) -> Records:
-    """The value beside a span, at a time or as near to it as there is one."""
+    """Return the bounding value of a span, at a time or the nearest one outside."""
     older = span.backwards != lead
     near = await raw(Span(EVER[0], at, backwards=True) if older else Span(at, EVER[1]), 0, 1)
     if len(near):
@@ -224,7 +224,7 @@ async def _bound(at: int, raw: Raw, kind: ua.VariantType, span: Span, *, lead: b
 
 
 def _beginning(node: ua.NodeId, details: ua.ReadRawModifiedDetails) -> Rest | None:
-    """What a request asks for; None if it says too little (two of start, end and number)."""
+    """Parse a request; None unless two of start, end and number are given."""
     start, end = _time(details.StartTime), _time(details.EndTime)
     n, bounds = details.NumValuesPerNode, bool(details.ReturnBounds)
     if start is None or end is None:
@@ -243,7 +243,7 @@ def _beginning(node: ua.NodeId, details: ua.ReadRawModifiedDetails) -> Rest | No
 
 
 def _behind(rest: Rest, read: Records) -> Rest | None:
-    """What is left once some of it is read; None if no more is wanted."""
+    """Return the remaining request after a partial read; None if it is complete."""
     left = None if rest.left is None else rest.left - len(read)
     if left == 0:
         return None

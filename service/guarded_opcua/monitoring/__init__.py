@@ -1,1 +1,1 @@
-"""Monitored items: what they sample, queue and filter, one by one and as arrays."""
+"""Monitored items: sampling, queueing and filtering, item by item and as arrays."""

@@ -1,8 +1,8 @@
 """The monitored items of one subscription on one block, served as arrays (Part 4, 5.13).
 
-The rules are those of ``data_item``; the tests hold the two against each other byte by byte.
-What needs more than arrays can do (a sampling interval of its own, a queue that discards the
-newest, links to other items, mode Sampling) is served there, item by item: see :func:`serves`.
+The rules are those of ``data_item``; the tests compare both byte by byte. Items with a sampling
+interval, a queue that discards the newest, triggering links or mode Sampling are served by
+``data_item``: see :func:`serves`.
 """
 
 from typing import Any
@@ -16,22 +16,22 @@ from guarded_opcua.binary.records import Form, encode_records
 from guarded_opcua.monitoring.block_queue import BlockQueue, Counts, Notifications, Slots
 from guarded_opcua.monitoring.parameters import Monitoring, Queued, Reporter
 
-_FEWEST = 50  # variables: in a smaller block they are faster one by one
+_FEWEST = 50  # variables; smaller blocks are faster item by item
 _Mode = ua.MonitoringMode
 _Trigger = ua.DataChangeTrigger
 _Pair = tuple[NDArray[Any], NDArray[Any]]
-_Order = tuple[Slots, Slots]  # slots in use in the order of their columns, and the columns
+_Order = tuple[Slots, Slots]  # slots in use, ordered by column, and these columns
 
 
 def serves(block: Block, monitoring: Monitoring) -> bool:
-    """Whether arrays can serve an item with these parameters."""
+    """Return whether block items support these parameters."""
     exact = monitoring.rule.deadband == 0.0 or block.dtype == np.float64
     simple = monitoring.interval_s == 0.0 and monitoring.discard_oldest
     return simple and exact and len(block) >= _FEWEST
 
 
 class BlockItem:
-    """One of the items; monitors the value of one variable."""
+    """Monitors the value of one variable of a block."""
 
     __slots__ = ("links", "monitoring", "number", "of", "slot", "wanted")
 
@@ -48,7 +48,7 @@ class BlockItem:
         self.number = number
         self.wanted = wanted
         self.monitoring = monitoring
-        self.links: set[int] = set()  # stays empty: who triggers others is served one by one
+        self.links: set[int] = set()  # always empty: items with links are data items
 
     def __len__(self) -> int:
         return self.of.queue.length(self.slot)
@@ -58,7 +58,7 @@ class BlockItem:
 
     @property
     def client_handle(self) -> int:
-        """The client's own number of the item."""
+        """ClientHandle, the client's number of the item."""
         return self.monitoring.client_handle
 
     @property
@@ -71,7 +71,7 @@ class BlockItem:
         self.of.start(self.slot)
 
     def repeat(self, _: ua.DataValue | None = None) -> None:
-        """Report the value even if it was reported before (for a new owner)."""
+        """Report the value again unless one is queued (for ResendData or a new owner)."""
         if self.mode != _Mode.Disabled and not len(self):
             self.start()
 
@@ -80,26 +80,26 @@ class BlockItem:
         return self.of.set_mode(self.slot, mode)
 
     def modify(self, monitoring: Monitoring) -> None:
-        """Take new parameters; a shorter queue loses its surplus."""
+        """Set new parameters; the oldest notifications in excess of a shorter queue are lost."""
         self.monitoring = monitoring
         self.of.modify(self.slot, monitoring)
 
     def clear(self) -> None:
-        """Forget what is queued."""
+        """Empty the queue."""
         self.of.clear(self.slot)
 
 
 class BlockItems:
-    """All of them; each has a slot in arrays of shape (slots,).
+    """The block items of one subscription on one block; each has a slot in arrays (slots,).
 
     Attributes
     ----------
     queue
-        What they have to report.
+        The queues of all items.
     modes
-        Monitoring modes, Reporting or Disabled; a free slot is disabled.
+        Monitoring modes, Reporting or Disabled; free slots are Disabled.
     number
-        Numbers of the items.
+        MonitoredItemIds.
     """
 
     def __init__(self, subscription: Reporter, block: Block) -> None:
@@ -116,7 +116,7 @@ class BlockItems:
         self._trigger = np.zeros(0, np.int8)
         self._deadband = np.zeros(0)
         self._stamps = np.zeros(0, np.int8)
-        # what was reported last
+        # last reported values
         self._reported = np.zeros(0, np.bool_)
         self._values = np.zeros((0, block.width), block.dtype)
         self._codes = np.zeros(0, np.uint32)
@@ -126,7 +126,7 @@ class BlockItems:
     def add(
         self, number: int, wanted: ua.ReadValueId, column: int, monitoring: Monitoring
     ) -> BlockItem:
-        """Add an item; it is disabled yet."""
+        """Add an item in mode Disabled."""
         if not self._free:
             self._grow()
         slot = self._free.pop()
@@ -137,7 +137,7 @@ class BlockItems:
         return BlockItem(self, slot, number, wanted, monitoring)
 
     def remove(self, item: BlockItem) -> None:
-        """Forget an item."""
+        """Remove an item."""
         self.clear(item.slot)
         self.modes[item.slot] = _Mode.Disabled
         self.number[item.slot] = 0
@@ -162,7 +162,7 @@ class BlockItems:
         return was_disabled
 
     def modify(self, slot: int, monitoring: Monitoring) -> None:
-        """Give an item new parameters."""
+        """Set new parameters of an item."""
         self._set(slot, monitoring)
         surplus = self.queue.length(slot) - monitoring.queue_size
         if surplus > 0:
@@ -176,7 +176,7 @@ class BlockItems:
         self.queue.clear(slot)
 
     def take_in(self, batch: Batch, moment: int) -> None:
-        """Take samples in, the first of which belongs to the moment."""
+        """Process the samples of a batch; ``moment`` is that of the first."""
         if self._order is None:
             self._order = self._by_column()
         slots, columns = self._order
@@ -196,7 +196,7 @@ class BlockItems:
         return order, self._column[order]
 
     def take(self, front: Notifications) -> tuple[bytes, Counts]:
-        """Take (the beginning of) the queue's front, encoded: all bytes, and where each ends."""
+        """Remove and encode (the beginning of) the front; return the bytes and end offsets."""
         taken = self.queue.take(front)
         self._subscription.holding.add(-len(taken))
         handles, stamps = self._handle[taken.slot], self._stamps[taken.slot]
@@ -215,7 +215,7 @@ class BlockItems:
         )
 
     def release(self, item: BlockItem) -> tuple[list[Queued], ua.DataValue | None]:
-        """Give an item away: what it had queued, with the moments, and what it reported last."""
+        """Remove an item; return its queue, with the moments, and its last reported value."""
         slot, block = item.slot, self.block
         last = None
         if self._reported[slot]:
@@ -241,7 +241,7 @@ class BlockItems:
         )
 
     def _see(self, batch: Batch, slots: Slots, columns: Slots, moment: int) -> None:
-        """Queue what has changed in samples of just these columns."""
+        """Queue the changes in a batch of exactly these columns."""
         changed = self._changes(batch, slots)
         if not changed.any():
             return
@@ -250,7 +250,7 @@ class BlockItems:
         self._subscription.hurry()
 
     def _changes(self, batch: Batch, slots: Slots) -> Bools:
-        """What is worth a notification, shape (k, slots): see ``ChangeRule.is_change``."""
+        """Return which samples are changes, shape (k, slots); see ``ChangeRule.is_change``."""
         if batch.present is None and not self._deadband[slots].any():
             return self._changes_of_all(batch, slots)
         changed = np.zeros(batch.codes.shape, np.bool_)
@@ -270,7 +270,7 @@ class BlockItems:
         return changed
 
     def _changes_of_all(self, batch: Batch, slots: Slots) -> Bools:
-        """Without a deadband, to differ from the last report is to differ from the last sample."""
+        """Return the changes without a deadband, by comparing each sample with the one before."""
         unreported = np.zeros(batch.codes.shape, np.bool_)
         unreported[0] = ~self._reported[slots]
         changed = self._is_change(
@@ -298,7 +298,7 @@ class BlockItems:
         has: _Pair,
         source: _Pair,
     ) -> Bools:
-        """Compare what was reported with what is new; shapes (slots, …) or (k, slots, …)."""
+        """Compare reported with new values; shapes (slots, …) or (k, slots, …)."""
         trigger, deadband = self._trigger[slots], self._deadband[slots]
         old, new = values
         differs = old != new
@@ -338,14 +338,14 @@ class BlockItems:
             self._push_row(batch[here], slots, changed[here], moments[here])
 
     def _push_row(self, batch: Batch, slots: Slots, changed: Bools, moments: Counts) -> None:
-        """Queue one sample of each item where not everything may fit."""
+        """Queue one sample of each item when queues may overflow."""
         queue, holding = self.queue, self._subscription.holding
         pushed = changed[0]
         lengths, size = queue.tail[slots] - queue.head[slots], self._size[slots]
         fits = pushed & (lengths < size)
         added = fits & ((np.cumsum(fits) <= holding.room()) | (lengths == 0))
         full = pushed & ~added
-        lost = full & ~((lengths == 1) & (size == 1))  # that one holds the newest; no overflow
+        lost = full & ~((lengths == 1) & (size == 1))  # a queue of size 1: no overflow bit
         holding.add(int(added.sum()))
         holding.lose(int(lost.sum()))
         numbers = queue.tail[slots]
@@ -387,7 +387,7 @@ class BlockItems:
 
 
 def _common(columns: Slots, written: Slots) -> tuple[Slots, Slots]:
-    """Where ascending columns (several may be equal) are written, and where what is written is."""
+    """Return matching indices into ascending ``columns`` (with repeats) and ``written``."""
     first = np.searchsorted(columns, written, "left")
     counts = np.searchsorted(columns, written, "right") - first
     of_batch = np.repeat(np.arange(len(written)), counts)

@@ -1,9 +1,9 @@
 """The queues of many monitored items, as one log of arrays.
 
-Every notification gets a number within its item, and an item's queue is the range ``head`` to
-``tail`` of these numbers; the log keeps the notifications of all items in the order they came. To
-discard the oldest is to move ``head``; to take is to cut off the front of the log. None of it
-looks at a notification by itself, and none looks further than it takes.
+Each notification has a number within its item, and an item's queue is the range ``head`` to
+``tail`` of these numbers. The log stores the notifications of all items in order of arrival.
+Discarding the oldest increments ``head``; taking removes the front of the log. All operations are
+vectorised, and none reads further than it takes.
 """
 
 from collections import deque
@@ -19,16 +19,16 @@ from guarded_opcua.monitoring.parameters import OVERFLOW
 
 Slots = NDArray[np.intp]
 Counts = NDArray[np.int64]
-_PIECE = 16_384  # nothing is looked at in larger pieces
-_SPARE = 4_096  # discarded notifications that are no reason to tidy up
+_PIECE = 16_384  # notifications; maximum length of an array in the log
+_SPARE = 4_096  # discarded notifications kept before the log is compacted
 
 
 @dataclass(frozen=True)
 class Notifications:
-    """N notifications in their order: all arrays of length N.
+    """N notifications in order: all arrays of length N.
 
-    ``slot``, whose; ``number`` within that item's; ``moment``, number of the change; the rest is
-    what is reported (see ``Batch``).
+    ``slot`` of the item, ``number`` within the item, ``moment`` of the change; the other fields are
+    the reported values (see ``Batch``).
     """
 
     slot: Slots
@@ -48,7 +48,7 @@ class Notifications:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """One after the other."""
+        """Concatenate notifications."""
         if len(parts) == 1:
             return parts[0]
         names = [field.name for field in fields(cls)]
@@ -61,7 +61,7 @@ class BlockQueue:
     def __init__(self) -> None:
         self.head = np.zeros(0, np.int64)
         self.tail = np.zeros(0, np.int64)
-        self._flagged = np.zeros(0, np.int64)  # number of the one that is flagged
+        self._flagged = np.zeros(0, np.int64)  # number of the notification with the overflow bit
         self._log: deque[Notifications] = deque()
         self._logged = 0
         self._live = 0
@@ -70,18 +70,18 @@ class BlockQueue:
         return self._live
 
     def length(self, slot: int) -> int:
-        """Return how many notifications a queue holds."""
+        """Return the number of notifications in a queue."""
         return int(self.tail[slot] - self.head[slot])
 
     def grow(self, slots: int) -> None:
-        """Have room for so many slots."""
+        """Grow to this number of slots."""
         more = slots - len(self.head)
         self.head = np.append(self.head, np.zeros(more, np.int64))
         self.tail = np.append(self.tail, np.zeros(more, np.int64))
         self._flagged = np.append(self._flagged, np.full(more, -1, np.int64))
 
     def append(self, new: Notifications) -> None:
-        """Put notifications in; each takes the next number of its item."""
+        """Append notifications."""
         self._log.extend(new[i : i + _PIECE] for i in range(0, len(new), _PIECE))
         self._logged += len(new)
         self._live += len(new)
@@ -89,16 +89,16 @@ class BlockQueue:
             self._tidy()
 
     def discard(self, slots: Slots) -> None:
-        """Drop the oldest of each of these queues."""
+        """Discard the oldest notification of each of these queues."""
         self.head[slots] += 1
         self._live -= len(slots)
 
     def flag(self, slots: Slots) -> None:
-        """Let the oldest of each queue say that others are lost."""
+        """Set the overflow bit of the oldest notification of each queue."""
         self._flagged[slots] = self.head[slots]
 
     def drop(self, slot: int, count: int) -> None:
-        """Drop the oldest ones of a queue."""
+        """Discard the oldest notifications of a queue."""
         self.head[slot] += count
         self._live -= count
 
@@ -107,7 +107,7 @@ class BlockQueue:
         self.drop(slot, self.length(slot))
 
     def front(self, most: int) -> Notifications | None:
-        """Return up to ``most`` notifications that are next; they stay where they are."""
+        """Return the next notifications, up to ``most``, without removing them."""
         parts: list[Notifications] = []
         for part in self._log:
             if most <= 0:
@@ -122,9 +122,9 @@ class BlockQueue:
         return Notifications.joined(parts) if parts else None
 
     def take(self, front: Notifications) -> Notifications:
-        """Take (the beginning of) the front out."""
+        """Remove (the beginning of) the front."""
         all_alive = self._live == self._logged
-        self.head[front.slot] = front.number + 1  # of a slot that comes twice the last counts
+        self.head[front.slot] = front.number + 1  # with repeated slots the last assignment holds
         self._live -= len(front)
         left = len(front)
         while self._log and (left > 0 or not all_alive):
@@ -143,7 +143,7 @@ class BlockQueue:
         return self._flagging(front)
 
     def take_all_of(self, slot: int) -> Notifications | None:
-        """Take out one queue."""
+        """Remove and return one queue, None if it is empty."""
         parts = [part[(part.slot == slot) & self._alive(part)] for part in self._log]
         parts = [part for part in parts if len(part)]
         self.clear(slot)

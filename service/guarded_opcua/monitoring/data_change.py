@@ -1,4 +1,4 @@
-"""When a change is worth a notification: triggers and deadbands (Part 4, 7.22.2; Part 8, 6.2)."""
+"""DataChangeFilters: triggers and deadbands (Part 4, 7.22.2; Part 8, 6.2)."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from asyncua.ua import uaprotocol_auto
 
 from guarded_opcua.binary.encoding import ticks
 
-DataChangeFilter = uaprotocol_auto.DataChangeFilter  # what the decoder makes
+DataChangeFilter = uaprotocol_auto.DataChangeFilter  # the class that the decoder creates
 _NUMBERS = {
     ua.VariantType.SByte,
     ua.VariantType.Byte,
@@ -26,13 +26,13 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class ChangeRule:
-    """What counts as a change; ``deadband`` is absolute, 0 = none."""
+    """Rule for reporting a change; ``deadband`` is absolute, 0 = none."""
 
     trigger: ua.DataChangeTrigger = ua.DataChangeTrigger.StatusValue
     deadband: float = 0.0
 
     def is_change(self, reported: ua.DataValue | None, value: ua.DataValue) -> bool:
-        """Compare a value with the one that was reported last."""
+        """Return whether a value differs from the last reported one."""
         if reported is None or _code(reported) != _code(value):
             return True
         if self.trigger == ua.DataChangeTrigger.Status:
@@ -50,7 +50,7 @@ class ChangeRule:
 
 
 class FilterRefused(Exception):  # noqa: N818 - it is an answer
-    """A filter cannot be used; ``code`` says why."""
+    """A filter was refused, with the status code ``code``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -58,12 +58,12 @@ class FilterRefused(Exception):  # noqa: N818 - it is an answer
 
 
 def change_rule(wanted: object, kind: ua.VariantType | None, span: float | None) -> ChangeRule:
-    """Check a monitored item's filter.
+    """Return the change rule of a monitored item's filter.
 
     Parameters
     ----------
     wanted
-        What the peer sent: None or a filter.
+        The peer's filter, or None.
     kind
         Type of the node's value, None if it is not a value.
     span

@@ -1,4 +1,4 @@
-"""Items that monitor an attribute: what they sample, queue and lose (Part 4, 5.13)."""
+"""Items that monitor an attribute: sampling, queue, overflow (Part 4, 5.13)."""
 
 import dataclasses
 from collections import deque
@@ -12,7 +12,7 @@ from guarded_opcua.monitoring.parameters import OVERFLOW, Monitoring, Queued, Re
 
 
 class _Done:
-    """Awaiting it takes no time: asyncua awaits its callbacks, ours are done when they return."""
+    """An awaitable that is done: asyncua awaits its callbacks, but this one is synchronous."""
 
     def __await__(self) -> Generator[None, None, None]:
         yield from ()
@@ -61,7 +61,7 @@ class DataItem:
         self._reported: ua.DataValue | None = None
         self._pending: ua.DataValue | None = None
         self._due = 0.0
-        self._loss_before_first = False  # of the queue: it is flagged when it is taken
+        self._loss_before_first = False  # the overflow bit of the first is set when it is taken
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -71,20 +71,20 @@ class DataItem:
 
     @property
     def client_handle(self) -> int:
-        """The client's own number of the item."""
+        """ClientHandle, the client's number of the item."""
         return self.monitoring.client_handle
 
     def __call__(
         self, _handle: int, value: ua.DataValue | None, error: ua.StatusCode | None = None
     ) -> _Done:
-        """Take a change (asyncua's callback)."""
+        """Process a change (asyncua's callback)."""
         if self.mode != ua.MonitoringMode.Disabled:
             self._sample(ua.DataValue(StatusCode=error) if value is None else value)
         return _DONE
 
     @property
     def waiting(self) -> Iterator[tuple[int, float]]:
-        """Numbers of the changes that are queued, and what it costs to encode each, s."""
+        """Moments of the queued changes, and the cost of encoding each, s."""
         return ((moment, encoding_cost(value)) for moment, value in self._queue)
 
     def start(self, value: ua.DataValue) -> None:
@@ -95,12 +95,12 @@ class DataItem:
         self._sample(value)
 
     def repeat(self, value: ua.DataValue) -> None:
-        """Report the value even if it was reported before (for a new owner)."""
+        """Report the value again unless one is queued (for ResendData or a new owner)."""
         if self.mode != ua.MonitoringMode.Disabled and not self._queue:
             self.start(value)
 
     def sample_pending(self, now: float) -> bool:
-        """Take the value that waited for its sampling time; return whether it still waits."""
+        """Sample the held value if its sampling time has come; return whether it is still held."""
         if self._pending is None:
             return False
         if now < self._due:
@@ -122,7 +122,7 @@ class DataItem:
         return was_disabled
 
     def modify(self, monitoring: Monitoring) -> None:
-        """Take new parameters; a shorter queue loses its surplus."""
+        """Set new parameters; notifications in excess of a shorter queue are lost."""
         self.monitoring = monitoring
         while len(self._queue) > monitoring.queue_size:
             if monitoring.discard_oldest:
@@ -134,7 +134,7 @@ class DataItem:
             self._subscription.holding.lose(1)
 
     def take(self, most: int) -> list[bytes]:
-        """Take up to ``most`` notifications out of the queue, encoded."""
+        """Remove and encode up to ``most`` notifications of the queue."""
         monitoring, queue = self.monitoring, self._queue
         handle = monitoring.client_handle.to_bytes(4, "little")
         stamps = monitoring.stamps
@@ -146,12 +146,12 @@ class DataItem:
         return [handle + encode_or_refuse(queue.popleft()[1], stamps) for _ in range(count)]
 
     def adopt(self, queue: Iterable[Queued], reported: ua.DataValue | None) -> None:
-        """Take over what was queued and reported for this item before; it is counted already."""
+        """Adopt the queue and last report of a block item; they are already in the counters."""
         self._queue.extend(queue)
         self._reported = reported
 
     def clear(self) -> None:
-        """Forget what is queued."""
+        """Empty the queue."""
         self._subscription.holding.add(-len(self._queue))
         self._queue.clear()
         self._pending = None
@@ -168,8 +168,9 @@ class DataItem:
                 self._pending = value
                 self._subscription.has_pending(self.number)
                 return
-            # on a grid, so that jitter does not thin out a signal of just that rate; the same grid
-            # for all items of an interval, so that values of one moment are seen together
+            # Sampling times lie on a grid, so that jitter drops no sample of a signal with this
+            # rate. All items with one interval share the grid, so that values of one moment stay
+            # together.
             self._due = (now // interval + 1.0) * interval
         self._pending = None
         self._report(value)
@@ -188,7 +189,7 @@ class DataItem:
             queue.append(new)
             holding.add(1)
         elif len(queue) == 1 == size:
-            queue[0] = new  # a queue of one holds the newest value; no overflow is flagged
+            queue[0] = new  # a queue of size 1 holds the newest value, without overflow bit
             self._loss_before_first = False
         elif self.monitoring.discard_oldest:
             holding.lose(1)

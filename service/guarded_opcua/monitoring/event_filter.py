@@ -1,7 +1,7 @@
-"""Events, and which of them a client wants: an EventFilter (Part 4, 7.22.3 and 7.7).
+"""Events and EventFilters (Part 4, 7.22.3 and 7.7).
 
-A filter comes from a peer, so it is checked when it is made: what passes is answered in bounded
-time, and what cannot be compared is neither true nor false (Part 4, table 121).
+A filter comes from a peer, so it is checked on creation: an accepted filter is evaluated in bounded
+time, and operands that cannot be compared yield null (Part 4, table 121).
 """
 
 import operator
@@ -20,11 +20,11 @@ _Operator = ua.FilterOperator
 _HAS_SUBTYPE = ua.NodeId(ua.ObjectIds.HasSubtype)
 _BASE_EVENT = ua.NodeId(ua.ObjectIds.BaseEventType)
 _CONDITION = ua.NodeId(ua.ObjectIds.ConditionType)
-_MAX_SELECT_CLAUSES = 200  # asyncua's client asks for all fields of a type, some 110
+_MAX_SELECT_CLAUSES = 200  # asyncua's client selects all fields of a type, about 110
 _MAX_WHERE_ELEMENTS = 20
 _MAX_OPERANDS = 100
 _MAX_DEPTH = 50
-_CONDITION_ID = ""  # the path of what is no field of an event, but who it is of
+_CONDITION_ID = ""  # path of the ConditionId, which is not a field of an event
 
 _COMPARISONS: dict[ua.FilterOperator, Callable[[Any, Any], Any]] = {
     _Operator.Equals: operator.eq,
@@ -49,25 +49,25 @@ _FEWEST_AND_MOST = {
 
 
 class EventFilterRefused(Exception):  # noqa: N818 - it is an answer
-    """A filter is not one that we answer."""
+    """A filter is invalid or not supported."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened.
+    """An event.
 
     Attributes
     ----------
     emitters
-        The objects whose subscribers hear of it.
+        Objects whose subscribers receive the event.
     kind
-        Its event type.
+        EventType.
     fields
-        Its fields, by their browse names; those of a path joined by ``/``.
+        Fields by browse path, joined by ``/``.
     audience
-        The least role that hears of it.
+        Lowest role that receives the event.
     condition
-        ConditionId, if it is the event of a condition (Part 9, 5.5.2).
+        ConditionId of a condition's event (Part 9, 5.5.2).
     """
 
     emitters: tuple[ua.NodeId, ...]
@@ -78,7 +78,7 @@ class Event:
 
 
 def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event objects
-    """Take an event that was made with asyncua's generator."""
+    """Convert an event of asyncua's generator."""
     fields = {
         name: ua.Variant(getattr(event, name), kind)
         for name, kind in event.data_types.items()
@@ -88,7 +88,7 @@ def event_of_asyncua(event: Any) -> Event:  # noqa: ANN401 - asyncua's event obj
 
 
 def filter_of_fields(paths: Iterable[str]) -> ua.EventFilter:
-    """A filter that selects fields by their browse paths, and lets every event pass."""
+    """Return a filter that selects fields by browse path and passes every event."""
     clauses = [
         ua.SimpleAttributeOperand(
             _BASE_EVENT,
@@ -101,19 +101,19 @@ def filter_of_fields(paths: Iterable[str]) -> ua.EventFilter:
 
 
 class EventFilter:
-    """A client's filter, checked.
+    """A client's EventFilter, validated.
 
     Parameters
     ----------
     aspace
-        Where the event types are.
+        Address space with the event types.
     wish
-        What the client sent.
+        The client's filter.
 
     Attributes
     ----------
     results
-        A status code for each select clause.
+        Status code of each select clause.
 
     Raises
     ------
@@ -139,25 +139,25 @@ class EventFilter:
 
     @property
     def result(self) -> ua.EventFilterResult:
-        """What the client is answered."""
+        """The EventFilterResult for the client."""
         codes = [ua.StatusCode(code) for code in self.results]
         return ua.EventFilterResult(SelectClauseResults=codes)
 
     def __len__(self) -> int:
-        """How many fields it selects."""
+        """Return the number of selected fields."""
         return len(self._paths)
 
     @property
     def judges(self) -> bool:
-        """Whether it leaves any events out."""
+        """Whether the filter has a where clause."""
         return bool(self._where)
 
     def passes(self, event: Event) -> bool:
-        """Whether the client wants an event."""
+        """Return whether an event passes the filter."""
         return not self._where or self._judge(0, event) is True
 
     def select(self, event: Event) -> list[ua.Variant]:
-        """Return the fields that the client wants; those that an event lacks are null."""
+        """Return the selected fields; fields that the event lacks are null."""
         found = (None if path is None else _field(path, event) for path in self._paths)
         return [ua.Variant() if field is None else field for field in found]
 
@@ -204,13 +204,13 @@ class EventFilter:
         return None if variant is None else _plain(variant.Value)
 
     def _types_above(self, kind: ua.NodeId) -> frozenset[ua.NodeId]:
-        if kind not in self._kinds:  # as many as the server has types of events
+        if kind not in self._kinds:  # at most one entry per event type of the server
             self._kinds[kind] = frozenset(types_above(self._aspace, kind))
         return self._kinds[kind]
 
 
 def types_above(aspace: AddressSpace, kind: ua.NodeId) -> list[ua.NodeId]:
-    """List a type and all that it is derived from."""
+    """Return a type and all its supertypes."""
     found = [kind]
     while len(found) < _MAX_DEPTH:
         node = aspace.get(found[-1])
@@ -237,7 +237,7 @@ def _select_result(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> i
 
 
 def _is_field(aspace: AddressSpace, clause: ua.SimpleAttributeOperand) -> bool:
-    """Whether an event may have it: a value, or the ConditionId (Part 9, 5.5.2)."""
+    """Return whether an operand is valid: a value, or the ConditionId (Part 9, 5.5.2)."""
     if clause.BrowsePath:
         return bool(clause.AttributeId == ua.AttributeIds.Value)
     kind = clause.TypeDefinitionId
@@ -260,7 +260,7 @@ def _check_where(aspace: AddressSpace, elements: Sequence[ua.ContentFilterElemen
         raise EventFilterRefused
     used: set[int] = set()
     patterns = sum(_length_of_pattern(element) for element in elements)
-    if patterns > MAX_PATTERN:  # of all together: each costs its length times the text's
+    if patterns > MAX_PATTERN:  # total: matching costs pattern length × text length
         raise EventFilterRefused
     for number, element in enumerate(elements):
         fewest, most = _FEWEST_AND_MOST.get(element.FilterOperator, (1, 0))
@@ -269,7 +269,7 @@ def _check_where(aspace: AddressSpace, elements: Sequence[ua.ContentFilterElemen
             raise EventFilterRefused
         for operand in operands:
             if isinstance(operand, ua.ElementOperand):
-                # forward and once, so that the judgement ends, and soon (Part 4, 7.7.4.2)
+                # forward and once, so that evaluation terminates (Part 4, 7.7.4.2)
                 if not number < operand.Index < len(elements) or operand.Index in used:
                     raise EventFilterRefused
                 used.add(operand.Index)
@@ -307,7 +307,7 @@ def _truth(value: Any) -> bool | None:  # noqa: ANN401 - any value
 
 
 def _joined(values: list[Any], *, decisive: bool) -> bool | None:
-    """Join by Or (``decisive`` True) or And (False), where null is neither true nor false."""
+    """Evaluate Or (``decisive`` True) or And (False) in three-valued logic."""
     truths = [_truth(value) for value in values]
     if decisive in truths:
         return decisive

@@ -20,7 +20,7 @@ _OVERFLOW_SEVERITY = 500
 
 @dataclass(frozen=True)
 class Listening:
-    """What a client wants of an item that monitors events."""
+    """Revised parameters of an event item."""
 
     client_handle: int
     filter: EventFilter
@@ -31,14 +31,14 @@ class Listening:
 class EventItem:
     """Monitors the events of one object.
 
-    What is queued are the events themselves, which all items share; an item's fields are selected
-    when a message is made. Where one finds no room, an event in the queue says so
-    (EventQueueOverflowEventType), once, where the lost ones would have been.
+    The queue holds references to events shared by all items; the fields are selected when a message
+    is encoded. On overflow, one EventQueueOverflowEventType event is queued in place of the lost
+    ones.
 
     Attributes
     ----------
     inbox
-        Events that are still to be judged by the filter, and whether they pass in any case.
+        Events to be filtered, and whether each bypasses the filter.
     """
 
     __slots__ = (
@@ -81,32 +81,32 @@ class EventItem:
 
     @property
     def client_handle(self) -> int:
-        """The client's own number of the item."""
+        """ClientHandle, the client's number of the item."""
         return self._listening.client_handle
 
     @property
     def filter(self) -> EventFilter:
-        """Which events the client wants, and what of them."""
+        """The EventFilter."""
         return self._listening.filter
 
     @property
     def queue_size(self) -> int:
-        """How many events it may queue."""
+        """Maximum number of queued events."""
         return self._listening.queue_size
 
     @property
     def room(self) -> int:
-        """How many more events fit, those that are still to be judged taken for wanted."""
+        """Free places in the queue, with the events in the inbox counted as queued."""
         return self._listening.queue_size - len(self._queue) - len(self.inbox)
 
     @property
     def waiting(self) -> Iterator[tuple[int, float]]:
-        """Numbers of the changes that the events came with, and what it costs to encode each, s."""
+        """Moments of the queued events, and the cost of encoding each, s."""
         cost = _COST_OF_FIELD_S * len(self.filter)
         return ((moment, cost) for moment, _ in self._queue)
 
     def modify(self, listening: Listening) -> None:
-        """Listen otherwise from now on; what is queued stays."""
+        """Set new parameters; the queue is kept."""
         self._listening = listening
 
     def notify(self, event: Event) -> None:
@@ -125,7 +125,7 @@ class EventItem:
         self._report()
 
     def lose(self, event: Event) -> None:
-        """Let the client know that an event is lost, or an older one for it."""
+        """Count a lost event, and queue an overflow event unless one is queued."""
         queue, holding = self._queue, self._subscription.holding
         holding.lose(1)
         if not self._overflowed:
@@ -148,7 +148,7 @@ class EventItem:
         return False
 
     def take(self, most: int) -> list[QueuedEvent]:
-        """Take up to ``most`` events out of the queue."""
+        """Remove up to ``most`` events of the queue; return their selected fields."""
         count = min(most, len(self._queue))
         self._subscription.holding.add(-count)
         events = [self._queue.popleft()[1] for _ in range(count)]
@@ -156,7 +156,7 @@ class EventItem:
         return [(self.client_handle, self.filter.select(event)) for event in events]
 
     def clear(self) -> None:
-        """Forget what is queued."""
+        """Empty the queue and the inbox."""
         self._subscription.holding.add(-len(self._queue))
         self._queue.clear()
         self.inbox.clear()
@@ -168,7 +168,7 @@ class EventItem:
 
 
 def _overflow(lost: Event) -> Event:
-    """Say that from this event on something was lost (Part 4, 5.13.1.5)."""
+    """Return an overflow event with the time of the first lost event (Part 4, 5.13.1.5)."""
     said = ua.LocalizedText("Events were lost: the queue was full.", "en")
     own = {
         "EventId": ua.Variant(b"overflow", ua.VariantType.ByteString),

@@ -1,4 +1,4 @@
-"""The operator Like of event filters (Part 4, table 120), in time text × pattern at worst."""
+"""The operator Like of event filters (Part 4, table 120), in O(text × pattern) time."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -9,7 +9,7 @@ Test = Callable[[str], bool]
 
 
 def like(text: str, pattern: str) -> bool:
-    r"""Whether a text matches a pattern of ``%``, ``_``, ``[a-c]``, ``[^x]`` and ``\``.
+    r"""Return whether a text matches a pattern of ``%``, ``_``, ``[a-c]``, ``[^x]`` and ``\``.
 
     >>> like("valve 7", "valve [0-9]"), like("valve x", "valve [^0-9]"), like("100 %", r"%\%")
     (True, True, True)
@@ -18,7 +18,7 @@ def like(text: str, pattern: str) -> bool:
         return False
     tests, text = list(_tests(pattern)), text[:_MAX_TEXT]
     at = number = 0
-    restart: tuple[int, int] | None = None  # after the last %: its test, and how far it reaches
+    restart: tuple[int, int] | None = None  # after the last %: index of its test, position
     while at < len(text):
         test = tests[number] if number < len(tests) else _nothing
         if test is None:
@@ -35,7 +35,7 @@ def like(text: str, pattern: str) -> bool:
 
 
 def _tests(pattern: str) -> Iterator[Test | None]:
-    """Take a pattern apart: a test for each character, None for any number of them."""
+    """Parse a pattern: a test for each character, None for ``%``."""
     at = 0
     while at < len(pattern):
         sign, at = pattern[at], at + 1

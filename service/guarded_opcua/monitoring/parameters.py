@@ -1,4 +1,4 @@
-"""What a monitored item is asked to do, and what it knows of its subscription (Part 4, 5.13)."""
+"""Parameters of a monitored item, and its interface to the subscription (Part 4, 5.13)."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,12 +10,12 @@ from guarded_opcua.monitoring.data_change import ChangeRule
 
 OVERFLOW = 0x0480  # InfoType DataValue, Overflow (Part 4, 7.39.1)
 
-Queued = tuple[int, ua.DataValue]  # number of the change, and the value
+Queued = tuple[int, ua.DataValue]  # moment of the change, value
 
 
 @dataclass
 class Monitoring:
-    """What a client may modify: the parameters of an item, as revised."""
+    """Revised parameters of a data item."""
 
     client_handle: int
     rule: ChangeRule
@@ -26,26 +26,26 @@ class Monitoring:
 
 
 class Reporter(Protocol):
-    """The subscription of an item, as far as its items know it."""
+    """The subscription of an item, as its items use it."""
 
     @property
     def holding(self) -> Holding:
-        """What the queues of the session hold."""
+        """Counters of the session's queues."""
 
     def time(self) -> float:
-        """Seconds that never run back."""
+        """Return the monotonic time, s."""
 
     def has_report(self, number: int) -> None:
-        """Note that an item has something to report."""
+        """Mark an item as having pending notifications."""
 
     def has_no_report(self, number: int) -> None:
-        """Note that an item has nothing to report any more."""
+        """Mark an item as having no pending notifications."""
 
     def has_pending(self, number: int) -> None:
-        """Note that an item holds a value back until its sampling time."""
+        """Mark an item as holding a value until its sampling time."""
 
     def hurry(self) -> None:
-        """Publish at once if the rhythm is a fast one and a whole interval has passed."""
+        """Publish immediately if the interval is short and has passed since the last message."""
 
     def trigger(self, number: int) -> None:
-        """Report what the items linked to this one have sampled, when the next message is made."""
+        """Report the samples of the items linked to this one with the next message."""

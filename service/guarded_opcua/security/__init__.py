@@ -1,1 +1,1 @@
-"""Certificates, users, and who may do what."""
+"""Certificates, users and roles."""

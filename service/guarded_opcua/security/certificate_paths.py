@@ -1,7 +1,7 @@
-"""From a certificate to one that we trust: paths, built and validated (RFC 5280, 6; Part 4, 6.1.3).
+"""Certificate paths to a trusted certificate: building and validation (RFC 5280, 6; Part 4, 6.1.3).
 
-``cryptography``'s own verifier is for TLS: it knows neither certificates that are trusted by
-themselves, as nearly all OPC UA applications have them, nor revocation lists, nor status codes.
+The verifier of ``cryptography`` is made for TLS: it supports neither directly trusted end-entity
+certificates, which most OPC UA applications use, nor revocation lists or OPC UA status codes.
 """
 
 import datetime as dt
@@ -35,25 +35,25 @@ from guarded_opcua.security.revocation import (
 
 _Codes = ua.StatusCodes
 _LONGEST_PATH = 6  # a root and five certificates below it
-_MAX_SIGNATURES = 60  # checked for one certificate; 0.05 ms each, 0.6 ms with the longest keys
+_MAX_SIGNATURES = 60  # verified per certificate; 0.05 ms each, 0.6 ms with the longest keys
 
 Path = tuple[x509.Certificate, ...]
 
 
 @dataclass(frozen=True)
 class TrustLists:
-    """Whom we trust.
+    """Trusted certificates, issuers and revocation lists.
 
     Attributes
     ----------
     trusted
-        Applications, or authorities whose applications, we let in.
+        Trusted applications, and authorities whose applications are trusted.
     issuers
-        Authorities that only complete a path.
+        Authorities that complete a path but are not trusted.
     revocations
         Revocation lists.
     unreadable
-        What is wrong with files that should be revocation lists.
+        Errors of files that are not valid revocation lists.
     """
 
     trusted: frozenset[x509.Certificate] = frozenset()
@@ -72,32 +72,32 @@ def check_path(
     *,
     require_crl: bool,
 ) -> dt.datetime:
-    """Find a path on which somebody is trusted and all is well.
+    """Find a valid path that contains a trusted certificate.
 
-    Authorities may share a name: every path is tried. If none will do, the reason is that of the
-    path that came furthest.
+    Authorities may share a name, so every path is tried. If none is valid, the reason of a complete
+    path is raised in preference to that of an incomplete one.
 
     Parameters
     ----------
     certificate
-        What was shown.
+        The peer's certificate.
     shown
-        What was sent along.
+        Further certificates of the peer's chain.
     lists
         Issuers and revocation lists.
     is_trusted
-        Says whether a certificate makes the path trusted that it is part of.
+        Returns whether a certificate makes its path trusted.
     use
-        What it was shown for.
+        Use of the certificate.
     now
-        The time.
+        Time of the validation.
     require_crl
-        Every issuer needs a revocation list.
+        Require a revocation list of every issuer.
 
     Returns
     -------
     datetime
-        Until when all certificates and lists on the path hold.
+        Earliest expiry of the certificates and revocation lists used.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def check_path(
 
 
 def check_time(certificate: x509.Certificate, now: dt.datetime, code: int) -> None:
-    """Check that a certificate holds now.
+    """Check the validity period of a certificate.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def check_time(certificate: x509.Certificate, now: dt.datetime, code: int) -> No
 
 
 def _paths(certificate: x509.Certificate, pool: Sequence[x509.Certificate]) -> Iterator[Path]:
-    """All ways up from a certificate, each as far as issuers are known."""
+    """Yield all paths upwards from a certificate, each as far as issuers are known."""
     by_name: dict[x509.Name, dict[x509.Certificate, None]] = defaultdict(dict)
     for known in pool:
         by_name[known.subject].setdefault(known)
@@ -157,7 +157,7 @@ def _paths(certificate: x509.Certificate, pool: Sequence[x509.Certificate]) -> I
 
 
 class _Signatures:
-    """Who issued whom: each pair once, and so many in all; a stranger sends what it likes."""
+    """Cached signature checks of (issuer, certificate) pairs; their number is limited."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[x509.Certificate, x509.Certificate], bool] = {}
@@ -179,7 +179,7 @@ def _issued(issuer: x509.Certificate, certificate: x509.Certificate) -> bool:
         if isinstance(key, rsa.RSAPublicKey) and key.key_size > MAX_KEY_BITS:
             return False
         if not is_strong(certificate.signature_hash_algorithm):
-            return True  # the signature proves nothing; the rules for each link refuse it
+            return True  # a weak signature proves nothing; check_strength refuses it
         certificate.verify_directly_issued_by(issuer)
     except (*UNREADABLE, InvalidSignature):
         return False
@@ -191,7 +191,7 @@ def _is_self_signed(certificate: x509.Certificate) -> bool:
 
 
 def _check_complete(path: Path, *, may_be_open: bool) -> None:
-    """Check that a path ends at a root; one that is trusted itself may do without."""
+    """Check that a path ends at a root, unless ``may_be_open``."""
     own, top = path[0], path[-1]
     if _is_self_signed(top):
         return
@@ -225,14 +225,14 @@ def _check_links(
             f"{escaped(name)} (NameConstraints)",
         )
     if issuers and lists.unreadable:
-        # whom it revokes is unknown: better to say so and let nobody in by it
+        # the issuer may have revoked any certificate: fail closed
         raise CertificateRefused(_Codes.BadCertificateRevocationUnknown, lists.unreadable[0])
     until = check_revocation(path, lists.revocations, now, require_crl=require_crl)
     return min(until, *(link.not_valid_after_utc for link in path))
 
 
 def _check_length(issuer: x509.Certificate, below: Path) -> None:
-    """Check the pathLenConstraint: how many authorities may stand between."""
+    """Check the pathLenConstraint, the number of authorities below the issuer."""
     constraints = extension(issuer, x509.BasicConstraints)
     allowed = None if constraints is None else constraints.path_length
     between = sum(link.subject != link.issuer for link in below)

@@ -1,4 +1,4 @@
-"""What each certificate must be by itself (RFC 5280, 4; OPC UA Part 6, 6.2)."""
+"""Rules for single certificates, independent of the path (RFC 5280, 4; OPC UA Part 6, 6.2)."""
 
 from enum import Enum
 from typing import TypeVar
@@ -18,7 +18,7 @@ _Codes = ua.StatusCodes
 E = TypeVar("E", bound=x509.ExtensionType)
 _MAX_SHOWN = 5  # certificates that a peer may send: its own and those of its issuers
 _MAX_BYTES = 16 * 1024
-MAX_KEY_BITS = 8_192  # a longer key costs more to check than it protects
+MAX_KEY_BITS = 8_192  # bounds the cost of a verification
 _MIN_CURVE_BITS = 256  # as strong as the symmetric keys of the security policies
 _STRONG_HASHES = (hashes.SHA256, hashes.SHA384, hashes.SHA512)
 _CRITICAL_UNDERSTOOD = {
@@ -27,7 +27,7 @@ _CRITICAL_UNDERSTOOD = {
     ExtensionOID.EXTENDED_KEY_USAGE,
     ExtensionOID.SUBJECT_ALTERNATIVE_NAME,
     ExtensionOID.NAME_CONSTRAINTS,
-    ExtensionOID.CERTIFICATE_POLICIES,  # any policy will do for us, so none can fail
+    ExtensionOID.CERTIFICATE_POLICIES,  # all policies are accepted
 }
 UNREADABLE = (
     ValueError,
@@ -40,7 +40,7 @@ UNREADABLE = (
 
 
 class Use(Enum):
-    """What a certificate is shown as."""
+    """Use of a certificate."""
 
     CLIENT = "client"
     SERVER = "server"
@@ -55,7 +55,7 @@ _EXTENDED_USES = {
 
 
 class CertificateRefused(CertificateError):  # noqa: N818 - it says what happened
-    """A peer's certificate is not accepted; ``code`` is the OPC UA status code of the reason."""
+    """A peer's certificate was refused; ``code`` is the OPC UA status code of the reason."""
 
     def __init__(self, code: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -63,7 +63,7 @@ class CertificateRefused(CertificateError):  # noqa: N818 - it says what happene
 
 
 def parse(der: bytes) -> tuple[x509.Certificate, list[x509.Certificate]]:
-    """Read what a peer shows: its certificate, perhaps followed by those of its issuers.
+    """Parse the certificate of a peer, optionally followed by those of its issuers.
 
     Raises
     ------
@@ -88,12 +88,12 @@ def parse(der: bytes) -> tuple[x509.Certificate, list[x509.Certificate]]:
 
 
 def read_through(certificate: x509.Certificate) -> None:
-    """Read what is else read late, so that what is malformed is found at once.
+    """Parse all lazily parsed fields, so that a malformed certificate is detected immediately.
 
     Raises
     ------
     ValueError
-        or another of ``UNREADABLE``.
+        or another exception of ``UNREADABLE``.
     """
     certificate.extensions  # noqa: B018
     certificate.subject.rfc4514_string()
@@ -103,7 +103,7 @@ def read_through(certificate: x509.Certificate) -> None:
 
 
 def first_certificate(der: bytes) -> bytes:
-    """Return the leading certificate of a chain; what is no chain comes back as it is."""
+    """Return the first certificate of a chain, or the input if it is malformed."""
     try:
         return der[: _der_size(der)]
     except (ValueError, IndexError):
@@ -116,7 +116,7 @@ def name_of(certificate: x509.Certificate) -> str:
 
 
 def check_own_rules(certificate: x509.Certificate, use: Use) -> None:
-    """Check what must hold of the certificate that somebody shows, whoever issued it.
+    """Check the rules for an end-entity certificate.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def check_own_rules(certificate: x509.Certificate, use: Use) -> None:
 
 
 def check_issuer_rules(issuer: x509.Certificate, use: Use) -> None:
-    """Check what must hold of a certificate in order to issue others.
+    """Check the rules for an issuer's certificate.
 
     Raises
     ------
@@ -196,19 +196,19 @@ def check_strength(certificate: x509.Certificate, name: str) -> None:
 
 
 def is_strong(algorithm: hashes.HashAlgorithm | None) -> bool:
-    """Whether a signature with this hash still proves anything (MD5 and SHA-1 do not)."""
+    """Return whether a signature hash is secure (MD5 and SHA-1 are not)."""
     return isinstance(algorithm, _STRONG_HASHES)
 
 
 def allows(certificate: x509.Certificate, use: Use) -> bool:
-    """Whether the ExtendedKeyUsage, where there is one, allows a use."""
+    """Return whether the ExtendedKeyUsage, if present, allows a use."""
     usages = extension(certificate, x509.ExtendedKeyUsage)
     wanted = {_EXTENDED_USES[use], ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE}
     return usages is None or not wanted.isdisjoint(usages)
 
 
 def extension(certificate: x509.Certificate, kind: type[E]) -> E | None:
-    """Return an extension of a certificate, None if it has none of that kind."""
+    """Return an extension of a certificate, None if it is absent."""
     try:
         return certificate.extensions.get_extension_for_class(kind).value
     except x509.ExtensionNotFound:

@@ -1,4 +1,4 @@
-"""Application certificates and the folders of whom we trust (OPC UA Part 6, 6.2.2; Part 12, 7)."""
+"""Application certificates and the trust folders (OPC UA Part 6, 6.2.2; Part 12, 7)."""
 
 import datetime as dt
 import hashlib
@@ -29,40 +29,40 @@ CERTIFICATE_SUFFIXES = {".der", ".cer", ".crt", ".pem"}
 class Pki:
     """Folders of certificates: ``own``, ``trusted``, ``issuers`` and ``rejected``.
 
-    ``trusted`` holds the certificates (DER or PEM) of peers, or of authorities whose peers, we
-    let in; ``issuers`` those of authorities that only complete a chain; revocation lists
-    (``.crl``) may lie in either. What an unknown peer shows lands in ``rejected``.
+    ``trusted`` holds the certificates (DER or PEM) of trusted peers, and of authorities whose peers
+    are trusted. ``issuers`` holds those of authorities that only complete a chain. Revocation lists
+    (``.crl``) may be stored in either. Certificates of unknown peers are stored in ``rejected``.
     """
 
     folder: Path
 
     @property
     def own(self) -> Path:
-        """Our certificates and keys."""
+        """Certificates and keys of this application."""
         return self.folder / "own"
 
     @property
     def trusted(self) -> Path:
-        """Certificates of those we let in."""
+        """Trusted certificates."""
         return self.folder / "trusted"
 
     @property
     def issuers(self) -> Path:
-        """Certificates of authorities that complete a chain but are not trusted by themselves."""
+        """Certificates of authorities that complete a chain but are not trusted."""
         return self.folder / "issuers"
 
     @property
     def rejected(self) -> Path:
-        """Certificates of those we refused."""
+        """Certificates of refused peers."""
         return self.folder / "rejected"
 
     def make_folders(self) -> None:
-        """Make what is missing.
+        """Create missing folders.
 
         Raises
         ------
         CertificateError
-            if a folder cannot be made.
+            if a folder cannot be created.
         """
         try:
             for folder in (self.own, self.trusted, self.issuers, self.rejected):
@@ -74,7 +74,7 @@ class Pki:
 
 @dataclass(frozen=True)
 class OwnCertificate:
-    """Where one application's certificate (DER) and private key (PEM, owner only) lie."""
+    """Files of an application's certificate (DER) and private key (PEM, readable by its owner)."""
 
     certificate: Path
     key: Path
@@ -83,27 +83,27 @@ class OwnCertificate:
 def ensure_certificate(
     pki: Pki, application_uri: str, host_names: tuple[str, ...], name: str
 ) -> OwnCertificate:
-    """Return our certificate, making or renewing it where needed.
+    """Return this application's certificate, creating or renewing it if needed.
 
-    A self-signed certificate is renewed (with the same key) if it has expired or does not name
-    the application or all of the hosts; one signed by an authority is never touched.
+    A self-signed certificate is renewed (with the same key) if it has expired or does not name the
+    application or all of the hosts. A certificate signed by an authority is never changed.
 
     Parameters
     ----------
     pki
-        Folders; made if missing.
+        Folders; created if missing.
     application_uri
-        Goes to the SubjectAlternativeName letter by letter.
+        Copied to the SubjectAlternativeName unchanged.
     host_names
-        DNS names and IP addresses under which peers reach us.
+        DNS names and IP addresses of the server.
     name
-        Name of the application; also the files' name in ``own``.
+        Name of the application, and of its files in ``own``.
 
     Raises
     ------
     CertificateError
-        if a file cannot be read or written, certificate and key do not belong together, or an
-        authority's certificate does not fit.
+        if a file cannot be read or written, certificate and key do not match, or an authority's
+        certificate is unsuitable.
     """
     pki.make_folders()
     paths = OwnCertificate(pki.own / f"{name}.der", pki.own / f"{name}.pem")
@@ -132,7 +132,7 @@ def ensure_certificate(
 def make_certificate(
     key: rsa.RSAPrivateKey, application_uri: str, host_names: tuple[str, ...], name: str
 ) -> x509.Certificate:
-    """Make a self-signed application certificate as OPC UA Part 6, 6.2.2 wants it."""
+    """Create a self-signed application certificate as specified in OPC UA Part 6, 6.2.2."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name[:64])])
     now = dt.datetime.now(dt.UTC).replace(microsecond=0)
     names: list[x509.GeneralName] = [x509.UniformResourceIdentifier(application_uri)]
@@ -178,23 +178,23 @@ def make_certificate(
 
 
 def thumbprint(certificate: x509.Certificate | bytes) -> str:
-    """SHA-1 of the DER form in hex: how OPC UA names a certificate; it proves nothing."""
+    """Return the SHA-1 of the DER form in hex, OPC UA's name of a certificate; not for security."""
     return hashlib.sha1(_der(certificate), usedforsecurity=False).hexdigest()
 
 
 def fingerprint(certificate: x509.Certificate | bytes) -> str:
-    """SHA-256 of the DER form in hex: this certificate and no other."""
+    """Return the SHA-256 of the DER form in hex, which identifies the certificate securely."""
     return hashlib.sha256(_der(certificate)).hexdigest()
 
 
 def rejected(pki: Pki) -> tuple[Path, ...]:
-    """List the certificates that were refused, the newest first."""
+    """Return the refused certificates, the newest first."""
     files = files_with(pki.rejected, CERTIFICATE_SUFFIXES)
     return tuple(sorted(files, key=lambda file: file.stat().st_mtime, reverse=True))
 
 
 def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
-    """Trust a peer: a refused one by (the beginning of) its thumbprint, or any by its file.
+    """Trust a refused peer by (a prefix of) its thumbprint, or any peer by its certificate file.
 
     Returns
     -------
@@ -204,7 +204,7 @@ def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
     Raises
     ------
     CertificateError
-        if nothing fits, more than one certificate does, or the file is not a certificate.
+        if no certificate or more than one matches, or the file is not a certificate.
     """
     pki.make_folders()
     source = Path(thumbprint_or_file)
@@ -222,12 +222,12 @@ def trust(pki: Pki, thumbprint_or_file: str | Path) -> Path:
 
 
 def reject(pki: Pki, certificate: bytes) -> Path | None:
-    """Keep what an unknown peer showed, at most ``MAX_REJECTED`` of them.
+    """Store an unknown peer's certificate; at most ``MAX_REJECTED`` are kept.
 
     Returns
     -------
     Path or None
-        The file; None if it could not be kept.
+        The file; None if it could not be written.
     """
     target = pki.rejected / f"{thumbprint(certificate)}.der"
     try:
@@ -243,7 +243,7 @@ def reject(pki: Pki, certificate: bytes) -> Path | None:
 
 
 def expiry_warning(certificate: x509.Certificate, now: dt.datetime | None = None) -> str:
-    """Say when a certificate expires if that is less than 30 days ahead, else ''."""
+    """Return a warning if a certificate expires within 30 days, else ''."""
     left = certificate.not_valid_after_utc - (now or dt.datetime.now(dt.UTC))
     if left >= dt.timedelta(days=WARN_DAYS):
         return ""
@@ -254,7 +254,7 @@ def expiry_warning(certificate: x509.Certificate, now: dt.datetime | None = None
 
 
 def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """List the files in a folder that end with one of some suffixes, by name.
+    """Return the files in a folder with one of the suffixes, sorted by name.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def load_certificate(file: Path) -> x509.Certificate:
     Raises
     ------
     CertificateError
-        if the file cannot be read or is none.
+        if the file cannot be read or is not a certificate.
     """
     try:
         content = file.read_bytes()

@@ -1,4 +1,4 @@
-"""Who logs in: user identity tokens, checked against the users of the server (Part 4, 7.41)."""
+"""User identity tokens, verified against the users of the server (Part 4, 7.41)."""
 
 import hmac
 from collections.abc import Callable
@@ -41,11 +41,11 @@ _VERIFY = {
 
 @dataclass(frozen=True)
 class Principal:
-    """Who acts, and in which role."""
+    """An authenticated user and its role."""
 
     name: str
     role: Role
-    certificate: bytes = field(default=b"", compare=False, repr=False)  # if by one (DER)
+    certificate: bytes = field(default=b"", compare=False, repr=False)  # DER, if used
 
     def __str__(self) -> str:
         return f"{self.name} ({self.role.name.lower()})"
@@ -53,7 +53,7 @@ class Principal:
 
 @dataclass(frozen=True)
 class Challenge:
-    """What a token must be bound to: our certificate (DER), key and last nonce."""
+    """The server's certificate (DER), key and last nonce, to which a token must be bound."""
 
     certificate: bytes
     key: rsa.RSAPrivateKey
@@ -72,15 +72,15 @@ async def identify(
     *,
     anonymous_allowed: bool,
 ) -> Principal:
-    """Find out who logs in.
+    """Authenticate a user by an identity token.
 
-    ``trust`` judges user certificates; ``refused`` hears why one is refused.
+    ``trust`` checks user certificates; ``refused`` is called with the reason if one is refused.
 
     Raises
     ------
     ServiceError
-        BadIdentityTokenInvalid for what cannot be read, BadIdentityTokenRejected for what is not
-        accepted here, a user certificate that is refused included, BadUserAccessDenied for a wrong
+        BadIdentityTokenInvalid for a malformed token, BadIdentityTokenRejected for a token that is
+        not accepted, including a refused user certificate, BadUserAccessDenied for a wrong
         password, an unknown certificate or a locked user, BadUserSignatureInvalid.
     """
     if isinstance(token, ua.AnonymousIdentityToken) or _is_null(token):
@@ -101,9 +101,9 @@ async def identify(
 def still_accepted(
     principal: Principal, users: UserStore, trust: PeerTrust, refused: Refused
 ) -> bool:
-    """Whether somebody who is logged in could do so again; asked once in a while.
+    """Return whether a logged-in user would still be accepted; checked periodically.
 
-    The folders of ``trust`` count as they were last read.
+    It uses the folders of ``trust`` as last read.
     """
     account = users.account(principal.name)
     if account is None and principal.name == ANONYMOUS:
@@ -125,7 +125,7 @@ def _is_null(token: object) -> bool:
 
 
 def _password(token: ua.UserNameIdentityToken, challenge: Challenge) -> str:
-    """Decrypt it; a password in plain text is never taken."""
+    """Return the decrypted password; a password in plain text is never accepted."""
     decrypt = _DECRYPT.get(token.EncryptionAlgorithm or "")
     secret = token.Password or b""
     if decrypt is None or not secret or len(secret) > 4 * _MAX_PASSWORD_BYTES:

@@ -1,9 +1,9 @@
-"""Wrong passwords, counted by name and by where they came from."""
+"""Counters of wrong passwords by name and address, for the lock-out."""
 
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-_ORIGINS = 1_000  # remembered of one name; who comes from more is counted by name
+_ORIGINS = 1_000  # addresses stored per name; further ones are counted only by name
 
 
 @dataclass
@@ -26,14 +26,14 @@ class _Name:
 
 
 class Failures:
-    """Counts wrong passwords; so long after the last one they are forgotten.
+    """Counts wrong passwords; a count is reset ``lock_seconds`` after its last failure.
 
     Parameters
     ----------
     names
-        How many names are remembered; the one that was not tried for longest goes.
+        Maximum number of names; the least recently tried one is evicted.
     lock_seconds
-        How long a failure counts.
+        Time until a count is reset, s.
 
     Examples
     --------
@@ -64,21 +64,21 @@ class Failures:
             found.origins.popitem(last=False)
 
     def forget(self, name: str, origin: str) -> None:
-        """Forget what came from there: the right password has come."""
+        """Reset the count of a name and address after a correct password."""
         if name in self._names:
             self._names[name].origins.pop(origin, None)
 
     def forget_name(self, name: str) -> None:
-        """Forget all of a name."""
+        """Reset all counts of a name."""
         self._names.pop(name, None)
 
     def of_origin(self, name: str, origin: str, now: float) -> int:
-        """How many there were of one name from one address."""
+        """Return the count of one name from one address."""
         found = self._names.get(name)
         count = found.origins.get(origin) if found is not None else None
         return 0 if count is None else count.since(now, self._lock_seconds)
 
     def of_name(self, name: str, now: float) -> int:
-        """How many there were of one name from anywhere."""
+        """Return the count of one name from all addresses."""
         found = self._names.get(name)
         return 0 if found is None else found.from_anywhere.since(now, self._lock_seconds)

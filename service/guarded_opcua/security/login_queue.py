@@ -1,4 +1,4 @@
-"""Whose password is looked at next: one at a time, by turns between addresses."""
+"""Queue of password checks: one at a time, round-robin between addresses."""
 
 import asyncio
 from collections import OrderedDict, deque
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from guarded_opcua.clock import Clock
 from guarded_opcua.security.users import Role, UserStore
 
-_PAUSE_S = 0.1  # after a wrong password, for who is not known: guessing leaves the processor free
-_MOST_WAITING = 5  # guesses of one address; more are refused without a look at them
+_PAUSE_S = 0.1  # s; delay of unknown users after a wrong password, limits the load of guessing
+_MOST_WAITING = 5  # queued checks of one address; further ones are refused unhashed
 
 
 @dataclass(frozen=True)
@@ -20,11 +20,11 @@ class _Guess:
 
 
 class LoginQueue:
-    """Hashes passwords one after the other: each takes 16 MB and some 40 ms, in a thread.
+    """Hashes passwords sequentially in a thread: each takes 16 MB and about 40 ms.
 
-    A user who has logged in from an address before goes first there. The others take turns by
-    address, so that who guesses waits for himself; what an address asks beyond a few at a time is
-    refused unhashed.
+    Users who have logged in from the same address before have priority. The others are served
+    round-robin by address, so that guessing delays only the guessing address. An address may queue
+    a few checks; further ones are refused unhashed.
     """
 
     def __init__(self, users: UserStore, clock: Clock) -> None:
@@ -38,7 +38,7 @@ class LoginQueue:
         self._more = asyncio.Event()
 
     async def authenticate(self, name: str, password: str, origin: str) -> Role | None:
-        """Check a password when it is its turn; the role, or None if it does not let in."""
+        """Queue the check of a password; return the role, or None if it is refused."""
         answer: asyncio.Future[Role | None] = asyncio.get_running_loop().create_future()
         guess = _Guess(name, password, origin, answer)
         if self._users.locked(name, origin):
@@ -58,7 +58,7 @@ class LoginQueue:
         return await answer
 
     async def _refuse(self) -> None:
-        """Refuse after a pause, as if it had been looked at."""
+        """Count a refusal and wait as long as a check takes."""
         self.refused_unhashed += 1
         await self._clock.sleep(_PAUSE_S)
 
@@ -68,7 +68,7 @@ class LoginQueue:
             if guess is None:
                 await self._wait_for_strangers()
                 continue
-            if guess.answer.done():  # its connection is gone
+            if guess.answer.done():  # the connection was lost
                 continue
             role = None
             if not self._users.locked(guess.name, guess.origin):
@@ -88,11 +88,11 @@ class LoginQueue:
         origin, waiting = self._strangers.popitem(last=False)
         guess = waiting.popleft()
         if waiting:
-            self._strangers[origin] = waiting  # behind the other addresses
+            self._strangers[origin] = waiting  # at the end of the round
         return guess
 
     async def _wait_for_strangers(self) -> None:
-        """Wait until strangers may go on, or somebody known comes."""
+        """Wait until the pause of unknown users ends or a request arrives."""
         self._more.clear()
         timer = self._clock.call_at(self._strangers_from, self._more.set)
         try:

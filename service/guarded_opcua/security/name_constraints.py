@@ -1,4 +1,4 @@
-"""Whether an authority may issue for a name (NameConstraints, RFC 5280, 4.2.1.10)."""
+"""NameConstraints of authorities (RFC 5280, 4.2.1.10)."""
 
 from collections.abc import Sequence
 from urllib.parse import urlsplit
@@ -10,17 +10,17 @@ from guarded_opcua.security.certificate_rules import extension
 
 
 def forbidden_name(path: Sequence[x509.Certificate]) -> str | None:
-    """Find a name that an authority further up a path may not issue for.
+    """Return a name that violates the NameConstraints of an authority above.
 
     Parameters
     ----------
     path
-        From the certificate that was shown up to its root.
+        Certificates from the peer's up to the root.
 
     Returns
     -------
     str or None
-        The first such name, None if all may be.
+        The first such name, None if all are permitted.
     """
     for number, authority in enumerate(path):
         constraints = extension(authority, x509.NameConstraints) if number else None
@@ -28,7 +28,7 @@ def forbidden_name(path: Sequence[x509.Certificate]) -> str | None:
             continue
         for below, certificate in enumerate(path[:number]):
             if below and certificate.subject == certificate.issuer:
-                continue  # an authority that renews itself
+                continue  # self-issued: exempt (RFC 5280, 6.1.3)
             for name in _names(certificate):
                 if not _permitted(name, constraints):
                     return _text(name)
@@ -56,7 +56,7 @@ def _permitted(name: x509.GeneralName, constraints: x509.NameConstraints) -> boo
     if not excluded and not permitted:
         return True
     if isinstance(name, x509.UniformResourceIdentifier) and not _host(name.value):
-        return False  # such as urn:…; RFC 5280 has it refused
+        return False  # no host, such as urn:…; RFC 5280 requires refusal
     try:
         return not any(_within(name, c) for c in excluded) and (
             not permitted or any(_within(name, c) for c in permitted)
@@ -84,7 +84,7 @@ def _within(name: x509.GeneralName, tree: x509.GeneralName) -> bool:
 
 
 def _is_host(host: str, tree: str) -> bool:
-    """A tree that begins with a dot is all hosts below, else one host."""
+    """Return whether a host matches: ``.domain`` matches all hosts below, else it is one host."""
     if tree.startswith("."):
         return host.lower().endswith(tree.lower())
     return host.lower() == tree.lower()

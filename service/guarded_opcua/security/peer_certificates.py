@@ -1,4 +1,4 @@
-"""Whether a certificate is one we trust (OPC UA Part 4, 6.1.3)."""
+"""Trust decisions on the certificates of peers (OPC UA Part 4, 6.1.3)."""
 
 import datetime as dt
 import ipaddress
@@ -25,22 +25,23 @@ from guarded_opcua.security.trust_folders import Stamp, TrustFolders
 
 CHECK_HOST_NAME = "source.check_host_name"
 _Codes = ua.StatusCodes
-_REMEMBERED = 1_000  # certificates that were accepted
-_LONGEST_CHANGE = 3  # looks at folders that change all the time, until they are believed
+_REMEMBERED = 1_000  # accepted certificates in the cache
+_LONGEST_CHANGE = 3  # polls of constantly changing folders until they are read anyway
 
 
 class PeerTrust:
-    """Who is let in by certificate: checks what peers show against the folders of a :class:`Pki`.
+    """Checks the certificates of peers against the folders of a :class:`Pki`.
 
-    The folders are looked at with every check, so that what is laid there, or taken away, holds
-    at once. :meth:`look_again` and :meth:`check_again` are for those who are in already.
+    The folders are polled with every check, so that added and removed files take effect
+    immediately. :meth:`look_again` and :meth:`check_again` serve the periodic check of connected
+    peers.
 
     Parameters
     ----------
     pki
-        Whom we trust; with None nobody is, but for users with a certificate of their own.
+        Certificate folders; None: only user certificates that match their account are trusted.
     clock
-        The time by which certificates and revocation lists hold.
+        Clock for the validity periods of certificates and revocation lists.
     require_crl
         Refuse certificates of an authority without a valid revocation list.
     """
@@ -64,23 +65,23 @@ class PeerTrust:
         application_uri: str | None = None,
         anchors: frozenset[str] = frozenset(),
     ) -> x509.Certificate:
-        """Check a certificate; an unknown application's lands in ``rejected``.
+        """Check a certificate; that of an unknown application is stored in ``rejected``.
 
         Parameters
         ----------
         der
-            What the peer sent: its certificate, perhaps followed by those of its issuers.
+            The peer's certificate, optionally followed by those of its issuers.
         use
-            What it is shown as.
+            Use of the certificate.
         application_uri
-            What the peer says it is, if it has said so.
+            ApplicationUri that the certificate must name; None: not checked.
         anchors
-            Of a user: thumbprints of what alone makes the certificate trusted.
+            For a user: thumbprints of the only certificates that make the path trusted.
 
         Raises
         ------
         CertificateRefused
-            with a sentence that names the certificate and the reason.
+            with a message that names the certificate and the reason.
         """
         self._read()
         certificate = self.check_again(der, use, anchors)
@@ -93,7 +94,7 @@ class PeerTrust:
         return certificate
 
     def check_authority(self, authority: x509.Certificate, use: Use) -> None:
-        """Check what must hold of an authority by itself, before somebody is asked to trust it.
+        """Check the certificate of an authority before the operator is asked to trust it.
 
         Raises
         ------
@@ -103,9 +104,10 @@ class PeerTrust:
         check_issuer_rules(authority, use)
 
     def look_again(self) -> bool:
-        """Look whether the folders have changed; return whether they may be believed now.
+        """Poll the folders and reload them if they are stable; return whether they are.
 
-        They may not while they are being changed: half a file is not yet a reason to part.
+        While files are being written, the folders are not read, so that a partial file disconnects
+        no peer.
         """
         if self._folders is None:
             return True
@@ -124,7 +126,7 @@ class PeerTrust:
         use: Use,
         anchors: frozenset[str] = frozenset(),
     ) -> x509.Certificate:
-        """Check a certificate against the folders as they were last read.
+        """Check a certificate against the folders as last read.
 
         Raises
         ------
@@ -178,7 +180,7 @@ class PeerTrust:
 
 
 def check_host_name(certificate: x509.Certificate, host: str) -> None:
-    """Check that a server's certificate names the host under which we reach it.
+    """Check that a server's certificate names the host of its URL.
 
     Raises
     ------

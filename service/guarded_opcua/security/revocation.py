@@ -1,4 +1,4 @@
-"""Whether a certificate was revoked: revocation lists and what they may speak of (RFC 5280, 5)."""
+"""Revocation of certificates: revocation lists and their scope (RFC 5280, 5)."""
 
 import datetime as dt
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from guarded_opcua.security.certificate_rules import (
 )
 
 _Codes = ua.StatusCodes
-CLOCK_SKEW = dt.timedelta(minutes=5)  # between our clock and that of who signed
+CLOCK_SKEW = dt.timedelta(minutes=5)  # tolerance between the local clock and the issuer's
 REQUIRE_CRL = "security.require_crl"
 _CRITICAL_UNDERSTOOD = {
     ExtensionOID.ISSUING_DISTRIBUTION_POINT,
@@ -31,14 +31,14 @@ _CRITICAL_UNDERSTOOD = {
 
 @dataclass(frozen=True)
 class RevocationList:
-    """A revocation list and the file that it came from."""
+    """A revocation list and its file."""
 
     file: Path
     content: x509.CertificateRevocationList
     _signers: dict[x509.Certificate, bool] = field(default_factory=dict, compare=False)
 
     def is_signed_by(self, issuer: x509.Certificate) -> bool:
-        """Whether an authority signed it; asked once for each, a list may be large."""
+        """Return whether an authority signed the list; cached, since lists may be large."""
         known = self._signers.get(issuer)
         if known is None:
             try:
@@ -59,25 +59,25 @@ def check_revocation(
 ) -> dt.datetime:
     """Check that no certificate of a path was revoked.
 
-    A list counts if the issuer itself signed it and may do so, it is in its time, complete (no
-    delta) and speaks of this certificate (neither indirect nor for others). What a signed delta,
-    or a signed list that is too old, revokes is revoked all the same.
+    A list is valid if it is signed by the issuer with cRLSign, current, complete (no delta), and
+    its scope covers the certificate (not indirect). Entries of signed delta lists and of expired
+    lists revoke, too.
 
     Parameters
     ----------
     path
         From the certificate that was shown up to its root.
     lists
-        All that there are.
+        All available lists.
     now
-        The time.
+        Time of the check.
     require_crl
-        Refuse a certificate whose issuer has no list that counts.
+        Refuse a certificate whose issuer has no valid list.
 
     Returns
     -------
     datetime
-        When the first of the lists used runs out.
+        Earliest expiry of the lists used.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def check_revocation(
 def _fault_of(
     known: RevocationList, certificate: x509.Certificate, issuer: x509.Certificate
 ) -> str | None:
-    """Say why a list may not speak of a certificate at all."""
+    """Return why a list does not apply to a certificate, None if it does."""
     content = known.content
     try:
         usage = extension(issuer, x509.KeyUsage)
@@ -170,7 +170,7 @@ def _lists(known: RevocationList, certificate: x509.Certificate) -> bool:
 
 
 def _gap_of(known: RevocationList, now: dt.datetime) -> str | None:
-    """Say why a list does not show that what it leaves out is good."""
+    """Return why the absence of an entry in a list is no proof of validity, None if it is."""
     content = known.content
     if any(held.oid == ExtensionOID.DELTA_CRL_INDICATOR for held in content.extensions):
         return "is a delta, not a whole list"

@@ -1,4 +1,4 @@
-"""The folders of whom we trust, read anew when a file in them has changed."""
+"""The trust folders, reloaded when a file in them has changed."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,7 +20,7 @@ from guarded_opcua.security.revocation import RevocationList
 
 _log = bounded_logger(__name__)
 _REVOCATION_SUFFIXES = {".crl"}
-_SAME_TICK_NS = 2_000_000_000  # files may carry the same time for so long (FAT: 2 s)
+_SAME_TICK_NS = 2_000_000_000  # ns; coarsest resolution of file times (FAT: 2 s)
 
 Stamp = tuple[tuple[str, int, int, int, int], ...]
 
@@ -34,10 +34,10 @@ class TrustFolders:
         self._lists = TrustLists()
 
     def lists(self) -> TrustLists:
-        """Return what lies in the folders now; the same object as long as nothing changes."""
+        """Return the current contents of the folders; the same object while they do not change."""
         stamp = self.stamp()
         if stamp != self._stamp:
-            read_at = SystemClock().now()  # compared with the files' times, so this machine's
+            read_at = SystemClock().now()  # the system clock, as it is compared with file times
             trusted, issuers = (_files(folder) for folder in self._folders)
             revocations, unreadable = _revocations([*trusted, *issuers])
             self._lists = TrustLists(
@@ -51,13 +51,13 @@ class TrustFolders:
         return self._lists
 
     def stamp(self) -> Stamp:
-        """Return what changes whenever a file in the folders does."""
+        """Return the file metadata of the folders, which changes whenever a file does."""
         found = []
         for file in (file for folder in self._folders for file in _files(folder)):
             try:
                 held = file.stat()
             except OSError:
-                continue  # gone meanwhile
+                continue  # deleted since the listing
             times = (held.st_mtime_ns, held.st_ctime_ns)
             found.append((str(file), *times, held.st_size, held.st_ino))
         return tuple(found)
@@ -93,7 +93,7 @@ def _revocations(files: Iterable[Path]) -> tuple[tuple[RevocationList, ...], tup
             content = file.read_bytes()
             is_pem = content.startswith(b"-----BEGIN")
             held = (x509.load_pem_x509_crl if is_pem else x509.load_der_x509_crl)(content)
-            held.extensions  # noqa: B018 - read late, so that what is malformed is found at once
+            held.extensions  # noqa: B018 - parsed lazily: detect malformed extensions now
         except OSError as error:
             unreadable.append(f"{file}: cannot be read: {error.strerror}")
         except UNREADABLE as error:

@@ -1,4 +1,4 @@
-"""Who may do what: roles, hashed passwords, lock-out."""
+"""Users: roles, hashed passwords, lock-out."""
 
 import base64
 import hashlib
@@ -26,16 +26,16 @@ from guarded_opcua.security.owner_only import write_owner_only
 
 _log = bounded_logger(__name__)
 
-_SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and some 40 ms a guess
+_SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 2**14, 8, 1  # 16 MB and about 40 ms per guess
 _SCRYPT_MEMORY = 64 * 1024 * 1024
-_REMEMBERED_STRANGERS = 1_000  # names that nobody has
+_REMEMBERED_STRANGERS = 1_000  # unknown names with failures
 _REMEMBERED_ORIGINS = 100  # addresses from which a user has logged in
 _DUMMY_SALT = bytes(16)
 _HEX = re.compile("([0-9a-f]{40}|[0-9a-f]{64})?")
 
 
 class Role(IntEnum):
-    """What a user may do; a higher role may do all that a lower one may.
+    """Permissions of a user; a higher role includes the lower ones.
 
     >>> Role.OPERATOR >= Role.OBSERVER
     True
@@ -49,12 +49,12 @@ class Role(IntEnum):
 
 @dataclass(frozen=True)
 class Account:
-    """One user as stored: the password only as a salted scrypt hash, a certificate, or both.
+    """A stored user with a salted scrypt hash of the password, a certificate, or both.
 
     ``password_hash`` and ``salt`` are base64. ``thumbprint`` is the SHA-256 of the user's
-    certificate in hex, or its SHA-1 where an earlier version stored it. ``authority`` is the
-    SHA-256 of an authority that certifies the user under the common name ``name``. All may be
-    empty, but not together.
+    certificate in hex, or its SHA-1 if an earlier version stored it. ``authority`` is the SHA-256
+    of an authority that certifies the user under the common name ``name``. At least one of them is
+    not empty.
     """
 
     name: str
@@ -69,17 +69,17 @@ class Account:
 
     @property
     def anchors(self) -> frozenset[str]:
-        """Thumbprints of what the user logs in with: a certificate, or who issued it."""
+        """Thumbprints of the user's certificate and of its authority."""
         return frozenset({self.thumbprint, self.authority} - {""})
 
 
 class UserStore:
     """The users of a server.
 
-    After ``allowed_failures`` wrong passwords for one name from one peer, that pair is locked
-    for ``lock_seconds``; ten times as many from anywhere lock the name for everybody but those
-    addresses from which the user has logged in before, so that many peers guess no faster. While
-    locked, the right password is refused too.
+    After ``allowed_failures`` wrong passwords for one name from one address, that pair is locked
+    for ``lock_seconds``. Ten times as many from all addresses lock the name, except for addresses
+    from which the user has logged in before; this limits distributed guessing. While locked, the
+    right password is refused, too.
 
     >>> store = UserStore()
     >>> store.add("anna", Role.ENGINEER, "correct horse")
@@ -101,18 +101,18 @@ class UserStore:
         self._stamp: tuple[int, ...] = ()
         self._failures_of_users = Failures(sys.maxsize, lock_seconds)
         self._failures_of_strangers = Failures(_REMEMBERED_STRANGERS, lock_seconds)
-        self._origins: dict[str, OrderedDict[str, None]] = {}  # where each user has logged in
+        self._origins: dict[str, OrderedDict[str, None]] = {}  # addresses of successful logins
         self._allowed_failures = allowed_failures
         self._clock = clock or SystemClock()
 
     @classmethod
     def one_time(cls, name: str, role: Role) -> tuple[Self, str]:
-        """Make a store with one user and a random password that is kept nowhere.
+        """Create a store with one user and a random password, which is not stored.
 
         Returns
         -------
         tuple
-            The store, and the password to show to the user once.
+            The store, and the password to display once.
         """
         store, password = cls(), secrets.token_urlsafe(12)
         store.add(name, role, password)
@@ -147,14 +147,15 @@ class UserStore:
         )
 
     def add_certificate(self, name: str, role: Role, certificate: bytes) -> None:
-        """Let a user log in with a certificate (DER); one who is there keeps the password.
+        """Let a user log in with a certificate (DER); an existing user keeps the password.
 
-        An authority's certificate lets in whom it certifies under the common name ``name``.
+        With an authority's certificate, the user logs in with any certificate of that authority for
+        the common name ``name``.
 
         Raises
         ------
         ConfigurationError
-            if the name is empty or longer than 64 characters, or it is no certificate.
+            if the name is empty or longer than 64 characters, or the certificate is malformed.
         """
         _check_name(name)
         try:
@@ -173,7 +174,7 @@ class UserStore:
         )
 
     def remove(self, name: str) -> None:
-        """Remove a user; an unknown one is an error.
+        """Remove a user.
 
         Raises
         ------
@@ -184,14 +185,14 @@ class UserStore:
             raise ConfigurationError(f"user {name}: unknown; known are {', '.join(self.names)}")
 
     def authenticate(self, name: str, password: str, origin: str = "") -> Role | None:
-        """Check a password; takes as long for an unknown name as for a known one.
+        """Check a password, in the same time for unknown and known names.
 
         Parameters
         ----------
         name, password
-            What the peer sent.
+            Credentials from the peer.
         origin
-            Where it came from (host address), for the lock-out.
+            Address of the peer, for the lock-out.
 
         Returns
         -------
@@ -219,11 +220,11 @@ class UserStore:
         return stored.role
 
     def knows(self, name: str, origin: str) -> bool:
-        """Whether this user has logged in from this address since the start."""
+        """Return whether this user has logged in from this address since the start."""
         return origin in self._origins.get(name, ())
 
     def by_certificate(self, certificate: x509.Certificate) -> Account | None:
-        """Return the user who shows a certificate: whose it is, or whom its common name names."""
+        """Return the account of a certificate, by its thumbprint or by its common name."""
         shown = {fingerprint(certificate), thumbprint(certificate)}
         for account in self._accounts.values():
             if not account.anchors.isdisjoint(shown):
@@ -233,9 +234,10 @@ class UserStore:
         return named if named is not None and named.authority else None
 
     def locked(self, name: str, origin: str = "") -> bool:
-        """Whether this name is locked for this peer now.
+        """Return whether this name is locked for this address now.
 
-        Guesses from elsewhere do not lock out an address from which the user has logged in before.
+        Failures from other addresses do not lock an address from which the user has logged in
+        before.
         """
         failures, now = self._failures_of(name), self._clock.monotonic()
         if failures.of_origin(name, origin, now) >= self._allowed_failures:
@@ -244,7 +246,7 @@ class UserStore:
         return from_anywhere and not self.knows(name, origin)
 
     def unlock(self, name: str) -> None:
-        """Forget all wrong passwords for a name."""
+        """Reset the lock-out of a name."""
         self._failures_of(name).forget_name(name)
 
     def save(self, file: Path) -> None:
@@ -268,7 +270,7 @@ class UserStore:
         Raises
         ------
         ConfigurationError
-            if the file is missing, not JSON, or a field is wrong: names file and user.
+            if the file is missing, not JSON, or a field is wrong; the message names file and user.
         """
         store = cls(clock=clock)
         store._file = file
@@ -276,9 +278,9 @@ class UserStore:
         return store
 
     def refresh(self) -> bool:
-        """Read the file again if it has changed; return whether the users are others now.
+        """Reload the file if it has changed; return whether the users have changed.
 
-        What cannot be read changes nothing, and is said.
+        If the file cannot be read, the users are kept and a warning is logged.
         """
         if self._file is None or _stamp(self._file) == self._stamp:
             return False
@@ -310,7 +312,7 @@ class UserStore:
         self._accounts = accounts
 
     def _failures_of(self, name: str) -> Failures:
-        """Names that nobody has are counted apart: however many, they flush no user's."""
+        """Return the counters of a name; unknown names have their own, so they evict no user's."""
         known = name in self._accounts
         return self._failures_of_users if known else self._failures_of_strangers
 

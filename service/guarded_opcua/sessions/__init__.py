@@ -1,1 +1,1 @@
-"""Sessions of peers, and the services that answer their requests."""
+"""Sessions, and the services that answer their requests."""

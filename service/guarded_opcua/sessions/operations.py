@@ -1,4 +1,4 @@
-"""Operations of one request: a failure in one is the status of that operation alone (Part 4)."""
+"""Operations of one request: a failed operation sets only its own status (Part 4)."""
 
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TypeVar
@@ -21,19 +21,19 @@ async def answer_each(
     breathe: Callable[[], Awaitable[None]],
     most_bytes: int,
 ) -> list[bytes]:
-    """Answer the operations of a request in turn; the results are encoded.
+    """Answer the operations of a request in order; return their encoded results.
 
     Parameters
     ----------
     operations
-        What the request lists.
+        Operations of the request.
     answer
-        Carries one out and encodes its result. A ServiceError refuses the whole request; any
-        other exception is the status of this operation alone.
+        Executes one operation and encodes its result. A ServiceError refuses the whole request; any
+        other exception sets the status of this operation only.
     refusal
         Encodes the result of an operation that failed, from its status code.
     breathe
-        Awaited after each: other clients' requests go first if this one has lasted for long.
+        Awaited after each operation; yields to other connections if the time slice is used up.
     most_bytes
         Most bytes of all results.
 

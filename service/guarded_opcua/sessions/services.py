@@ -40,13 +40,13 @@ T = TypeVar("T")
 
 
 class Turn(Protocol):
-    """The running request's turn at the server."""
+    """The scheduled turn of the running request."""
 
     async def breathe(self) -> None:
-        """Let others go first if this request has lasted for long."""
+        """Yield to other connections if this request has used its time slice."""
 
     async def outside(self, slow: Awaitable[T]) -> T:
-        """Wait for something slow without keeping the turn."""
+        """Await a slow operation with the turn released."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,12 @@ class Request:
 
     @property
     def handle(self) -> int:
-        """The client's own number of the request."""
+        """RequestHandle, the client's number of the request."""
         return int(self.header.RequestHandle)
 
     @property
     def actor(self) -> Actor:
-        """Who asks."""
+        """The client that sent the request."""
         return Actor(self.session, self.session.host, self.header.AuditEntryId or "")
 
 
@@ -178,12 +178,12 @@ class Services:
         return found[0]
 
     async def answer(self, service: int, request: Request, params: Any) -> Any:  # noqa: ANN401
-        """Answer a request: a response, its encoded form, or None if it is answered later.
+        """Return a response, its encoded form, or None if the request is answered later.
 
         Raises
         ------
         ServiceError
-            what the fault says.
+            with the status code of the fault.
         """
         return await self._handlers[service][1](request, params)
 
@@ -515,7 +515,7 @@ class Services:
 
 
 def _refusal(result: type) -> Callable[[int], bytes]:
-    """Return what encodes a result of this type that holds nothing but a status code."""
+    """Return an encoder of results of this type that hold only a status code."""
     return lambda code: encode_structure(result(StatusCode=ua.StatusCode(code)))
 
 

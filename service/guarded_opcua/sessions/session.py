@@ -1,4 +1,4 @@
-"""Sessions of peers: made, activated, moved to another channel, ended (Part 4, 5.7)."""
+"""Sessions: created, activated, moved to another channel, closed (Part 4, 5.7)."""
 
 import math
 import secrets
@@ -40,7 +40,7 @@ class Line(Protocol):
 
     @property
     def writable(self) -> bool:
-        """Whether the peer reads what it is sent."""
+        """Whether the send buffer accepts more data."""
 
     def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
         """Send a publish response."""
@@ -49,7 +49,7 @@ class Line(Protocol):
         """Send a fault."""
 
     def charge(self, cost: float) -> None:
-        """Put what was done for the peer on its account, s of the processor."""
+        """Charge processor time to the connection, s."""
 
 
 class Session:
@@ -96,39 +96,40 @@ class Session:
 
     @property
     def active(self) -> bool:
-        """Whether somebody is logged in."""
+        """Whether a user is logged in."""
         return self.principal is not None and not self.closed
 
     @property
     def role(self) -> Role:
-        """Return the role of who is logged in."""
+        """Return the role of the logged-in user."""
         if self.principal is None:
             raise ServiceError(_Codes.BadSessionNotActivated)
         return self.principal.role
 
     def hears(self, audience: Role) -> bool:
-        """Whether the user may hear of an event that is for that role and above."""
+        """Return whether the user may receive events for that role and above."""
         return self.principal is not None and self.principal.role >= audience
 
     def charge(self, cost: float) -> None:
-        """Put what was done for the session on its connection's account, s of the processor."""
+        """Charge processor time to the session's connection, s."""
         if self.line is not None:
             self.line.charge(cost)
 
     def touch(self) -> None:
-        """Note that the client lives."""
+        """Restart the session time-out."""
         self.last_seen = self._clock.monotonic()
 
     def new_nonce(self) -> bytes:
-        """Make the nonce that the next activation must be bound to."""
+        """Return a new nonce, which the next ActivateSession must sign."""
         self.nonce = secrets.token_bytes(32)
         return self.nonce
 
     def bind(self, line: Line) -> None:
-        """Move to another connection; publish requests of the old one are gone.
+        """Move to another connection; drop the publish requests of the old one.
 
-        What was sent over the old one and never acknowledged may be lost: what is new waits until
-        the client has asked for it again, or has had the time to, so that all comes in its order.
+        Messages sent over the old connection and not acknowledged may be lost. New messages are
+        held back until the client has called Republish for those, or until a time-out, so that the
+        client receives all messages in order.
         """
         self._queue.lose_connection()
         self.line = line
@@ -138,12 +139,12 @@ class Session:
             self._clock.call_at(self._quiet_until, self.nothing_to_ask_again)
 
     def nothing_to_ask_again(self) -> None:
-        """Publish again: the client has all that was sent before."""
+        """Resume publishing: the client has no more messages to republish."""
         self._quiet_until = 0.0
         self._queue.serve()
 
     def unbind(self, line: Line) -> None:
-        """Lose a connection; the session lives on for its time-out."""
+        """Detach from a lost connection; the session continues until its time-out."""
         if self.line is line:
             self._queue.lose_connection()
             self.line = None
@@ -152,7 +153,7 @@ class Session:
     def is_same_client(self, other: object) -> bool:
         """Whether another session acts for the same user of the same application.
 
-        Anonymous users of a channel without security cannot prove to be the same.
+        Anonymous users of a channel without security cannot prove their identity.
         """
         if not isinstance(other, Session) or self.principal is None:
             return False
@@ -166,39 +167,39 @@ class Session:
 
     @property
     def is_proven(self) -> bool:
-        """Whether the client has proven who it is, by password or certificate."""
+        """Whether the client is authenticated, by password or certificate."""
         return self.principal is not None and (
             self.peer_certificate is not None or self.principal.name != ANONYMOUS
         )
 
     def add_publish_request(self, request: PublishRequest) -> None:
-        """Take a publish request."""
+        """Queue a publish request, and restart the lifetimes of the subscriptions."""
         for subscription in self.subscriptions.values():
             subscription.heard_of()
         self._queue.add(request)
 
     def cancel(self, handle: int) -> int:
-        """Refuse the publish requests that the client calls so; how many there were."""
+        """Cancel the publish requests with this handle; return their number."""
         return self._queue.cancel(handle)
 
     def publish(self, subscription: Subscription) -> None:
-        """Send what a subscription has, as far as publish requests go."""
+        """Send a subscription's messages while publish requests are queued."""
         self._queue.publish(subscription)
 
     def has_publish_requests(self) -> bool:
-        """Whether a publish request waits."""
+        """Return whether a publish request is queued."""
         return len(self._queue) > 0
 
     def serve_late(self) -> None:
-        """Serve late subscriptions: the connection takes more again."""
+        """Serve late subscriptions; called when the connection is writable again."""
         self._queue.serve()
 
     def drop_expired_requests(self) -> None:
-        """Answer publish requests whose time is over."""
+        """Answer expired publish requests."""
         self._queue.drop_expired()
 
     def lose(self, subscription: Subscription, code: int | None = None) -> None:
-        """Lose a subscription: it ended, or moved to another session (the code says so)."""
+        """Detach a subscription that was deleted or, if a code is given, transferred."""
         self.subscriptions.pop(subscription.number, None)
         self._queue.forget(subscription)
         if code is not None:
@@ -207,7 +208,7 @@ class Session:
             self._queue.refuse_all(_Codes.BadNoSubscription)
 
     def close(self, code: int) -> None:
-        """End: publish requests are answered with the code, the token is void."""
+        """Close the session; answer its publish requests with the code."""
         self.closed = True
         self._queue.refuse_all(code)
         self.continuations.clear()
@@ -231,7 +232,7 @@ class Session:
 
 @dataclass
 class SessionTotals:
-    """What all sessions have done, for the server's diagnostics."""
+    """Totals of all sessions, for the server's diagnostics."""
 
     created: int = 0
     timed_out: int = 0
@@ -240,7 +241,7 @@ class SessionTotals:
 
 
 class Sessions:
-    """All sessions, found by their token."""
+    """All sessions, by authentication token."""
 
     def __init__(
         self,
@@ -265,9 +266,9 @@ class Sessions:
         return len(self._by_token)
 
     def create(self, line: Line, params: ua.CreateSessionParameters) -> Session:
-        """Make a session; where there are too many, one that nobody uses gives way.
+        """Create a session; at the limit, an unused session is closed.
 
-        Sessions that are not activated yield first, those of the address that has most of them.
+        Sessions that are not activated are closed first, at the address with the most of them.
         """
         limits = self._limits
         of_host = [session for session in self if session.host == line.host]
@@ -294,7 +295,7 @@ class Sessions:
         return session
 
     def admit(self, session: Session, principal: Principal) -> None:
-        """Let a user into a session; a part of the room is kept for operators and above.
+        """Admit a user to a session; a share of the sessions is reserved for operators and above.
 
         Raises
         ------
@@ -342,7 +343,7 @@ class Sessions:
         code: int = _Codes.BadSessionClosed,
         keep_subscriptions: bool = False,
     ) -> None:
-        """End a session; subscriptions that are kept can be transferred until they expire."""
+        """Close a session; kept subscriptions can be transferred until they expire."""
         self._by_token.pop(session.token.Identifier, None)
         session.close(code)
         if not keep_subscriptions:
@@ -350,7 +351,7 @@ class Sessions:
                 self._end_subscription(subscription)
 
     def drop_timed_out(self) -> list[Session]:
-        """End the sessions that were not heard of for their time-out; return them."""
+        """Close the sessions whose time-out has passed; return them."""
         now, dropped = self._clock.monotonic(), []
         for session in self:
             patience = session.timeout_s if session.active else self._limits.handshake_seconds
@@ -363,7 +364,7 @@ class Sessions:
         return dropped
 
     def lose_line(self, line: Line) -> None:
-        """Unbind the sessions of a connection that is gone; unused ones end."""
+        """Unbind the sessions of a closed connection; close those that are not activated."""
         for session in self:
             if session.line is line:
                 session.unbind(line)

@@ -1,1 +1,1 @@
-"""Subscriptions: when they publish, and what they keep for Republish."""
+"""Subscriptions: publishing, retransmission and their limits."""

@@ -1,4 +1,4 @@
-"""Events, made once, handed to the items that monitor the objects they come from."""
+"""Delivery of events to the items that monitor their objects."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -14,15 +14,15 @@ from guarded_opcua.security.users import Role
 from guarded_opcua.subscriptions.subscription import Subscription
 
 _log = bounded_logger(__name__)
-_MOST_STANDING = 10  # events that newcomers still hear
-_TURN_S = 0.001  # processor time for the events of one item, before other items' are judged
+_MOST_STANDING = 10  # events kept for new items
+_TURN_S = 0.001  # s of processor time for the filter of one item before the next item
 
 
 class EventDelivery:
-    """Who listens to which object.
+    """The event items of each object.
 
-    A filter may cost much more than the event: those that leave events out are asked in slices, on
-    the account of whose they are, one item after the other.
+    Evaluating a where clause may cost much more than the event. Such filters are evaluated in
+    slices, item by item, and charged to the sessions that own the items.
     """
 
     def __init__(self, chores: Chores, clock: Clock) -> None:
@@ -32,34 +32,34 @@ class EventDelivery:
         self._standing: deque[tuple[float, Event]] = deque(maxlen=_MOST_STANDING)
 
     def __len__(self) -> int:
-        """How many items listen."""
+        """Return the number of event items."""
         return sum(map(len, self._listeners.values()))
 
     def watch(self, subscription: Subscription, item: EventItem) -> None:
-        """Hand an item the events of its object from now on."""
+        """Start the delivery of an object's events to an item."""
         self._listeners.setdefault(item.wanted.NodeId, {})[item.number] = subscription, item
 
     def forget(self, item: EventItem) -> None:
-        """Hand it no more."""
+        """Stop the delivery to an item."""
         listeners = self._listeners.get(item.wanted.NodeId, {})
         listeners.pop(item.number, None)
         if not listeners:
             self._listeners.pop(item.wanted.NodeId, None)
 
     def trigger(self, event: Event) -> None:
-        """Hand an event to those who listen, if their user may hear of it."""
+        """Deliver an event to the items of its emitters whose user may receive it."""
         for emitter in event.emitters:
             for subscription, item in self._listeners.get(emitter, {}).values():
                 if subscription.owner.hears(event.audience):
                     self.offer(subscription, item, event)
 
     def stand(self, event: Event, for_s: float) -> None:
-        """Hand an event to those who listen, and for so long to those who begin to."""
+        """Deliver an event now, and to each item that is created within ``for_s``."""
         self._standing.append((self._clock.monotonic() + for_s, event))
         self.trigger(event)
 
     def welcome(self, subscription: Subscription, item: EventItem) -> None:
-        """Hand an item that begins to listen what still stands."""
+        """Deliver the kept events to a new item."""
         now = self._clock.monotonic()
         while self._standing and self._standing[0][0] <= now:
             self._standing.popleft()
@@ -76,7 +76,7 @@ class EventDelivery:
         *,
         unfiltered: bool = False,
     ) -> None:
-        """Hand an event to one item; ``unfiltered`` ones pass whatever the filter says."""
+        """Deliver an event to one item; ``unfiltered`` events bypass the filter."""
         if item.mode == ua.MonitoringMode.Disabled:
             return
         if not item.filter.judges:
@@ -89,7 +89,7 @@ class EventDelivery:
             item.lose(event)
 
     def has_audience(self, emitters: Sequence[ua.NodeId], role: Role) -> bool:
-        """Whether anybody of that role listens to any of some objects."""
+        """Return whether a user with that role or above monitors one of the objects."""
         return any(
             subscription.owner.hears(role)
             for emitter in emitters
@@ -103,9 +103,9 @@ class EventDelivery:
             try:
                 if unfiltered or item.filter.passes(event):
                     item.notify(event)
-            except Exception:  # noqa: BLE001 - a bulkhead: later events are judged, other items served
+            except Exception:  # noqa: BLE001 - a bulkhead: later events and other items are served
                 _log.exception("the filter of an item failed")
                 item.lose(event)
             yield
-        if item.inbox:  # the others' turn
+        if item.inbox:  # after the other items
             self._chores.add(self._judge(subscription, item), subscription.owner.charge)

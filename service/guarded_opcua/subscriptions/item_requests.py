@@ -29,7 +29,7 @@ _HAS_PROPERTY = ua.NodeId(ua.ObjectIds.HasProperty)
 
 
 class ItemRefused(Exception):  # noqa: N818 - it is an answer
-    """An item cannot be monitored as wanted; ``code`` says why."""
+    """A request for a monitored item was refused, with the status code ``code``."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -45,7 +45,7 @@ def data_item(
     stamps: ua.TimestampsToReturn,
     blocks: Mapping[ua.NodeId, Place],
 ) -> tuple[DataItem | BlockItem, ua.MonitoredItemCreateResult]:
-    """Make an item that monitors an attribute; ``blocks`` says which variables are in one.
+    """Create an item that monitors an attribute; ``blocks`` maps variables to their blocks.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def data_item(
         aspace, limits, subscription, wanted, request.RequestedParameters, stamps
     )
     item: DataItem | BlockItem
-    place = blocks.get(wanted.NodeId)  # not before the node is there
+    place = blocks.get(wanted.NodeId)  # after the node was created, if it is lazy
     if (
         place
         and wanted.AttributeId == ua.AttributeIds.Value
@@ -84,7 +84,7 @@ def event_item(
     number: int,
     request: ua.MonitoredItemCreateRequest,
 ) -> tuple[EventItem, ua.MonitoredItemCreateResult]:
-    """Make an item that monitors events.
+    """Create an item that monitors events.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def modified(
     asked: ua.MonitoringParameters,
     stamps: ua.TimestampsToReturn,
 ) -> ua.MonitoredItemModifyResult:
-    """Give an item new parameters.
+    """Modify the parameters of an item.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def modified(
 
 
 def watch(aspace: AddressSpace, item: DataItem) -> None:
-    """Let an item hear of changes."""
+    """Register an item for changes of its attribute."""
     wanted = item.wanted
     code, handle = aspace.add_datachange_callback(wanted.NodeId, wanted.AttributeId, item)
     if not code.is_good():
@@ -148,7 +148,7 @@ def watch(aspace: AddressSpace, item: DataItem) -> None:
 
 
 def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem) -> DataItem:
-    """Serve an item by itself from now on, with all that it has queued."""
+    """Replace a block item by a data item, with its queue."""
     mode = item.mode
     queued, reported = item.of.release(item)
     single = DataItem(subscription, item.number, item.wanted, mode, item.monitoring, None)
@@ -158,7 +158,7 @@ def one_by_one(aspace: AddressSpace, subscription: Subscription, item: BlockItem
     callbacks = aspace[item.wanted.NodeId].attributes[ua.AttributeIds.Value].datachange_callbacks
     in_order = sorted(callbacks.items(), key=lambda held: getattr(held[1], "number", 0))
     callbacks.clear()
-    callbacks.update(in_order)  # whoever came first is notified first
+    callbacks.update(in_order)  # items are notified in the order of their creation
     if queued:
         subscription.has_report(single.number)
     return single
@@ -204,7 +204,7 @@ def _monitoring(
 
 
 def _sampling_interval(wish: float, limits: Limits, subscription: Subscription) -> float:
-    """Revise it: -1 is the publishing interval, short ones mean every change."""
+    """Return the revised interval, s: -1 is the publishing interval, 0 means every change."""
     if math.isnan(wish):
         return 0.0
     seconds = subscription.timing.interval_s if wish < 0.0 else wish / 1e3

@@ -1,15 +1,15 @@
-"""How much is published at a stretch: between two stretches requests are answered."""
+"""Time slices of publishing; requests are answered between two slices."""
 
 from collections import deque
 from collections.abc import Callable
 
 from guarded_opcua.clock import Clock
 
-_STRETCH_S = 0.005  # processor time of all subscriptions together
+_STRETCH_S = 0.005  # s of processor time per slice, all subscriptions together
 
 
 class Pace:
-    """Lets publishing go on for a while, and then lets others go first.
+    """Limits the time of publishing before the event loop handles other work.
 
     Examples
     --------
@@ -29,7 +29,7 @@ class Pace:
         self._waiting: deque[Callable[[], None]] = deque()
 
     def may_go_on(self) -> bool:
-        """Whether this stretch has not lasted too long."""
+        """Return whether this slice has time left."""
         now = self._clock.processor()
         if self._began is None:
             self._began = now
@@ -37,7 +37,7 @@ class Pace:
         return now - self._began < _STRETCH_S
 
     def later(self, go_on: Callable[[], None]) -> None:
-        """Call back in a later stretch, after those that wait already."""
+        """Call back in a later slice, after the callbacks that wait already."""
         self._waiting.append(go_on)
 
     def _begin(self) -> None:

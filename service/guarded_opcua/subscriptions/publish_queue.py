@@ -1,4 +1,4 @@
-"""The publish requests of one session, and which subscription is served first."""
+"""The publish requests of one session, and the order of its subscriptions."""
 
 from collections import deque
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from guarded_opcua.subscriptions.subscription import Message, Subscription
 
 @dataclass(frozen=True)
 class PublishRequest:
-    """A publish request that waits for its answer."""
+    """A queued publish request."""
 
     request_id: int
     handle: int
@@ -27,20 +27,20 @@ Refuse = Callable[[PublishRequest, int], None]
 
 
 class PublishQueue:
-    """Publish requests in the order they came; late subscriptions by priority, then by age.
+    """Publish requests in order of arrival; late subscriptions by priority, then by age.
 
     Parameters
     ----------
     capacity
-        How many requests may wait; past that the oldest is answered BadTooManyPublishRequests.
+        Maximum number of requests; above it the oldest is answered BadTooManyPublishRequests.
     answer, refuse
-        Send a message, or a fault, in answer to a request.
+        Answer a request with a message or a fault.
     ready
-        Return whether the connection takes more now.
+        Returns whether the connection is ready to send.
     clock
-        For deadlines and the times of messages.
+        Clock of the deadlines and publish times.
     pace
-        Says when to let others go first.
+        Limits the processor time of publishing.
     """
 
     def __init__(
@@ -65,21 +65,21 @@ class PublishQueue:
         return len(self._requests)
 
     def add(self, request: PublishRequest) -> None:
-        """Take a request, and answer it at once if a subscription waits for it."""
+        """Queue a request; answer it immediately if a subscription is late."""
         while len(self._requests) >= self._capacity:
             self._refuse(self._requests.popleft(), ua.StatusCodes.BadTooManyPublishRequests)
         self._requests.append(request)
         self.serve()
 
     def publish(self, subscription: Subscription) -> None:
-        """Send a subscription's messages as far as requests go, else remember it as late."""
+        """Send a subscription's messages while requests are queued, then mark it as late."""
         if subscription.waiting_since is None:
             subscription.waiting_since = self._clock.monotonic()
         self._late[subscription.number] = subscription
         self.serve()
 
     def serve(self) -> None:
-        """Serve the late subscriptions as far as requests go; what takes long goes on later."""
+        """Serve the late subscriptions while requests are queued, in time slices."""
         for subscription in sorted(
             self._late.values(), key=lambda s: (-s.timing.priority, s.waiting_since or 0.0)
         ):
@@ -94,12 +94,12 @@ class PublishQueue:
             self.forget(subscription)
 
     def forget(self, subscription: Subscription) -> None:
-        """Remember a subscription as late no longer."""
+        """Remove a subscription from the late ones."""
         subscription.waiting_since = None
         self._late.pop(subscription.number, None)
 
     def notify(self, number: int, code: int) -> None:
-        """Let the client know, if it asks, that a subscription is no longer its own."""
+        """Send a StatusChangeNotification for a subscription if a request is queued."""
         if self._requests and self._ready():
             content = encode_message(
                 1, ticks_of_ns(self._clock.now()), [encode_status_change(code)]
@@ -107,7 +107,7 @@ class PublishQueue:
             self._answer(self._requests.popleft(), number, Message(1, content, (), more=False))
 
     def drop_expired(self) -> None:
-        """Answer the requests whose time is over."""
+        """Answer the expired requests with BadTimeout."""
         now = self._clock.monotonic()
         expired = [request for request in self._requests if request.deadline <= now]
         for request in expired:
@@ -115,7 +115,7 @@ class PublishQueue:
             self._refuse(request, ua.StatusCodes.BadTimeout)
 
     def cancel(self, handle: int) -> int:
-        """Refuse the requests that the client calls so; how many there were."""
+        """Cancel the requests with this handle; return their number."""
         cancelled = [request for request in self._requests if request.handle == handle]
         for request in cancelled:
             self._requests.remove(request)
@@ -128,5 +128,5 @@ class PublishQueue:
             self._refuse(self._requests.popleft(), code)
 
     def lose_connection(self) -> None:
-        """Forget requests that can be answered no more."""
+        """Drop the requests of a lost connection."""
         self._requests.clear()

@@ -1,4 +1,4 @@
-"""The subscriptions of all sessions: created, modified, moved and ended within the limits."""
+"""The subscriptions of all sessions: create, modify, transfer and delete, within the limits."""
 
 import itertools
 import math
@@ -44,7 +44,7 @@ Breathe = Callable[[], Awaitable[None]]
 
 
 class Subscriptions:
-    """All subscriptions of peers; every service checks that the session owns what it names."""
+    """All subscriptions; each service checks that the session owns the named subscription."""
 
     def __init__(self, aspace: AddressSpace, limits: Limits, clock: Clock) -> None:
         self.ledger = Ledger(limits.queued_notifications)
@@ -96,7 +96,7 @@ class Subscriptions:
     def modify(
         self, session: Owner, params: ua.ModifySubscriptionParameters
     ) -> ua.ModifySubscriptionResult:
-        """Change the rhythm of a subscription."""
+        """Modify the parameters of a subscription."""
         subscription = self._owned(session, params.SubscriptionId)
         timing = self._timing(params, params.Priority)
         subscription.retime(timing)
@@ -107,7 +107,7 @@ class Subscriptions:
         )
 
     def set_publishing(self, session: Owner, number: int, *, enabled: bool) -> int:
-        """Switch the publishing of a subscription on or off; a status code."""
+        """Enable or disable the publishing of a subscription; return a status code."""
         subscription = session.subscriptions.get(number)
         if subscription is None:
             return int(_Codes.BadSubscriptionIdInvalid)
@@ -116,7 +116,7 @@ class Subscriptions:
         return int(_Codes.Good)
 
     def delete(self, session: Owner, number: int) -> int:
-        """Delete a subscription; a status code."""
+        """Delete a subscription; return a status code."""
         subscription = session.subscriptions.get(number)
         if subscription is None:
             return int(_Codes.BadSubscriptionIdInvalid)
@@ -124,7 +124,7 @@ class Subscriptions:
         return int(_Codes.Good)
 
     def end(self, subscription: Subscription) -> None:
-        """Delete one subscription now, and its items little by little."""
+        """Delete a subscription now, and its items in the background."""
         owner = subscription.owner
         subscription.stop()
         self.by_number.pop(subscription.number, None)
@@ -135,7 +135,7 @@ class Subscriptions:
     async def transfer(
         self, session: Owner, number: int, breathe: Breathe, *, send_values: bool
     ) -> ua.TransferResult:
-        """Move a subscription of the same user to this session."""
+        """Transfer a subscription of the same user to this session."""
         moves = number not in session.subscriptions
         result = self._transfer(session, number)
         if moves and send_values and number in session.subscriptions:
@@ -143,7 +143,7 @@ class Subscriptions:
         return result
 
     def republish(self, session: Owner, params: ua.RepublishParameters) -> bytes:
-        """Return a message again."""
+        """Return an unacknowledged message."""
         subscription = self._owned(session, params.SubscriptionId)
         content = subscription.republish(params.RetransmitSequenceNumber)
         if content is None:
@@ -153,7 +153,7 @@ class Subscriptions:
     def acknowledge(
         self, session: Owner, acks: Iterable[ua.SubscriptionAcknowledgement]
     ) -> tuple[int, ...]:
-        """Take acknowledgements; a status code each."""
+        """Acknowledge messages; return a status code for each."""
         codes = []
         for ack in acks:
             subscription = session.subscriptions.get(ack.SubscriptionId)
@@ -196,7 +196,7 @@ class Subscriptions:
             return ua.MonitoredItemModifyResult(StatusCode=ua.StatusCode(refused.code))
 
     def delete_item(self, session: Owner, number: int, item_number: int) -> int:
-        """Delete a monitored item; a status code."""
+        """Delete a monitored item; return a status code."""
         subscription = self._owned(session, number)
         subscription.heard_of()
         item = subscription.items.get(item_number)
@@ -208,7 +208,7 @@ class Subscriptions:
     def set_monitoring(
         self, session: Owner, number: int, item_number: int, mode: ua.MonitoringMode
     ) -> int:
-        """Set the monitoring mode of an item; a status code."""
+        """Set the monitoring mode of an item; return a status code."""
         subscription = self._owned(session, number)
         subscription.heard_of()
         item = subscription.items.get(item_number)
@@ -221,20 +221,20 @@ class Subscriptions:
         return int(_Codes.Good)
 
     def unlink(self, session: Owner, number: int, trigger: int, linked: int) -> int:
-        """Let an item trigger another one no more; a status code."""
+        """Remove a triggering link; return a status code."""
         subscription, item = self._trigger(session, number, trigger)
         known = subscription.unlink(item, linked)
         return int(_Codes.Good if known else _Codes.BadMonitoredItemIdInvalid)
 
     def link(self, session: Owner, number: int, trigger: int, linked: int) -> int:
-        """Let an item report, with its changes, what another one has sampled; a status code."""
+        """Add a link by which an item triggers the reporting of another; return a status code."""
         subscription, item = self._trigger(session, number, trigger)
         other = subscription.items.get(linked)
         if other is None:
             return int(_Codes.BadMonitoredItemIdInvalid)
         if linked not in item.links and subscription.links >= self._limits.links_per_subscription:
             return int(_Codes.BadTooManyMonitoredItems)
-        if isinstance(other, BlockItem):  # who is linked needs the order of single samples
+        if isinstance(other, BlockItem):  # linked items need the order of single samples
             one_by_one(self._aspace, subscription, other)
         item = subscription.items[trigger]
         if isinstance(item, BlockItem):
@@ -270,7 +270,7 @@ class Subscriptions:
 
     @property
     def item_count(self) -> int:
-        """How many monitored items there are."""
+        """Number of monitored items."""
         return self._items
 
     def _share(self) -> None:
@@ -278,7 +278,7 @@ class Subscriptions:
         self.ledger.sessions = max(1, len(owners))
 
     def _reserved(self, owner: Owner, most: int) -> int:
-        """How many of ``most`` are kept for others than this session."""
+        """Return how many of ``most`` are reserved, thus not available to this session."""
         return 0 if owner.hears(Role.OPERATOR) else int(self._limits.reserved_share * most)
 
     def _trigger(self, session: Owner, number: int, trigger: int) -> tuple[Subscription, Item]:
@@ -362,7 +362,7 @@ class Subscriptions:
         return result
 
     def _is_crowded(self, subscription: Subscription, wanted: ua.ReadValueId) -> bool:
-        """Whether so many items watch this attribute that each change of it costs too much."""
+        """Return whether an attribute has reached its maximum number of monitored items."""
         watchers = self._watchers.get((wanted.NodeId, wanted.AttributeId), {})
         limits = self._limits
         own = watchers.get(id(subscription.owner), 0)

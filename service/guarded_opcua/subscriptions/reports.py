@@ -1,4 +1,4 @@
-"""What a subscription has to report, in the order of the changes behind it."""
+"""The pending notifications of a subscription, in the order of the changes."""
 
 from collections.abc import Iterator
 from heapq import merge
@@ -14,11 +14,11 @@ from guarded_opcua.monitoring.block_queue import Notifications
 from guarded_opcua.monitoring.data_item import DataItem
 from guarded_opcua.monitoring.event_item import EventItem, QueuedEvent
 
-_MESSAGE_S = 0.01  # processor time that the encoding of one message may take
+_MESSAGE_S = 0.01  # s of processor time for the encoding of one message
 
 
 class _Queued(NamedTuple):
-    """Number of the change, of the item, the item; s to encode it, later all up to it."""
+    """Moment, item number, item, and encoding cost, s; later the cumulative cost."""
 
     moment: int
     number: int
@@ -27,12 +27,12 @@ class _Queued(NamedTuple):
 
 
 class Reports:
-    """Items with something to report.
+    """Items with pending notifications.
 
     Attributes
     ----------
     blocks
-        The items that are served as arrays; their queues say what they have to report.
+        The block items of the subscription, by block; their queues hold the pending notifications.
     """
 
     def __init__(self) -> None:
@@ -45,22 +45,22 @@ class Reports:
         )
 
     def add(self, item: DataItem | EventItem) -> None:
-        """Note that an item has something to report."""
+        """Add an item with pending notifications."""
         self._items[item.number] = item
 
     def forget(self, number: int) -> None:
-        """Forget an item."""
+        """Remove an item."""
         self._items.pop(number, None)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all items."""
         self._items.clear()
         self.blocks.clear()
 
     def take(self, most: int) -> list[bytes]:
-        """Take up to ``most`` notifications, encoded: data changes, then events.
+        """Remove and encode up to ``most`` notifications: data changes, then events.
 
-        Those that are dear to encode make a message end sooner: nobody waits for the others' long.
+        A message ends early if its encoding takes too long, so that other clients are not delayed.
         """
         content = _Content()
         singles = _affordable(islice(merge(*map(_queued, self._items.values())), most))
@@ -90,7 +90,7 @@ class Reports:
         source = np.repeat(np.arange(len(fronts) + 1), [len(part) for part in moments])
         order = np.lexsort((np.concatenate(numbers), np.concatenate(moments)))[:most]
         source = source[order]
-        if is_cut:  # what came after the last of the singles may have come after others of them
+        if is_cut:  # after the last single taken, the order to the remaining singles is unknown
             source = source[: int(np.flatnonzero(source == len(fronts))[-1]) + 1]
         taken = [
             items.take(front[: int((source == which).sum())])
@@ -115,7 +115,7 @@ def _queued(item: DataItem | EventItem) -> Iterator[_Queued]:
 
 
 def _affordable(queued: Iterator[_Queued]) -> list[_Queued]:
-    """The first of them, until they are too dear for one message; one at least."""
+    """Return the first notifications up to the encoding cost of one message; at least one."""
     found, total = [], 0.0
     for one in queued:
         total += one.cost_so_far
@@ -126,7 +126,7 @@ def _affordable(queued: Iterator[_Queued]) -> list[_Queued]:
 
 
 class _Content:
-    """What goes into one message."""
+    """The content of one message."""
 
     def __init__(self) -> None:
         self.changes: list[bytes] = []

@@ -1,4 +1,4 @@
-"""One subscription: when it publishes, what it keeps for Republish (Part 4, 5.14)."""
+"""One subscription: publishing cycle and retransmission queue (Part 4, 5.14)."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from guarded_opcua.subscriptions.reports import Reports
 Item = DataItem | EventItem | BlockItem
 
 _LAST_SEQUENCE = 2**32 - 1
-_COARSE_S = 0.002  # timers come up to 1 ms late: so fast a rhythm follows the changes instead
+_COARSE_S = 0.002  # timers are up to 1 ms late; below this interval, changes trigger publishing
 
 
 class Owner(Protocol):
@@ -28,29 +28,29 @@ class Owner(Protocol):
 
     @property
     def holding(self) -> Holding:
-        """What the queues of the session hold."""
+        """Counters of the session's queues."""
 
     @property
     def subscriptions(self) -> dict[int, "Subscription"]:
-        """Its subscriptions, by number."""
+        """The subscriptions of the session, by number."""
 
     def publish(self, subscription: "Subscription") -> None:
-        """Send the subscription's next message if a publish request waits, else remember it."""
+        """Send the next message if a publish request is queued, else mark the subscription late."""
 
     def has_publish_requests(self) -> bool:
-        """Whether a publish request waits."""
+        """Return whether a publish request is queued."""
 
     def lose(self, subscription: "Subscription", code: int | None = None) -> None:
-        """Lose a subscription; the client hears why if there is a code."""
+        """Detach a subscription; the client is notified if a code is given."""
 
     def hears(self, audience: Role) -> bool:
-        """Whether the user may hear of an event that is for that role and above."""
+        """Return whether the user may receive events for that role and above."""
 
     def is_same_client(self, other: object) -> bool:
-        """Whether another session acts for the same user of the same application."""
+        """Return whether another session belongs to the same user of the same application."""
 
     def charge(self, cost: float) -> None:
-        """Put what was done for the session on its account, s of the processor."""
+        """Charge processor time to the session, s."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Message:
-    """What goes into one publish response."""
+    """The content of one publish response."""
 
     sequence: int
     content: bytes
@@ -76,7 +76,7 @@ class Message:
 
 @dataclass
 class RepublishStore:
-    """Room for unacknowledged messages, shared by all subscriptions."""
+    """Capacity for unacknowledged messages, shared by all subscriptions."""
 
     messages: int
     capacity: int
@@ -84,7 +84,7 @@ class RepublishStore:
 
 
 class Subscription:
-    """Collects what its items report and publishes it in its own rhythm."""
+    """Collects the notifications of its items and publishes them in each cycle."""
 
     def __init__(
         self,
@@ -102,13 +102,13 @@ class Subscription:
         self.timing = timing
         self.publishing = publishing
         self.items: dict[int, Item] = {}
-        self.links = 0  # by which items trigger others, in all
+        self.links = 0  # number of triggering links
         self.waiting_since: float | None = None
         self._store = store
         self._clock = clock
         self._expired = expired
         self._reports = Reports()
-        self._triggered: set[int] = set()  # items whose linked ones are to be reported
+        self._triggered: set[int] = set()  # items whose linked items are to be reported
         self._linked_by: dict[int, set[int]] = {}
         self._stopped = False
         self._pending: dict[int, DataItem] = {}
@@ -118,17 +118,17 @@ class Subscription:
         self._unheard_cycles = 0
         self._last_message: float
         self._next_cycle: float
-        self._hurries: bool  # the next cycle is under way before its time
+        self._hurries: bool  # the next cycle is scheduled early
         self._timer: Timer
         self._begin_rhythm()
 
     @property
     def holding(self) -> Holding:
-        """What the queues of the owning session hold."""
+        """Counters of the owning session's queues."""
         return self.owner.holding
 
     def give_to(self, owner: Owner) -> None:
-        """Move to another session, with all that is queued."""
+        """Move to another session, with all queues."""
         queued = sum(len(item) for item in self.items.values())
         self.owner.holding.add(-queued)
         self.owner = owner
@@ -136,32 +136,32 @@ class Subscription:
         self.heard_of()
 
     def time(self) -> float:
-        """Seconds that never run back."""
+        """Return the monotonic time, s."""
         return self._clock.monotonic()
 
     def has_report(self, number: int) -> None:
-        """Note that an item has something to report."""
+        """Mark an item as having pending notifications."""
         item = self.items[number]
         if not isinstance(item, BlockItem) and not self._stopped:
             self._reports.add(item)
             self.hurry()
 
     def has_no_report(self, number: int) -> None:
-        """Note that an item has nothing to report any more."""
+        """Mark an item as having no pending notifications."""
         self._reports.forget(number)
 
     def hurry(self) -> None:
-        """Publish at once if the rhythm is a fast one and a whole interval has passed."""
+        """Publish immediately if the interval is short and has passed since the last message."""
         timing = self.timing
         if timing.interval_s > _COARSE_S or self._hurries or self._stopped:
             return
         if self._clock.monotonic() - self._last_message >= timing.interval_s:
             self._hurries = True
             self._timer.cancel()
-            self._timer = self._clock.call_at(0.0, self._cycle)  # with all that changes until then
+            self._timer = self._clock.call_at(0.0, self._cycle)  # with all changes until then
 
     def block_items(self, block: Block) -> BlockItems:
-        """Return the items on a block that are served as arrays."""
+        """Return the block items of this subscription on a block."""
         found = self._reports.blocks.get(block)
         if found is None:
             found = self._reports.blocks[block] = BlockItems(self, block)
@@ -169,24 +169,24 @@ class Subscription:
         return found
 
     def has_pending(self, number: int) -> None:
-        """Note that an item holds a value back until its sampling time."""
+        """Mark an item as holding a value until its sampling time."""
         item = self.items[number]
         if isinstance(item, DataItem):
             self._pending[number] = item
 
     def trigger(self, number: int) -> None:
-        """Report what the items linked to this one have sampled, when the next message is made."""
+        """Report the samples of the items linked to this one with the next message."""
         self._triggered.add(number)
         self.hurry()
 
     def link(self, item: Item, number: int) -> None:
-        """Let an item trigger another one."""
+        """Add a link by which an item triggers another one."""
         self.links += number not in item.links
         item.links.add(number)
         self._linked_by.setdefault(number, set()).add(item.number)
 
     def unlink(self, item: Item, number: int) -> bool:
-        """Let an item trigger another one no more; whether it did."""
+        """Remove a triggering link; return whether it existed."""
         if number not in item.links:
             return False
         self.links -= 1
@@ -197,7 +197,7 @@ class Subscription:
         return True
 
     def has_message(self) -> bool:
-        """Whether something is to be sent now."""
+        """Return whether notifications or a keep-alive are due."""
         if self._triggered:
             self._report_linked()
         if self.publishing and self._reports:
@@ -205,7 +205,7 @@ class Subscription:
         return self._silent_cycles >= self.timing.keep_alive_count
 
     def next_message(self) -> Message:
-        """Take the next message: notifications, or a keep-alive if there are none."""
+        """Return the next message: notifications, or a keep-alive if there are none."""
         self._silent_cycles = 0
         self._unheard_cycles = 0
         notifications = self._take_notifications()
@@ -218,11 +218,11 @@ class Subscription:
         return Message(sequence, content, tuple(self._unacknowledged), more)
 
     def heard_of(self) -> None:
-        """Note that the client still asks: the lifetime starts anew."""
+        """Restart the lifetime counter: the client is active."""
         self._unheard_cycles = 0
 
     def acknowledge(self, sequence: int) -> int:
-        """Drop a message the client has; a status code."""
+        """Drop an acknowledged message; return a status code."""
         content = self._unacknowledged.pop(sequence, None)
         if content is None:
             return ua.StatusCodes.BadSequenceNumberUnknown
@@ -230,24 +230,24 @@ class Subscription:
         return ua.StatusCodes.Good
 
     def republish(self, sequence: int) -> bytes | None:
-        """Return a message that was sent and not acknowledged."""
+        """Return an unacknowledged message, None if it is not available."""
         self.heard_of()
         return self._unacknowledged.get(sequence)
 
     @property
     def available(self) -> list[int]:
-        """Sequence numbers that can be asked for again."""
+        """Sequence numbers that are available for Republish."""
         return list(self._unacknowledged)
 
     def retime(self, timing: Timing) -> None:
-        """Take revised parameters; the rhythm starts anew."""
+        """Set revised parameters and restart the publishing cycle."""
         self.timing = timing
         self.heard_of()
         self._timer.cancel()
         self._begin_rhythm()
 
     def forget(self, item: Item) -> None:
-        """Drop an item and what it had queued."""
+        """Remove an item with its queue and links."""
         if isinstance(item, BlockItem):
             item.of.remove(item)
         else:
@@ -262,7 +262,7 @@ class Subscription:
         self._triggered.discard(item.number)
 
     def stop(self) -> None:
-        """End the rhythm: nothing is published any more; the items are to be forgotten."""
+        """Stop publishing; the caller then removes the items."""
         self._stopped = True
         self._timer.cancel()
         for block, items in self._reports.blocks.items():

@@ -1,1 +1,1 @@
-"""Connections: listening, channels, requests in fair turns."""
+"""Connections: listening, secure channels, fair scheduling of requests."""

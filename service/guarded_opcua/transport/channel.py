@@ -1,4 +1,4 @@
-"""Secure channels: opened only with a policy on offer, by peers we trust, and kept in time."""
+"""Secure channels: opened with an offered policy by a trusted peer, and renewed in time."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -16,19 +16,19 @@ from guarded_opcua.security.peer_certificates import PeerTrust
 
 _Codes = ua.StatusCodes
 _SHORTEST_LIFETIME_MS, _LONGEST_LIFETIME_MS = 10_000, 3_600_000
-_MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer has proven anything
+_MAX_ASYMMETRIC_BLOCKS = 8  # each costs an RSA decryption before the peer is authenticated
 _NONE = ua.MessageSecurityMode.None_
 
 
 class ChannelIds(Protocol):
-    """Numbers the channels."""
+    """Allocates channel numbers."""
 
     def get_new_channel_id(self) -> int:
         """Return the number of a new channel."""
 
 
 class Channel(SecureConnection):
-    """The secure channel of one connection, on the server's side."""
+    """The server side of the secure channel of one connection."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Channel(SecureConnection):
         self._refused = refused
         self._clock = clock
         self._expires = 0.0
-        self._shown = b""  # the certificate, perhaps followed by those of its issuers
+        self._shown = b""  # the peer's certificate, optionally followed by those of its issuers
         self.set_policy_factories(policies)
 
     @property
@@ -64,7 +64,7 @@ class Channel(SecureConnection):
         return self.is_open() and self._clock.monotonic() > self._expires
 
     def check_open_frame(self, shown: ua.AsymmetricAlgorithmHeader, encrypted: int) -> None:
-        """Check an OpenSecureChannel before anything of it is decrypted, by its size in bytes."""
+        """Check an OpenSecureChannel before its decryption, by its header and its size in bytes."""
         if self.is_open() and shown.SecurityPolicyURI != self.security_policy.URI:
             raise ServiceError(_Codes.BadSecurityPolicyRejected)
         if self.is_open() and (shown.SenderCertificate or b"") != self._shown:
@@ -111,12 +111,12 @@ class Channel(SecureConnection):
         return result
 
     def check_again(self) -> None:
-        """Check that the peer is still trusted, by the folders as they were last read.
+        """Check that the peer is still trusted, using the folders as last read.
 
         Raises
         ------
         ServiceError
-            with the reason's code; it is audited.
+            with the reason's code; the refusal is audited.
         """
         if self.is_open() and not self.is_plain:
             self._check(self._trust.check_again)

@@ -1,4 +1,4 @@
-"""One TCP connection: frames, channel, sessions; what it may send before it is believed."""
+"""One TCP connection: frames, secure channel, sessions; limits before authentication."""
 
 import asyncio
 from collections import deque
@@ -37,25 +37,25 @@ _CLOSE_BYTES = 1_024
 _SMALLEST_BUFFER = 8_192  # Part 6, 7.1.2.3
 _FRAMES_AHEAD, _BYTES_AHEAD = 32, 128 * 1024
 _ERRORS_FORGIVEN = 20
-_BYTES_PER_REQUEST = 16 * 1024  # a larger one, or a larger response, counts as several
+_BYTES_PER_REQUEST = 16 * 1024  # a larger request or response consumes one more unit per 16 KiB
 _CLOSE_CHANNEL = _Ids.CloseSecureChannelRequest_Encoding_DefaultBinary
 
 
 class Door(Protocol):
-    """Who admits connections and watches over them."""
+    """Admits connections and monitors them; implemented by the listener."""
 
     def admit(self, connection: "Connection") -> bool:
-        """Take a new connection, unless there are too many of them."""
+        """Return whether a new connection is admitted."""
 
     def forget(self, connection: "Connection") -> None:
-        """Forget a connection that is gone."""
+        """Remove a closed connection."""
 
     def sent(self, connection: "Connection") -> None:
-        """Note that something was sent."""
+        """Check the send buffers after data was sent."""
 
 
 class Connection(asyncio.BufferedProtocol):
-    """Takes frames apart, answers requests one after the other, in fair turns with others."""
+    """Parses frames and answers requests sequentially, scheduled fairly with other connections."""
 
     def __init__(self, shared: Shared, door: Door) -> None:
         self.host = "?"
@@ -92,21 +92,21 @@ class Connection(asyncio.BufferedProtocol):
 
     @property
     def progress(self) -> int:
-        """How far the peer has come: 0 connected, 1 has said hello, 2 has a channel."""
+        """Progress of the handshake: 0 connected, 1 Hello received, 2 secure channel open."""
         return self._greeted + self.channel.is_open()
 
     @property
     def unsent(self) -> int:
-        """Bytes that the peer has not yet read."""
+        """Bytes in the send buffer."""
         return self._transport.get_write_buffer_size()
 
     @property
     def is_closing(self) -> bool:
-        """Whether it was closed, even if the peer has not noticed."""
+        """Whether the connection is closing or closed."""
         return self._transport.is_closing()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Start, unless there are too many connections."""
+        """Start serving, unless the connection is not admitted."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - TCP gives nothing else
         self._transport = transport
         name = transport.get_extra_info("peername")
@@ -131,7 +131,7 @@ class Connection(asyncio.BufferedProtocol):
         self._task = asyncio.create_task(self._run())
 
     def connection_lost(self, _: Exception | None) -> None:
-        """End: sessions live on for their time-out."""
+        """Stop serving; sessions continue until their time-out."""
         if self._task is not None:
             self._task.cancel()
         self._frames.clear()
@@ -139,13 +139,13 @@ class Connection(asyncio.BufferedProtocol):
         self._door.forget(self)
 
     def pause_writing(self) -> None:
-        """Note that the peer reads too slowly: nothing more is answered or published."""
+        """Stop answering and publishing: the send buffer is full."""
         self.writable = False
         self.blocked_since = self._shared.clock.monotonic()
         self._writable_again.clear()
 
     def resume_writing(self) -> None:
-        """Note that the peer reads again."""
+        """Resume answering and publishing: the peer has read enough of the buffer."""
         self.writable = True
         self.blocked_since = None
         self._writable_again.set()
@@ -154,11 +154,11 @@ class Connection(asyncio.BufferedProtocol):
                 session.serve_late()
 
     def get_buffer(self, _: int) -> memoryview:
-        """Return where to put what arrives: little at a time, so that nobody holds the loop."""
+        """Return the shared receive buffer; it is small, so that no peer blocks the event loop."""
         return self._shared.arrivals
 
     def buffer_updated(self, count: int) -> None:
-        """Cut whole frames; close on what is too much or no frame."""
+        """Split received bytes into frames; close the connection on invalid or oversized ones."""
         if self._transport.is_closing():
             return
         data = self._shared.arrivals[:count]
@@ -185,7 +185,7 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.pause_reading()
 
     def fail(self, code: int, reason: str) -> None:
-        """Say why, and close."""
+        """Send an error message with the reason, and close."""
         if self._transport.is_closing():
             return
         _log.warning("%s: disconnected: %s", self.host, reason)
@@ -197,11 +197,11 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close immediately, without flushing the send buffer."""
         self._transport.abort()
 
     def charge(self, cost: float) -> None:
-        """Put what was done for the peer on its account, s of the processor."""
+        """Charge processor time to the connection, s."""
         self.cost.spend(cost)
 
     def answer_publish(self, request: PublishRequest, number: int, message: Message) -> None:
@@ -226,7 +226,7 @@ class Connection(asyncio.BufferedProtocol):
         self._send(request_id, ua_binary.struct_to_binary(response))
 
     def respond(self, request_id: int, handle: int, response: Any) -> None:  # noqa: ANN401
-        """Send a response, if it is not larger than the peer takes."""
+        """Send a response, or a fault if it exceeds the peer's maximum size."""
         if not isinstance(response, bytes):
             response.ResponseHeader.RequestHandle = handle
             response = ua_binary.struct_to_binary(response)
@@ -237,14 +237,14 @@ class Connection(asyncio.BufferedProtocol):
             self._send(request_id, response)
 
     async def breathe(self) -> None:
-        """Let others go first if this request has lasted for long."""
+        """Yield to other connections if this request has used its time slice."""
         if self._shared.turns.costs_more_than(self._limits.turn_s):
             self._shared.turns.give(self.cost)
             await asyncio.sleep(0)
             await self._shared.turns.take(self.cost)
 
     async def outside(self, slow: Awaitable[T]) -> T:
-        """Wait for something slow without keeping the turn."""
+        """Await a slow operation with the turn released."""
         self._shared.turns.give(self.cost)
         try:
             return await slow
@@ -258,11 +258,11 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.write(self.channel.message_to_binary(content, kind, request_id))
 
     def log_in(self) -> None:
-        """Allow what only those may who are logged in."""
+        """Apply the limits of authenticated users."""
         self.channel.limits.max_message_size = self._limits.message_bytes
 
     def close(self) -> None:
-        """Close once all is sent."""
+        """Close after the send buffer is flushed."""
         self._transport.close()
 
     async def _run(self) -> None:
@@ -299,7 +299,7 @@ class Connection(asyncio.BufferedProtocol):
             self.fail(error.code, ua.StatusCode(error.code).name)
         except InvalidSignature:
             self.fail(_Codes.BadSecurityChecksFailed, "wrong signature")
-        except Exception as error:  # noqa: BLE001 - whatever a peer sends must not get further
+        except Exception as error:  # noqa: BLE001 - an error in a peer's data must not propagate
             reason = f"cannot be understood: {type(error).__name__}"
             self.fail(_Codes.BadSecurityChecksFailed, reason)
         return True
@@ -327,7 +327,7 @@ class Connection(asyncio.BufferedProtocol):
             raise ServiceError(_Codes.BadTcpMessageTypeInvalid)
         smallest = min(hello.ReceiveBufferSize, hello.SendBufferSize)
         if smallest < _SMALLEST_BUFFER or len(hello.EndpointUrl or "") > 4_096:
-            self._greeted = True  # so that the peer hears why
+            self._greeted = True  # so that the peer receives the reason
             raise ServiceError(_Codes.BadConnectionRejected)
         self._greeted = True
         limits = self.channel.limits
@@ -345,7 +345,7 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.write(ua_binary.uatcp_to_binary(ua.MessageType.Acknowledge, acknowledge))
 
     async def _serve(self, message: ua.Message) -> bool:
-        """Answer a request; return whether the connection goes on."""
+        """Answer a request; return whether the connection stays open."""
         request_id = message.SequenceHeader().RequestId
         body = Reader(bytes(message.body()), self._budget())
         self._shared.traffic.requests += 1

@@ -1,4 +1,4 @@
-"""What the server offers: security policies, user tokens, endpoint descriptions (Part 4, 7.14)."""
+"""Offered security policies, user tokens and endpoint descriptions (Part 4, 7.14)."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from guarded_opcua.settings import ServerSettings
 _TRANSPORT = "http://opcfoundation.org/UA-Profile/Transport/uatcp-uasc-uabinary"
 _MODE = ua.MessageSecurityMode.SignAndEncrypt
 _NONE = ua.MessageSecurityMode.None_
-# policy and its security level: a client takes the highest that it knows
+# policy and its SecurityLevel: a client selects the highest that it supports
 _SECURED = (
     (security_policies.SecurityPolicyBasic256Sha256, 70),
     (security_policies.SecurityPolicyAes256Sha256RsaPss, 80),
@@ -24,7 +24,7 @@ _TOKEN_POLICY = security_policies.SecurityPolicyBasic256Sha256.URI
 def offered_policies(
     settings: ServerSettings, certificate: x509.Certificate, key: rsa.RSAPrivateKey
 ) -> list[Any]:
-    """Make the security policies that a channel may be opened with."""
+    """Return the security policies that a channel may be opened with."""
     offered = []
     if settings.pki is not None:
         offered += [(policy, _MODE) for policy, _ in _SECURED]
@@ -39,7 +39,7 @@ def offered_policies(
 def offered_endpoints(
     settings: ServerSettings, url: str, certificate: bytes
 ) -> list[ua.EndpointDescription]:
-    """Describe the endpoints."""
+    """Return the endpoint descriptions."""
     endpoints = []
     if settings.pki is not None:
         endpoints += [
@@ -60,7 +60,7 @@ def _endpoint(
     mode: ua.MessageSecurityMode,
     level: int,
 ) -> ua.EndpointDescription:
-    # passwords are encrypted once more, even inside of an encrypted channel
+    # passwords are also encrypted inside of an encrypted channel
     token_policy = _TOKEN_POLICY if mode == _NONE else policy
     tokens = [
         ua.UserTokenPolicy(

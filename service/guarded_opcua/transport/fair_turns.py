@@ -1,10 +1,12 @@
-"""Whose request is next: who has cost little goes first, who floods waits for itself.
+"""Fair scheduling of requests between connections.
 
-Start-time fair queueing (Goyal, Vin, Cheng 1996) in two classes. A connection earns a share of
-the server's time; while it keeps within what it has earned, and asks for little at a time, it is
-served as soon as the running turn ends. Else it is in excess: served in fair turns with the others
-in excess, and while anybody is modest, only a part of the time, so that his requests meet an idle
-server as a rule. Time is the processor's: a server that is kept waiting blames nobody for it.
+Start-time fair queueing (Goyal, Vin, Cheng 1996) with two priority classes. Each connection earns
+credit, a share of the server's processor time. It is modest while it has credit and its requests
+are cheap; a modest connection is served as soon as the running turn ends. Otherwise it is in
+excess: the connections in excess are served fairly among each other, and, while any modest
+connection is present, with pauses in between, so that a modest request usually finds an idle
+server. Cost is processor time, so that time in which the process does not run is charged to no
+connection.
 """
 
 import asyncio
@@ -14,20 +16,20 @@ from dataclasses import dataclass
 
 from guarded_opcua.clock import Clock, Timer
 
-_SHARE = 0.1  # of the server's time that a connection earns
-_SAVINGS_S = 0.2  # most that it can save up
-_LITTLE_S = 0.001  # what the turns of a modest connection take on average
-_NEWEST = 0.3  # weight of the last turn in that average
-_PAUSE = 3.0  # idle time after a request in excess, in units of what it took
+_SHARE = 0.1  # of the server's processor time; credit that a connection earns
+_SAVINGS_S = 0.2  # s; maximum credit
+_LITTLE_S = 0.001  # s; maximum mean cost of a turn of a modest connection
+_NEWEST = 0.3  # weight of the last turn in this exponential mean
+_PAUSE = 3.0  # idle time after a request in excess, in units of its cost
 _LONGEST_PAUSE_S = 0.1
-_MEMORY_S = 1.0  # so long after its last request somebody counts as being there
+_MEMORY_S = 1.0  # s; a modest connection is present for this time after its last request
 
 
 @dataclass
 class Cost:
-    """What one connection has earned and cost, s.
+    """Credit and cost of one connection, s.
 
-    ``credit`` starts at nothing: whoever comes anew has earned nothing yet.
+    ``credit`` starts at zero: a new connection has earned none.
     """
 
     finished: float = 0.0
@@ -36,23 +38,23 @@ class Cost:
     earned_until: float = 0.0
 
     def earn(self, now: float) -> None:
-        """Add what was earned since the last time."""
+        """Add the credit earned since the last call."""
         self.credit = min(_SAVINGS_S, self.credit + _SHARE * (now - self.earned_until))
         self.earned_until = now
 
     def spend(self, cost: float) -> None:
-        """Take off what was done beside its turns."""
+        """Subtract a cost incurred outside of the connection's turns."""
         self.finished += cost
         self.credit -= cost
 
     def charge(self, cost: float) -> None:
-        """Take off what a turn has cost."""
+        """Subtract the cost of a turn, and update the mean cost."""
         self.spend(cost)
         self.mean += _NEWEST * (cost - self.mean)
 
     @property
     def in_excess(self) -> bool:
-        """Whether it has cost more than its share, or costs much at a time."""
+        """Whether the credit is used up or the mean cost of a turn is high."""
         return self.credit <= 0.0 or self.mean > _LITTLE_S
 
 
@@ -60,7 +62,7 @@ _Waiting = tuple[float, int, asyncio.Future[None]]
 
 
 class FairTurns:
-    """Lets one request run at a time."""
+    """Schedules requests; one runs at a time."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -103,7 +105,7 @@ class FairTurns:
         self._since = self._clock.processor()
 
     def give(self, account: Cost) -> None:
-        """End a turn; what it took is charged."""
+        """End a turn and charge its cost."""
         now = self._clock.monotonic()
         cost = self._clock.processor() - self._since
         account.charge(cost)
@@ -112,14 +114,14 @@ class FairTurns:
         self._next()
 
     def costs_more_than(self, limit_s: float) -> bool:
-        """Whether the running turn does; only a long one is worth the processor's clock."""
+        """Return whether the running turn costs more; reads the processor clock only if needed."""
         return (
             self._clock.monotonic() - self._began > limit_s
             and self._clock.processor() - self._since > limit_s
         )
 
     def _next(self) -> None:
-        """Wake who is next; whoever is woken holds the turn."""
+        """Wake the next waiting request, which then holds the turn."""
         self._busy = False
         if self._timer is not None:
             self._timer.cancel()

@@ -1,4 +1,4 @@
-"""What is answered before somebody is logged in: channel, discovery, sessions (Part 4, 5.5-5.7)."""
+"""Services without an active session: channel, discovery, sessions (Part 4, 5.5-5.7)."""
 
 import contextlib
 import ipaddress
@@ -39,24 +39,24 @@ T = TypeVar("T")
 
 
 class PeerSide(Line, Protocol):
-    """The connection that shakes hands."""
+    """The connection, as the handshake uses it."""
 
     @property
     def channel(self) -> Channel:
-        """Its secure channel."""
+        """The secure channel."""
 
     async def outside(self, slow: Awaitable[T]) -> T:
-        """Wait for something slow without keeping the turn."""
+        """Await a slow operation with the turn released."""
 
     def send_open(self, request_id: int, response: ua.OpenSecureChannelResponse) -> None:
         """Answer an OpenSecureChannel."""
 
     def log_in(self) -> None:
-        """Allow what only those may who are logged in."""
+        """Apply the limits of authenticated users."""
 
 
 class Handshake:
-    """Opens the channel and logs people in, for one connection."""
+    """Opens the secure channel and activates sessions of one connection."""
 
     def __init__(self, shared: Shared, peer: PeerSide) -> None:
         self.done = False
@@ -64,7 +64,7 @@ class Handshake:
         self._peer = peer
 
     def open_channel(self, message: ua.Message, budget: Budget) -> None:
-        """Open the secure channel, or renew it."""
+        """Open or renew the secure channel."""
         channel = self._peer.channel
         algorithm = message.SecurityHeader()
         request = decode(ua.OpenSecureChannelRequest, Reader(bytes(message.body()), budget))
@@ -228,13 +228,13 @@ class Handshake:
         session = self._shared.sessions.find(header.AuthenticationToken)
         if session.line is not self._peer:
             raise ServiceError(_Codes.BadSecureChannelIdInvalid)
-        keep = keep_subscriptions and session.is_proven  # nobody else could ask for them
+        keep = keep_subscriptions and session.is_proven  # an anonymous peer has no claim
         self._shared.sessions.close(session, keep_subscriptions=keep)
         self._shared.audit.session_closed(Actor(session, session.host, _entry(header)))
         return ua.CloseSessionResponse()
 
     def _origin(self, session: Session, entry: str) -> str:
-        """Where a user comes from: behind a gateway, the address that the gateway names."""
+        """Return the address of a user; behind a gateway, the one that the gateway reports."""
         if session.application_uri not in self._shared.gateways:
             return session.host
         try:
@@ -244,7 +244,7 @@ class Handshake:
         return f"{behind} by way of {session.host}"
 
     def _verify(self, session: Session, signature: ua.SignatureData) -> None:
-        """Check that whoever activates holds the key of the channel's certificate."""
+        """Check that the client holds the private key of the channel's certificate."""
         channel = self._peer.channel
         if channel.is_plain:
             return
@@ -271,7 +271,7 @@ class Handshake:
         return [server] if not wanted or server.ApplicationUri in wanted else []
 
     def _reached_as(self, url: str | None) -> str | None:
-        """Return host and port under which the peer reaches us, if it says so sensibly."""
+        """Return the host and port of an endpoint URL from the peer, None if it is malformed."""
         try:
             found = urlparse(url or "").netloc
         except ValueError:

@@ -1,4 +1,4 @@
-"""The listening socket: admits connections, and ends those that overstay."""
+"""The listening socket: admits connections, and closes those that exceed their time limits."""
 
 import asyncio
 import os
@@ -21,11 +21,11 @@ from guarded_opcua.transport.shared import Shared
 _log = bounded_logger(__name__)
 _REAP_S = 1.0
 _BACKLOG = 100
-_ACCEPTED_AT_ONCE = 8  # asyncio accepts as many at a stretch as the backlog says
+_ACCEPTED_AT_ONCE = 8  # asyncio accepts as many connections per loop iteration as the backlog
 
 
 class Listener:
-    """Listens, admits connections, and ends those that overstay."""
+    """Listens, admits connections, and closes those that exceed their time limits."""
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
@@ -43,7 +43,7 @@ class Listener:
         self._reaper: asyncio.Task[None] | None = None
 
     async def start(self, host: str, port: int) -> int:
-        """Listen; return the port.
+        """Start listening; return the port.
 
         Raises
         ------
@@ -52,7 +52,7 @@ class Listener:
         loop = asyncio.get_running_loop()
         found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         family, _, _, _, address = found[0]
-        # With the protocol named, asyncio sends without delay (TCP_NODELAY).
+        # asyncio sets TCP_NODELAY only if the protocol is given explicitly.
         listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
             if os.name == "posix":
@@ -83,10 +83,11 @@ class Listener:
         await asyncio.sleep(0)
 
     def admit(self, connection: Connection) -> bool:
-        """Take a new connection; where there are too many, another one gives way if it can.
+        """Return whether a new connection is admitted, evicting another one if needed.
 
-        The address that holds most gives way, with what came least far, the oldest first; who is
-        logged in stays.
+        The evicted connection belongs to the address with the most connections. It is the one with
+        the least handshake progress, the oldest first. Connections with an active session are not
+        evicted.
         """
         if self._connections.admit(connection, connection.host):
             return True
@@ -95,12 +96,12 @@ class Listener:
         return False
 
     def forget(self, connection: Connection) -> None:
-        """Forget a connection that is gone."""
+        """Remove a closed connection, and unbind its sessions."""
         if self._connections.leave(connection):
             self._shared.sessions.lose_line(connection)
 
     def sent(self, connection: Connection) -> None:
-        """Note that something was sent; the slowest reader goes if all hold too much."""
+        """Disconnect the slowest reader if the send buffers of all connections are too large."""
         if connection.writable:
             return
         total = sum(other.unsent for other in self._connections)
@@ -110,7 +111,7 @@ class Listener:
             slowest.abort()
 
     def _logged_in(self, _newcomer: object = None) -> Container[Any]:
-        """Connections with an active session."""
+        """Return the connections with an active session."""
         return {session.line for session in self._shared.sessions if session.active}
 
     def _give_way(self, connection: Connection) -> None:
@@ -124,7 +125,7 @@ class Listener:
             try:
                 self._reap()
                 await self._part_with_the_distrusted()
-            except Exception:  # noqa: BLE001 - it must go on for the others
+            except Exception:  # noqa: BLE001 - the reaper must survive a failure
                 _log.exception("tidying up failed")
 
     def _reap(self) -> None:
@@ -145,9 +146,9 @@ class Listener:
                 connection.fail(ua.StatusCodes.BadTimeout, "nobody logged in")
 
     async def _part_with_the_distrusted(self) -> None:
-        """Close channels and sessions whose certificate, or user, is accepted no more.
+        """Close channels and sessions whose certificate or user is no longer accepted.
 
-        Others go on between two checks: one takes 10 ms where a revocation list has 50,000 entries.
+        It yields between two checks: one takes 10 ms with a revocation list of 50,000 entries.
         """
         self._shared.users.refresh()
         if not self._shared.trust.look_again():

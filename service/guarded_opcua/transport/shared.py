@@ -1,4 +1,4 @@
-"""What all connections of a server share."""
+"""State shared by all connections of a server."""
 
 import copy
 import secrets
@@ -29,7 +29,7 @@ _SECURITY_CODES = {
 
 @dataclass
 class Traffic:
-    """What has come in since the start, and what of it was refused."""
+    """Counters of requests and refusals since the start."""
 
     requests: int = 0
     refused_requests: int = 0
@@ -52,7 +52,7 @@ class Own:
 
 
 class ChannelNumbers:
-    """Numbers secure channels, from a random one on."""
+    """Allocates consecutive channel numbers from a random start."""
 
     def __init__(self) -> None:
         self._newest = secrets.randbits(16)
@@ -65,16 +65,16 @@ class ChannelNumbers:
 
 @dataclass(frozen=True)
 class Shared:
-    """What connections need of their server.
+    """The parts of the server that its connections use.
 
     Attributes
     ----------
     arrivals
-        Where bytes arrive; emptied before the next ones do.
+        Receive buffer of all connections; emptied after each read.
     logins
-        Looks at passwords, one at a time.
+        Verifies passwords, one at a time.
     gateways
-        Application URIs of clients by way of which users log in.
+        Application URIs of clients that log users in on their behalf.
     """
 
     limits: Limits
@@ -95,7 +95,7 @@ class Shared:
     arrivals: memoryview = field(default_factory=lambda: memoryview(bytearray(_ARRIVALS_BYTES)))
 
     def endpoints(self, reached_as: str | None) -> list[ua.EndpointDescription]:
-        """Return the endpoints under the host and port by which the peer reaches us."""
+        """Return the endpoints, with the host and port that the peer used."""
         if reached_as is None:
             return self.offered
         found = []
