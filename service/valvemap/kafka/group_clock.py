@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from valvemap.model.samples import Times
 
 AHEAD_NS: Final = 60_000_000_000  # ns; clocks of source and sender that are set differ by less
-GAP_NS: Final = 3_600_000_000_000  # ns; error of an inaccurately set clock is less
-UNSET_NS: Final = 366 * 86_400_000_000_000  # ns; error of a clock that is set, but inaccurate, is less
+GAP_NS: Final = 3_600_000_000_000  # ns; no sample is rejected after a pause of less than an hour
+UNSET_NS: Final = 366 * 86_400_000_000_000  # ns; more than the error of a badly set clock
 CONFIRMED: Final = 3  # consecutive blocks; two may be a coincidence
 LATEST_NS: Final = 2**62  # UTC ns; the difference of any two times fits into 64 bits
 
@@ -76,7 +76,7 @@ def _limit(median: int, newest: int, sent: int | None) -> int:
 
 
 def _with(ahead: Ahead, number: int, median: int) -> Ahead:
-    """Append a block; drop those whose median disagrees or whose number it repeats."""
+    """Append a block, unless it is repeated; start a new list if its median disagrees."""
     if ahead and not 0 <= median - ahead[-1][1] <= GAP_NS:
         return ((number, median),)
     return ahead if any(number <= known for known, _ in ahead) else (*ahead, (number, median))

@@ -189,7 +189,7 @@ class Spool(Closing):
 def _open(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
     try:
-        connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # two collectors would send duplicates
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # no second collector
         connection.execute("PRAGMA journal_mode = WAL")
         new = check_owner(connection, path, APPLICATION_ID, SCHEMA_VERSION)
         with transaction(connection):  # locks the file
