@@ -29,7 +29,7 @@ _COLUMNS: Final[Mapping[str, pa.DataType]] = {
     **dict.fromkeys(("U", "p1", "p2", "Q", "T"), pa.float64()),
     "quality": pa.uint8(),
 }
-_WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # for small blocks,
+_WRITING: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # small blocks
 _DAMAGE: Final = (
     pa.ArrowException,
     OSError,
@@ -38,7 +38,7 @@ _DAMAGE: Final = (
     OverflowError,
     RecursionError,
 )
-_READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # threads cost more than they save
+_READING: Final = pa.ipc.IpcReadOptions(use_threads=False)  # small blocks
 
 
 class Head(NamedTuple):
