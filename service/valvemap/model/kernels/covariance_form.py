@@ -38,7 +38,7 @@ OPENING = 10.0  # a changed plant: earlier samples get the weight of a tenth of 
 
 @inlined
 def pace(size: Size, s: Floats, at: Places, rule: Rule) -> float:
-    """Return the current λ; places drift along n directions, but a step forgets along one."""
+    """Return the current λ; during drift 1 - λ is n-fold, since a step forgets along X only."""
     if rule.threshold == np.inf:
         return rule.lam
     haste = s[at.detector + HASTE]
@@ -101,7 +101,7 @@ def variable_lam(s: Floats, at: Places, rule: Rule, e: float, r: float) -> float
 
 @inlined
 def weight_along(size: Size, s: Floats, at: Places, lam: float, r: float) -> float:
-    """Weight of a sample that removes the share 1 - λ of the information along X."""
+    """Weight of a sample that forgets along X; 1 if the information there is at its floor."""
     length = 0.0
     for j in range(len(size)):
         length += (s[at.x + j] * s[at.unit + j]) ** 2

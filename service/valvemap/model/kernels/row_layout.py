@@ -47,7 +47,7 @@ COMMON_WEIGHT = 53  # of VISIT_COMMON
 REACTION = 54  # from here on see `reaction`
 PLACES_OF_DETECTOR = REACTION + reaction.PLACES
 
-LOOKS = 2  # samples between copies of the parameters: a power of two
+LOOKS = 2  # samples between predictions by the copied parameters: a power of two
 
 # Numbers of terms with a specialized kernel, compiled when first needed: the five of eq. (7), and
 # the nine of degree two in each of two variables. With more, specialization gains nothing.

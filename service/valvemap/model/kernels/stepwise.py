@@ -77,7 +77,7 @@ def _put_back(size: Size, s: Floats, at: Places, j: int, share: float) -> None:
 
 @inner
 def _take_out(size: Size, s: Floats, at: Places, window: Floats, counters: Counts) -> None:
-    """Remove the window's oldest sample from P and theta, unless theta depends on it alone."""
+    """Remove the window's oldest sample from P and theta, unless theta would be undetermined."""
     n = len(size)
     oldest = counters[HEAD]
     e = window[oldest, n]
