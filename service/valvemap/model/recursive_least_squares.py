@@ -159,7 +159,7 @@ class RecursiveLeastSquares:
         return theta, std
 
     def adaptation(self, state: RlsState) -> Adaptation:
-        """Return the assessment of the residuals, beyond REACTING only with `Adaptive` and λ = 1."""
+        """Return the assessment of the residuals: UNDECIDED or REACTING, unless places are kept."""
         return Adaptation(int(adaptations(state.detector[None], self.forgetting)[0]))
 
     def adaptation_many(self, states: RlsState) -> Codes:
